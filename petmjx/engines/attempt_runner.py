@@ -165,7 +165,9 @@ class AttemptRunner(Generic[AnyWorld]):
                 self.engines.note_failure(engine.name, self.attempt.number, n_here, self._message)
                 return unanswered
             if answer is None and tells:
-                yield from self.checked_results([], engine_name, checked=checked, wait=False)
+                # the outcome that was at hand may have become a long world (petmjx/engines/warp/continued_worlds.py)
+                yield from self.checked_results(arrivals, engine_name, checked=checked, wait=False)
+                arrivals = []
                 self._follow(stream, arrivals)
                 yield None
                 continue

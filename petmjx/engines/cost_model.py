@@ -129,7 +129,9 @@ worlds without errors took 17 s."""
 
 LONG_PLACEMENT, LONG_DRIVE = 3.0, 2.5
 """A world is long if its placement takes more than ``LONG_PLACEMENT`` times as many steps as a placement whose boxes
-stand, or its drive more than ``LONG_DRIVE`` times the expected steps."""
+stand, or its drive more than ``LONG_DRIVE`` times the expected steps, not counting the rest window. With fewer than
+``FALL_STEPS`` steps, no placement is long: a fall of few boxes takes 400 to 650 steps, and these boxes stand after 165
+to 210 steps."""
 
 
 def rest_steps(sim: Simulation, rest_s: float) -> int:
@@ -492,10 +494,18 @@ class Costs:
 
     def long_steps(self, jobs: Sequence[Job], sim: Simulation) -> FloatArray:
         """(n,) for each job, the number of steps from which on its world counts as long (``LONG_PLACEMENT``,
-        ``LONG_DRIVE``). The number does not depend on the machine."""
-        work, drive_steps = _expected_work(jobs, sim)
-        placing = _of_placements(jobs, *(work.placement_steps(way) for way in work.ways))
-        return np.asarray(LONG_PLACEMENT * placing + LONG_DRIVE * drive_steps)
+        ``LONG_DRIVE``). The number depends neither on the machine nor on the other jobs."""
+        steps = np.full(len(jobs), float(seconds_to_steps(sim.rest_window_s, sim.physics.timestep_s)))
+        for settles in (False, True):  # the work of jobs is that of placements before drives if one of them settles
+            rows = [row for row, job in enumerate(jobs) if job.settles is settles]
+            some = [jobs[row] for row in rows]
+            work, drive_steps = _expected_work(some, sim)
+            placing = _of_placements(some, *(work.placement_steps(way) for way in work.ways))
+            if sim.check is Check.ONE_BY_ONE:  # each box waits until all are quiet, even if ``interval_s`` is short
+                placing = np.where(placing > 0, np.maximum(placing, sim.quiet.steps * np.array(work.boxes)), 0.0)
+            long_placement = np.where(placing > 0, np.maximum(LONG_PLACEMENT * placing, FALL_STEPS), 0.0)
+            steps[rows] += long_placement + LONG_DRIVE * drive_steps
+        return steps
 
     def _phase_s(self, worlds: float, work: float) -> float:
         """Time of a phase of many worlds on the device, s. The time includes the end of the phase, when only a few

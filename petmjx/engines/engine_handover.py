@@ -212,6 +212,8 @@ class _Shared(Generic[Faster]):
                 yield outcome, job
                 self.take()
                 feed()
+                if self._jobs.all_followed:
+                    stream.followed()
 
     def on_mujoco(self) -> Iterator[Outcome]:
         """Simulate jobs on C MuJoCo. C MuJoCo gets only jobs that it can begin at once, so that the other jobs can

@@ -190,21 +190,28 @@ class JobStream(Generic[Tag]):
             self._unfollowed = 0
             self._changed.notify_all()
 
-    def wait_for_following(self, in_flight: Collection[int]) -> bool:
-        """Wait briefly for a job that follows from an outcome. An engine without running worlds calls this method, in a
-        thread other than the thread that takes the engine's outcomes.
+    @property
+    def all_followed(self) -> bool:
+        """Whether all jobs that follow from the outcomes so far have been put into the stream."""
+        return not self._unfollowed
+
+    def wait_for_following(self, in_flight: Collection[int], left: Collection[int] = ()) -> bool:
+        """Wait briefly for a job that follows from an outcome, or comes from a source that may need an outcome first.
+        An engine without running worlds calls this method. Only if worlds have left its device, it may call this method
+        in the thread that takes its outcomes.
 
         Args:
             in_flight: stream numbers of the engine's jobs whose outcomes have not been taken. The thread that takes
                 outcomes calls ``wake`` after each change of ``in_flight``.
+            left: those of ``in_flight`` whose worlds have left the device.
 
         Returns:
-            Whether to wait again: no job is ready, and jobs may still follow from outcomes.
+            Whether to wait again: no job is ready, and jobs may still come.
         """
         with self._changed:
-            if self._may_follow(in_flight):
+            if self._may_follow(in_flight, left):
                 self._changed.wait(WAIT_S)
-            return self._may_follow(in_flight)
+            return self._may_follow(in_flight, left)
 
     def wake(self) -> None:
         """End all waits for jobs early."""
@@ -236,9 +243,12 @@ class JobStream(Generic[Tag]):
     def _comes(self) -> bool:
         return self._open and not self._paused
 
-    def _may_follow(self, in_flight: Collection[int]) -> bool:
-        """Whether no job is ready, but jobs may follow from an outcome that has not come or has not been processed."""
-        return self.feedback and not self.ready and bool(in_flight or self._unfollowed)
+    def _may_follow(self, in_flight: Collection[int], left: Collection[int]) -> bool:
+        """Whether no job is ready, but jobs may follow from an outcome that has not come or has not been processed, or
+        come from a source that waits for the outcome of a world that has left the device."""
+        if self.ready:
+            return False
+        return (self.feedback and bool(in_flight or self._unfollowed)) or (self._comes and bool(left))
 
     @property
     def _is_full(self) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
 
@@ -10,6 +11,7 @@ from petmjx.engines.subprocess.task_pipe import serve
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
 from petmjx.plans.joined_plans import JoinedPlans
+from petmjx.plans.plan import Plan
 from petmjx.plans.plan_fields import UnreadFields
 from petmjx.plans.plan_segments import Segment, SegmentContent, read_segment
 from petmjx.plans.plan_set import PlanSet
@@ -62,13 +64,20 @@ def answer_to(source: PlanSource | Segment | None, sim: Simulation, options: Run
                 content = read_segment(source, options, carrier_extent_mm(sim))
             else:
                 content = SegmentContent(gather_plans(source, sim, options), UnreadFields())
-            examined = content.plan_set.plans[:MOST_EXAMINED]
-            risks = edge_risks(list(build_scenes(examined, sim))).tolist()
         except Exception:
             return None
     plan_set, unread = content
     if caught or any(skipped.number is None for skipped in plan_set.skipped):
         return None
     records = records_of(plan_set.plans, plan_set.numbers)
-    of_plans = {plan.plan_id: risk for plan, risk in zip(examined, risks, strict=True)}
-    return ReadingAnswer(JoinedPlans.of(plan_set.plans), replace(plan_set, plans=[]), unread, records, of_plans)
+    risks = _risks(plan_set.plans[:MOST_EXAMINED], sim)
+    return ReadingAnswer(JoinedPlans.of(plan_set.plans), replace(plan_set, plans=[]), unread, records, risks)
+
+
+def _risks(plans: Sequence[Plan], sim: Simulation) -> dict[str, int]:
+    """Plan id → ``EdgeRisk`` of the plan's scene; empty after an error, since the run does not need them."""
+    try:
+        risks = edge_risks(list(build_scenes(plans, sim))).tolist()
+    except Exception:
+        return {}
+    return {plan.plan_id: risk for plan, risk in zip(plans, risks, strict=True)}

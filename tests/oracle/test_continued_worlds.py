@@ -3,15 +3,19 @@ kernels of both are those of the CPU, so a world that leaves must end as one tha
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from support.outcomes import make_outcome
 from support.plans import make_scene
 
+from petmjx.engines.contact_penetration import stiffened
+from petmjx.engines.job_stream import JobStream
 from petmjx.engines.protocol import Progress
 from petmjx.engines.verdict import Flag, Outcome, Verdict
 from petmjx.world.history import Record
@@ -24,8 +28,8 @@ from support.tiny_worlds import SHORT, engine, shared_engine, tiny, tiny_scenes
 
 from petmjx.engines.attempt_threads import AttemptThreads
 from petmjx.engines.mjx.world_constants import NEVER
-from petmjx.engines.mjx.world_state import Status
-from petmjx.engines.subprocess.attempt_process import AttemptProcess, AttemptSimulator, AttemptTask
+from petmjx.engines.mjx.world_state import State, Status
+from petmjx.engines.subprocess.attempt_process import AttemptAnswer, AttemptProcess, AttemptSimulator, AttemptTask
 from petmjx.engines.warp import world_table
 from petmjx.engines.warp.continued_worlds import ContinuedWorlds, most_steps
 from petmjx.engines.warp.cpu_engine import MjxWarpCpuEngine
@@ -113,17 +117,105 @@ def test_worlds_that_leave_end_as_those_that_stay(monkeypatch: pytest.MonkeyPatc
         np.testing.assert_array_equal(getattr(fork.boxes, name), values, err_msg=name)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("record", [None, Record(0.02)])
+def test_a_source_that_waits_for_long_worlds_gets_their_outcomes(
+    monkeypatch: pytest.MonkeyPatch, record: Record | None
+) -> None:
+    """In a worker, the source declares that it has no further jobs when all outcomes have come. It waits although no
+    world is left on the GPU. If worlds are recorded, the thread that takes outcomes runs the slices."""
+    steps, stream = leaving(monkeypatch, AttemptThreads(1)), JobStream[None](most_boxes=1)
+    stream.put_all([(Job(scene, record=record), None) for scene in tiny_scenes().values()])
+    stream.begin()
+    numbers: list[int] = []
+
+    def run() -> None:
+        for outcome in engine().run(stream, SHORT):
+            stream.answered(outcome.job)
+            numbers.append(outcome.job)
+            if len(numbers) == len(tiny_scenes()):
+                stream.close()
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    thread.join(120)
+    stream.close()
+    assert sorted(numbers) == [*range(len(tiny_scenes()))]
+    assert len(steps) == len(numbers)
+
+
+class Late(AttemptSimulator):
+    """Answers after some looks, without outcomes."""
+
+    def __init__(self, looks: int) -> None:
+        self.looks, self.tasks = looks, list[AttemptTask]()
+
+    def begin(self, task: AttemptTask) -> None:
+        self.tasks.append(task)
+
+    def ended(self, *, wait: bool) -> Iterator[AttemptAnswer]:
+        assert not wait
+        self.looks -= 1
+        while self.tasks and self.looks <= 0:
+            yield AttemptAnswer(self.tasks.pop().number, None, "no memory")
+
+    def close(self) -> None:
+        self.tasks.clear()
+
+
+def test_a_run_pauses_while_only_long_worlds_are_left() -> None:
+    job, progress = Job(make_scene(2)), Progress(message="placed 3 of 4", pauses=True)
+    states = State(**(dict.fromkeys(State._fields) | {"status": np.int32(Status.LEFT)}))  # type: ignore[arg-type]
+    continued, messages, answers = ContinuedWorlds(Late(3), Simulation(), progress), list[str](), list[Outcome]()
+    assert not continued.take(job, make_outcome(2, job=6))
+    assert continued.take(job, make_outcome(2, job=7, state=states))
+    for outcome in continued.last():
+        messages.append(progress.message)
+        answers += [outcome] if outcome is not None else []
+    assert messages == ["1 long world on CPU threads"] * 4, "three pauses and an outcome"
+    assert progress.message == "placed 3 of 4"
+    assert [(outcome.job, outcome.verdict, outcome.message) for outcome in answers] == [
+        (7, Verdict.INVALID, "no memory")
+    ]
+    assert "mjx-warp-cpu failed to simulate a long world to its end (no memory)" in progress.notes
+
+
 def test_which_worlds_leave_depends_on_their_jobs_alone() -> None:
-    scenes = [make_scene(3), make_scene(9)]
+    sim = Simulation()
+    scenes = [make_scene(20), make_scene(40)]
     jobs = [Job(scene) for scene in scenes]
-    steps = most_steps(jobs, SHORT)
+    steps = most_steps(jobs, sim)
     assert 0 < steps[0] < steps[1] < NEVER
-    assert most_steps(jobs[1:], SHORT).tolist() == steps[1:].tolist()
-    assert most_steps([replace(job, has_errors=True) for job in jobs], SHORT)[0] > steps[0]
     after_placement = Job(scenes[0], push("force", 1.0))
     fork = replace(after_placement, start=object())  # type: ignore[arg-type]  # any state
-    assert most_steps([fork], SHORT)[0] + steps[0] == pytest.approx(most_steps([after_placement], SHORT)[0], rel=0.1)
-    assert most_steps([replace(jobs[0], record=Record(0.1))], SHORT)[0] == steps[0]
+    mixed = [*jobs, after_placement, fork, Job(scenes[1], keep_state=True), replace(jobs[0], has_errors=True)]
+    alone = [most_steps([job], sim)[0] for job in mixed]
+    assert most_steps(mixed, sim).tolist() == alone
+    assert most_steps(mixed[::-1], sim).tolist() == alone[::-1]
+    assert alone[-1] > steps[0], "boxes with errors take more steps"
+    assert alone[2] == pytest.approx(alone[3] + steps[0], rel=0.1)
+    assert most_steps([replace(jobs[0], record=Record(0.1))], sim)[0] == steps[0]
     stay = [replace(jobs[0], pauses_after=1), replace(fork, drive=None)]
-    assert most_steps(stay, SHORT).tolist() == [NEVER] * 2
-    assert most_steps(jobs, SHORT.changed(schedule="fixed")).tolist() == [NEVER] * 2
+    assert most_steps(stay, sim).tolist() == [NEVER] * 2
+    assert most_steps(jobs, sim.changed(schedule="fixed")).tolist() == [NEVER] * 2
+
+
+@pytest.mark.parametrize(
+    "sim",
+    [
+        Simulation(),
+        Simulation(interval_s=0.25),
+        Simulation(rest_window_s=2.0),
+        Simulation(check="static"),
+        stiffened(Simulation(), 0.5),
+    ],
+    ids=["usual", "short interval", "long rest window", "static", "stiffer contacts"],
+)
+def test_no_world_leaves_whose_boxes_stand_or_fall_as_expected(sim: Simulation) -> None:
+    """If boxes stand on the slab, each is quiet after little more than ``Quiet.steps`` steps, whatever the interval.
+    The rest window follows. Two or three boxes that fall take 400 to 650 steps."""
+    rest = sim.rest_window_s / sim.physics.timestep_s
+    for n_boxes in (1, 2, 8, 20, 43):
+        (steps,) = most_steps([Job(make_scene(n_boxes))], sim)
+        assert steps > 1.2 * (60 + sim.quiet.steps * n_boxes) + rest
+        assert steps > 650 + rest

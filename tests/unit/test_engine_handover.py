@@ -177,6 +177,33 @@ def test_each_engine_starts_from_its_own_states() -> None:
     assert kernels.closed
 
 
+def test_the_kernels_end_when_all_jobs_have_followed() -> None:
+    class Waiting(Kernels):
+        """Ends when no job can follow, as ``mjx-warp-cpu`` does."""
+
+        @takes_stream
+        def run(
+            self, jobs: Sequence[Job] | JobStream[Any], sim: Simulation, progress: Progress | None = None
+        ) -> Iterator[Outcome]:
+            stream = JobStream.of(jobs)
+            yield from super().run(stream, sim, progress)
+            pauses = 0
+            while stream.wait_for_following(()):
+                pauses += 1
+                assert pauses < 5, "it would wait for ever"
+                yield None  # type: ignore[misc]
+
+    stream, n_kernels = feedback_stream(jobs(50)), 0
+    stream.begin()
+    for outcome in HandoverEngine(Slow(5.0), Waiting, CHEAP).run(stream, SIM, Progress(pauses=True)):
+        if outcome is None:
+            stream.followed()
+        else:
+            stream.answered(outcome.job)
+            n_kernels += outcome.engine == "mjx-warp-cpu"
+    assert n_kernels > 0
+
+
 def test_jobs_that_follow_do_not_wait_for_those_of_the_source() -> None:
     """C MuJoCo takes only the jobs that it begins next out of the stream: four jobs, and two that run. So jobs that
     follow from results need not wait for all jobs of the source."""

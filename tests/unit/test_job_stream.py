@@ -92,6 +92,20 @@ def test_an_engine_without_worlds_waits_for_jobs_that_follow_from_its_last_outco
     assert stream.ended
 
 
+def test_an_engine_without_worlds_looks_for_outcomes_while_its_source_may_need_them() -> None:
+    """The source of a worker has no further jobs, and declares it when all outcomes have come."""
+    stream = JobStream[Any]()
+    put(stream, ONE)
+    stream.take(1)
+    assert stream.wait_for_following([0], left=[0]), "the source may bring jobs when it has the outcome"
+    assert not stream.wait_for_following([0]), "the outcome comes at once, so ``peek`` waits for the source"
+    stream.pause()
+    assert not stream.wait_for_following([0], left=[0])
+    stream.pause(False)
+    stream.close()
+    assert not stream.wait_for_following([0], left=[0])
+
+
 def test_jobs_that_follow_are_taken_first_but_not_before_those_that_were_looked_at() -> None:
     stream = JobStream[str](feedback=True)
     source = [replace(ONE) for _ in range(3)]

@@ -141,8 +141,31 @@ def test_attempts_beside_a_silent_engine_are_shown_in_its_pauses(monkeypatch: py
             assert seen == ["p0"], "it was shown in the pause"
             yield outcome_of(1, Verdict.STABLE)
 
-    monkeypatch.setattr(attempts, "AttemptProcess", Beside)
+    monkeypatch.setattr(attempts, "AttemptProcess", lambda _: Beside())
     monkeypatch.setattr("petmjx.engines.attempt_runner.outcome_checks", lambda outcomes, jobs, sim: list(outcomes))
+    for result in score_worlds(worlds_failing(0, 0), Simulation(), Device()):
+        seen.append(result.world.plan.plan_id)
+    assert seen == ["p0", "p1"]
+
+
+def test_an_outcome_is_shown_in_a_pause_if_the_next_one_does_not_come() -> None:
+    """An outcome that was at hand does not come, since its world continues elsewhere: the engine pauses."""
+    seen = list[str]()
+
+    class Device(Engine):
+        name = "device"
+
+        @says_at_hand
+        def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+            assert progress is not None
+            progress.at_hand = 1
+            yield outcome_of(0, Verdict.STABLE)
+            assert not seen
+            progress.at_hand = 0
+            yield None  # type: ignore[misc]
+            assert seen == ["p0"]
+            yield outcome_of(1, Verdict.STABLE)
+
     for result in score_worlds(worlds_failing(0, 0), Simulation(), Device()):
         seen.append(result.world.plan.plan_id)
     assert seen == ["p0", "p1"]

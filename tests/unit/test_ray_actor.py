@@ -19,10 +19,13 @@ from support.plans import make_plan, make_world, stack
 
 from petmjx.common.errors import EngineUnavailable
 from petmjx.common.machine import cuda_devices
+from petmjx.engines.job_stream import JobStream
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.protocol import Progress, takes_stream
 from petmjx.engines.remote import ray_actor
+from petmjx.engines.remote.job_dealer import Hand, JobDealer
 from petmjx.engines.remote.ray_actor import Packet, Recipe, Report, Worker, WorkerReady, WorkerRun
+from petmjx.engines.remote.worker_pool import WorkerPool, _PoolRun, _WorkerRecord
 from petmjx.engines.run_engine import UserEngine
 from petmjx.engines.verdict import Outcome
 from petmjx.options.simulation import Simulation
@@ -78,6 +81,16 @@ def test_a_worker_reports_progress_and_errors() -> None:
     broken.error = _Unpicklable(1, 2)
     last_reports = simulated(worker, *packets)
     assert repr(last_reports[-1].error) == "RuntimeError('_Unpicklable: 1 and 2')"
+
+
+def test_the_notes_of_a_worker_are_notes_of_the_run() -> None:
+    place: Any = None
+    worker = _WorkerRecord(place, None, None, Hand(1))
+    pool = WorkerPool.__new__(WorkerPool)
+    pool._workers = [worker]
+    run = _PoolRun(JobStream(), SHORT, Progress(notes={"before": None}), JobDealer(None, 1), 0.0)
+    list(pool._take_report(worker, Report([], Progress(notes={"there were long worlds": None})), run))
+    assert [*run.progress.notes] == ["before", "there were long worlds"]
 
 
 def test_processes_beside_a_worker_look_at_the_outcomes_of_large_runs(monkeypatch: pytest.MonkeyPatch) -> None:

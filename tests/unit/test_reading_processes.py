@@ -6,10 +6,13 @@ import json
 import os
 import threading
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 from support.plans import Box, make_plan, stack
 
 import petmjx
@@ -18,9 +21,10 @@ from petmjx.common.safe_read import named_pipes
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
-from petmjx.runs import reading_processes
+from petmjx.runs import reading_child, reading_processes
 from petmjx.runs.reading_processes import PlanInput, read_here, read_in_processes, read_input
 from petmjx.world.edge_distances import EdgeRisk
+from petmjx.world.scene import Scene
 
 SIM, OPTIONS = Simulation(), RunOptions(engine="mjx-warp")
 
@@ -82,6 +86,27 @@ def test_processes_read_segments_of_a_large_file(
     assert result.plan_set.numbers["last"] == 10
     risks = {plan.plan_id: EdgeRisk.INSIDE for plan in result.plan_set.plans} | {"plan 5": EdgeRisk.BEYOND}
     assert result.edge_risks == risks
+
+
+def test_plans_are_read_once_even_if_their_loads_cannot_be_examined(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def warns(scenes: Sequence[Scene]) -> NDArray[np.int8]:
+        warnings.warn("divide by zero", RuntimeWarning, stacklevel=1)
+        return np.zeros(len(scenes), np.int8)
+
+    def fails(_: Sequence[Scene]) -> NDArray[np.int8]:
+        raise MemoryError
+
+    file = plan_file(tmp_path, [make_plan("one"), make_plan("two")])
+    for examine, risks in ((warns, {"one": 0, "two": 0}), (fails, {})):
+        monkeypatch.setattr(reading_child, "edge_risks", examine)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)
+            answer = reading_child.answer_to(file, SIM, OPTIONS)
+        assert answer is not None
+        assert [plan.plan_id for plan in answer.content.plan_set.plans] == ["one", "two"]
+        assert answer.edge_risks == risks
 
 
 @pytest.mark.parametrize(

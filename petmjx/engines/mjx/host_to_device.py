@@ -118,13 +118,17 @@ def tables(
 
 @functools.lru_cache(MOST_KEPT)
 def _state_shapes(rows: int, width: int) -> State:
-    """A ``State`` that holds the shape and type of each array instead of the array. To find them takes 5 ms."""
+    """A ``State`` that holds the shape and type of each array instead of the array. Computing them takes 5 ms."""
 
-    def shape(*axes: int) -> Any:
-        return jax.ShapeDtypeStruct((rows, *axes), np.float32)  # type: ignore[no-untyped-call]  # JAX has no types for it
+    def shape(*axes: int, kind: Any = np.float32) -> Any:
+        return jax.ShapeDtypeStruct((rows, *axes), kind)  # type: ignore[no-untyped-call]  # JAX has no types for it
 
-    used = {"n_boxes": shape(), "half": shape(width, 3), "start": shape(width, 7), "carrier_pos": shape(3)}
-    used["n_boxes"] = used["n_boxes"].update(dtype=np.int32)
+    used = {
+        "n_boxes": shape(kind=np.int32),
+        "half": shape(width, 3),
+        "start": shape(width, 7),
+        "carrier_pos": shape(3),
+    }
     worlds = Worlds(**(dict.fromkeys(Worlds._fields) | used))  # type: ignore[arg-type]  # other fields have no shape here
     shapes: State = jax.eval_shape(partial(fresh_state, all_placed=False, rest_steps=0), worlds, ends=used["n_boxes"])
     return shapes

@@ -169,8 +169,8 @@ class Worker:
             outcomes = _checked_outcomes(answered, jobs.sim, check_pool, wait=not going or not jobs.unanswered)
             if outcomes or not going or progress.message != last_message:
                 last_message = progress.message
-                # a copy, since the engine keeps writing into ``extra``
-                so_far = replace(progress, extra=dict(progress.extra))
+                # copies, since the engine keeps writing into these
+                so_far = replace(progress, extra=dict(progress.extra), notes=dict(progress.notes))
                 yield pickle.dumps(Report(outcomes, so_far, jobs.error))
 
     def _take_packets(self, jobs: _RunJobs) -> None:

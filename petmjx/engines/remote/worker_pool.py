@@ -393,6 +393,7 @@ class WorkerPool(Engine):
             before = progress.extra.get(key, 0)
             highest = key.endswith(_HIGHEST)
             progress.extra[key] = max(before, value) if highest else before + value - old.extra.get(key, 0)
+        progress.notes |= new.notes
         worker.counted = new
         progress.compile_s = run.compiled_s + max(worker.counted.compile_s for worker in self._workers)
         for count, outcome in enumerate(report.outcomes, start=1):

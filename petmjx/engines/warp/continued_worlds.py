@@ -8,6 +8,7 @@ does not depend on the worlds beside it, or on how busy the machine is. The last
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Final
@@ -25,6 +26,9 @@ from petmjx.engines.subprocess.attempt_process import READY, AttemptSimulator, A
 from petmjx.engines.verdict import Flag, Outcome
 from petmjx.options.simulation import Schedule, Simulation
 from petmjx.world.job import Job
+
+PAUSE_S: Final = 0.05
+"""Interval at which answers are awaited when no world is left on the GPU, s."""
 
 WORTH_A_PROCESS: Final = 64
 """After this number of worlds, the process for long worlds starts, even if no world needs it yet."""
@@ -59,11 +63,6 @@ class ContinuedWorlds:
         self._left: dict[int, tuple[Job, Outcome]] = {}
         """Stream number → job and outcome of each world that is simulated, as it left."""
 
-    @property
-    def under_way(self) -> int:
-        """Number of worlds without an outcome."""
-        return len(self._left)
-
     def take(self, job: Job, outcome: Outcome) -> bool:
         """Continue a world if it has left the GPU. Returns whether it has; if not, its outcome is final.
 
@@ -84,26 +83,37 @@ class ContinuedWorlds:
         self._simulator.begin(AttemptTask(outcome.job, ENGINE, continued, self._sim))
         return True
 
-    def ended(self, *, wait: bool) -> Iterator[Outcome]:
-        """The outcomes of the worlds that have ended since the last call, with their stream numbers.
-
-        Args:
-            wait: whether to wait for at least one outcome.
-        """
-        if wait and self._left:
-            self._progress.message = f"{count_text(len(self._left), 'long world')} on CPU threads"
-        for answer in self._simulator.ended(wait=wait):
+    def ended(self) -> Iterator[Outcome]:
+        """The outcomes of the worlds that have ended since the last call, with their stream numbers."""
+        for answer in self._simulator.ended(wait=False):
             if answer.number not in self._left:  # the answer to READY
                 continue
             job, before = self._left.pop(answer.number)
-            outcome = answer.outcome or failed_outcome(answer.number, job, self._sim, answer.message)
-            self._progress.world_steps += max(outcome.n_steps - before.n_steps, 0)
+            outcome = answer.outcome
+            if outcome is None:
+                outcome = failed_outcome(answer.number, job, self._sim, answer.message)
+                self._progress.notes[f"{ENGINE} failed to simulate a long world to its end ({answer.message})"] = None
+            steps = max(outcome.n_steps - before.n_steps, 0)
+            # the thread that runs slices adds steps, too; Python does not switch threads in this line without calls
+            self._progress.world_steps += steps
             history = outcome.history
             if before.history is not None and history is not None:
                 history = before.history.then(history)
             forked = Flag.FORKED if job.forks else Flag.NONE
             flags = (outcome.flags & ~Flag.FORKED) | forked
             yield replace(outcome, job=answer.number, flags=flags, history=history)
+
+    def last(self) -> Iterator[Outcome]:
+        """Wait for the outcomes of all worlds, when no world is left on the GPU. If ``Progress.pauses`` is set, also
+        yields None."""
+        before = self._progress.message
+        while self._left:
+            self._progress.message = f"{count_text(len(self._left), 'long world')} on CPU threads"
+            if self._progress.pauses:
+                yield None  # type: ignore[misc]  # callers that set ``pauses`` expect it
+            time.sleep(PAUSE_S)
+            yield from self.ended()
+        self._progress.message = before
 
     def close(self) -> None:
         """End the simulation of all worlds."""

@@ -82,11 +82,9 @@ def outcomes_of(
                     if continued is None or not continued.take(job_of[outcome.job], outcome):
                         yield outcome
                 if continued is not None:
-                    yield from continued.ended(wait=False)
-        while continued is not None and continued.under_way:
-            if progress.pauses:
-                yield None  # type: ignore[misc]
-            yield from continued.ended(wait=True)
+                    yield from continued.ended()
+        if continued is not None:
+            yield from continued.last()
     finally:
         progress.at_hand = None  # no outcome follows after an error
         if continued is not None:

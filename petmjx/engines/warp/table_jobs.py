@@ -67,6 +67,7 @@ class TableJobs:
         alone: whether there is only one job in total.
         running: worlds of the previous table, which continue in the next table.
         in_flight: stream number → job, for jobs that have been taken and have no outcome yet.
+        left: stream numbers of those of ``in_flight`` whose worlds have left the device.
     """
 
     def __init__(
@@ -74,6 +75,7 @@ class TableJobs:
     ) -> None:
         self.needs, self.in_flight = KernelFeatures({}), dict[int, Job]()
         self.alone = stream.closed and stream.ready == 1 and not stream.feedback
+        self.left = set[int]()
         self.running: RunningWorlds | None = None
         self._stream, self._size, self._least_rows, self._granule = stream, size, least_rows, granule
         self._depth_first = depth_first
@@ -176,18 +178,19 @@ class TableJobs:
         return not apart and not table.fits(job)
 
     def wait_for_following(self) -> bool:
-        """Wait briefly for a job that follows from an outcome. Returns whether jobs may still follow."""
-        return self._stream.wait_for_following(self.in_flight)
+        """See ``JobStream.wait_for_following``."""
+        return self._stream.wait_for_following(self.in_flight, self.left)
 
     def answered(self, stream_number: int) -> None:
         """Note that the outcome of a job has been taken, and that the jobs that follow from this outcome have been
         put."""
         del self.in_flight[stream_number]
+        self.left.discard(stream_number)
         self._stream.wake()
 
     def lose(self) -> dict[int, Job]:
         """Remove all jobs without an outcome, whose states are lost, and return them by stream number."""
-        lost, self.in_flight, self.running = self.in_flight, {}, None
+        lost, self.in_flight, self.left, self.running = self.in_flight, {}, set(), None
         return lost
 
     def _take(self, jobs: Sequence[Job]) -> Sequence[int]:

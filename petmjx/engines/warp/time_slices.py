@@ -170,13 +170,20 @@ class TableSlices:
             yield result
             if self._rollout is None:
                 continue
-            while not table.live.any() and not self._waits and self._source.wait_for_following():
-                yield SliceResult((), table.recorder, {}, {})  # the caller may have closed this generator meanwhile
+            while not table.live.any() and self._outcomes_come and self._source.wait_for_following():
+                # the caller may have closed this generator meanwhile, or takes the outcomes of long worlds
+                yield SliceResult((), table.recorder, {}, {})
             if not table.live.any() and self._join(wait=True):
                 self._keep_under_way(self._rollout)
             elif self._source.needs_another(table, self._rollout.launcher.blocks):
                 self._hand_to_next_table(self._rollout)
                 return
+
+    @property
+    def _outcomes_come(self) -> bool:
+        """Whether outcomes may come while this generator waits for jobs. If slices wait for the CPU, these can only be
+        the outcomes of worlds that have left the device."""
+        return not self._waits or bool(self._source.left)
 
     def _keep_under_way(self, rollout: Rollout) -> None:
         """Start slices until ``UNDER_WAY`` are started and not yet read, or only one if the CPU must read it before the
@@ -232,6 +239,7 @@ class TableSlices:
         picked = readbacks_of(ended, table.table, table.worlds, table.run.sim)
         jobs = {row: table.jobs[row] for row in ended.tolist()}
         stream_numbers = {row: table.stream_numbers[row] for row in ended.tolist()}
+        self._source.left.update(stream_numbers[row] for row in ended[status[ended] == Status.LEFT].tolist())
         table.end(ended)
         return SliceResult(picked, table.recorder, jobs, stream_numbers)
 
