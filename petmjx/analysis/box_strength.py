@@ -45,8 +45,7 @@ from petmjx.plans.plan_warnings import meets, shared_length
 from petmjx.results.documented_tables import check_tables_free, write_documented_tables
 from petmjx.results.plan_lookup import find_plans
 from petmjx.results.run_manifest import Manifest
-from petmjx.results.run_reader import RunResults, load_run
-from petmjx.runs.chain_summary import is_chain
+from petmjx.results.run_reader import RunResults, is_chain, load_run
 from petmjx.world.carrier_boards import pallet
 
 MOST_GAP_MM: Final = 5.0

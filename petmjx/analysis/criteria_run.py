@@ -32,10 +32,10 @@ from petmjx.plans.plan_sources import PlanSource, gather_plans, without_narrow_w
 from petmjx.results.documented_tables import Described, check_tables_free, has_keys, write_documented_tables
 from petmjx.results.plan_lookup import how_read, plans_in_place, plans_of
 from petmjx.results.run_folder import text
-from petmjx.results.run_reader import RunResults, load_run
+from petmjx.results.run_reader import RunResults, is_chain, load_run
 from petmjx.results.source_files import source_files
 from petmjx.results.to_json import to_json
-from petmjx.runs.chain_summary import arrivals, is_chain
+from petmjx.runs.chain_summary import arrivals
 from petmjx.world.carrier_boards import has_walls, pallet
 from petmjx.world.scene import carrier_of
 

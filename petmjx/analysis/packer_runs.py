@@ -18,8 +18,8 @@ from petmjx.engines.engine_choice import ENGINES, has_option
 from petmjx.options.carriers import CARRIER_EXTENT_M, TARGETS, Carrier, OwnCarrier, extent_m
 from petmjx.options.run_options import AUTO
 from petmjx.results.resume import engine_of_run
-from petmjx.results.run_reader import RunResults, load_run
-from petmjx.runs.chain_summary import arrivals, is_chain
+from petmjx.results.run_reader import RunResults, is_chain, load_run
+from petmjx.runs.chain_summary import arrivals
 
 LONGEST_NAME: Final = 200
 """Largest number of bytes in a packer's name. File systems allow 255 for the name of a folder."""

@@ -8,12 +8,14 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from multiprocessing import get_context, parent_process
+from concurrent.futures import ThreadPoolExecutor
 from types import FrameType
-from typing import Final, TypeVar
+from typing import TYPE_CHECKING, Final, TypeVar
 
 from petmjx.common.machine import cpu_threads
+
+if TYPE_CHECKING:
+    from concurrent.futures import ProcessPoolExecutor
 
 _is_command = False
 
@@ -29,6 +31,10 @@ def process_pool(processes: int, *, gpu: bool = True, nice: int = 0) -> ProcessP
         nice: niceness (lower priority) that is added to the processes, so that this process has priority over them. On
             systems without niceness, ``nice`` has no effect.
     """
+    # most commands start no processes
+    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing import get_context
+
     return ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_begin, initargs=(gpu, nice))
 
 
@@ -40,6 +46,8 @@ def stop(pool: ProcessPoolExecutor) -> None:
 
 
 def _begin(gpu: bool, nice: int) -> None:
+    from multiprocessing import parent_process
+
     if nice and hasattr(os, "nice"):
         os.nice(nice)
     if not gpu:
@@ -119,7 +127,7 @@ def defer_signals(afterwards: bool) -> Iterator[None]:
         signal.raise_signal(signals[0])
 
 
-EVERY: Final = (50_000, 20, 100)
+EVERY: Final = (100_000, 20, 100)
 """Thresholds of Python's garbage collector: the number of new objects after which it collects the youngest generation,
 and the numbers of collections after which it collects the two older generations. With Python's default of 700, 10 and
 10, the collector would scan all objects of JAX and Warp again and again while these packages start."""
@@ -144,13 +152,20 @@ def collect_rarely() -> None:
 
 
 @contextlib.contextmanager
-def no_collection() -> Iterator[None]:
+def no_collection(*, lasting: bool = False) -> Iterator[None]:
     """Collect no garbage while the body runs. This context is useful for code that makes very many objects without
-    cycles: otherwise, the collector would scan these objects again and again."""
+    cycles: otherwise, the collector would scan these objects again and again.
+
+    Args:
+        lasting: whether most of these objects last until the process ends, as those of imported libraries do. In the
+            command ``petmjx``, later collections then do not scan the objects that exist at the end of the body.
+    """
     enabled = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
+        if lasting and is_command():
+            gc.freeze()
         if enabled:
             gc.enable()

@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from petmjx.common.errors import EngineUnavailable, InputError
 from petmjx.common.machine import why_no_warp, why_no_warp_on_cpu
+from petmjx.common.processes import no_collection
 from petmjx.common.text import count_text, one_line
 from petmjx.engines.protocol import Engine
 from petmjx.options.run_options import AUTO, RunOptions
@@ -111,14 +112,15 @@ def make_engine(
     options = {"threads": threads, "lanes": lanes, "world_timeout_s": world_timeout_s}
     check_options(name, **options)
     module_name, class_name, its_options = ENGINES[name]
-    try:
-        module = importlib.import_module(module_name)
-    except ImportError as error:
-        raise EngineUnavailable(f"engine {name} cannot run here: {error}") from error
-    try:
-        engine: Engine = getattr(module, class_name)(*(options[option] for option in its_options))
-    except OSError as error:
-        raise EngineUnavailable(f"engine {name} cannot run here: {one_line(error)}") from error
+    with no_collection(lasting=True):
+        try:
+            module = importlib.import_module(module_name)
+        except ImportError as error:
+            raise EngineUnavailable(f"engine {name} cannot run here: {error}") from error
+        try:
+            engine: Engine = getattr(module, class_name)(*(options[option] for option in its_options))
+        except OSError as error:
+            raise EngineUnavailable(f"engine {name} cannot run here: {one_line(error)}") from error
     return engine
 
 

@@ -17,7 +17,7 @@ def start_gpu() -> None:
     """Start JAX and Warp, and load the modules of ``mjx-warp``. The call takes a second or two. It would take a quarter
     longer if the garbage collector scanned the many new objects. While JAX starts its devices, which is mostly waiting
     for the driver, modules are loaded. Errors are ignored here: the engine that needs these libraries reports them."""
-    with suppress(Exception), no_collection():
+    with suppress(Exception), no_collection(lasting=True):
         jax_setup = importlib.import_module("petmjx.engines.mjx.jax_setup")
         devices = threading.Thread(target=_without_errors, args=(jax_setup.set_up_jax,), name="petmjx-devices")
         devices.start()

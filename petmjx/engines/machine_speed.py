@@ -1,18 +1,26 @@
 """The speed of this machine, for estimates. The constants of petmjx/engines/cost_model.py were measured on another
 machine.
 
-The speed is measured in CPU time of the thread, so that other programs on the machine have little effect.
+The speed is measured in CPU time of the thread, so that other programs on the machine have little effect. A measurement
+delays the first step of a run by 0.3 s, so its result is kept for ten minutes in a file beside the compiled kernels.
 """
 
 from __future__ import annotations
 
 import functools
+import hashlib
 import time
+from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 
+from petmjx.common.atomic_write import atomic_write
+from petmjx.common.compile_caches import cache_folder
+from petmjx.common.errors import EngineUnavailable, InputError
+from petmjx.common.machine import cpu_name, package_versions
 from petmjx.engines.cost_model import MEASURED, Costs, Work
 from petmjx.engines.kernel_notes import CPU_KERNEL, are_noted
 from petmjx.options.simulation import Simulation
@@ -22,6 +30,9 @@ from petmjx.world.scene import build_scene
 
 WORTH_S: Final = 1.0
 """Smallest expected time of a run for which the machine is measured, s. The measurement takes 0.1 to 0.3 s."""
+
+KEPT_S: Final = 600.0
+"""Time for which a measured value is kept, s. Later, other programs may slow the processor down, or no longer."""
 
 BOX_MM: Final = (400.0, 300.0, 200.0)
 SIDE, LAYERS, ROUNDS = 3, 3, 2
@@ -55,9 +66,24 @@ def costs_here(work: Work, threads: int) -> Costs:
 @functools.cache
 def slowness() -> float:
     """Time that a CPU thread of this machine needs, relative to a thread of the machine on which the costs ``MEASURED``
-    were measured.
+    were measured. The time is measured, unless a process of this user has measured it at most ``KEPT_S`` ago.
     """
-    return float(np.clip(min(block_s() for _ in range(ROUNDS)) / REFERENCE_S, FASTEST, SLOWEST))
+    with suppress(OSError, ValueError, EngineUnavailable):
+        file = _kept_file()
+        age_s, kept = time.time() - file.stat().st_mtime, float(file.read_text())
+        if 0.0 <= age_s < KEPT_S and FASTEST <= kept <= SLOWEST:
+            return kept
+    measured = float(np.clip(min(block_s() for _ in range(ROUNDS)) / REFERENCE_S, FASTEST, SLOWEST))
+    with suppress(OSError, InputError, EngineUnavailable), atomic_write(_kept_file()) as file:
+        file.write_text(repr(measured))
+    return measured
+
+
+def _kept_file() -> Path:
+    """The file that keeps the measured value. Machines may share the folder, so the name depends on the processor, and
+    on the versions of the packages that were measured."""
+    of = hashlib.sha256(repr((cpu_name(), sorted(package_versions().items()))).encode()).hexdigest()
+    return cache_folder("warp") / f"slowness-{of[:16]}"
 
 
 def block_s() -> float:

@@ -384,6 +384,11 @@ def read_info(folder: Path) -> dict[str, Any]:
     return info
 
 
+def is_chain(info: Mapping[str, Any]) -> bool:
+    """Whether a run simulated a transport chain. ``info``: the content of its ``run.json``."""
+    return info.get("config", {}).get("chain") is not None
+
+
 def split_warnings(info: Mapping[str, Any]) -> tuple[list[str], list[str]]:
     """Split the warnings of a ``run.json`` into two lists: warnings about the whole run, and one line for each plan
     with oddly placed boxes. The lines about plans come last in ``run.json``."""

@@ -7,9 +7,9 @@ docs/chains.md explains the columns to users.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import pandas as pd
@@ -208,8 +208,3 @@ def shares_by_leg(summary: pd.DataFrame) -> pd.DataFrame:
     remedies. One row per plan, and one column per leg in the order of the legs."""
     chosen = summary[(summary["scope"] == ONE_PLAN) & (summary["remedy"] == AS_IS) & (summary["leg"] != WHOLE_WAY)]
     return chosen.pivot(index="plan_id", columns="leg", values="share")[chosen["leg"].unique().tolist()]
-
-
-def is_chain(info: Mapping[str, Any]) -> bool:
-    """Whether a run simulated a transport chain. ``info``: the content of its ``run.json``."""
-    return info.get("config", {}).get("chain") is not None

@@ -21,10 +21,10 @@ from petmjx.results.order_columns import joined_check, read_check
 from petmjx.results.plan_order import is_ranked
 from petmjx.results.plan_table import PLACEMENTS
 from petmjx.results.run_manifest import Manifest
-from petmjx.results.run_reader import RunResults, load_run, split_warnings
+from petmjx.results.run_reader import RunResults, is_chain, load_run, split_warnings
 from petmjx.results.run_writer import RunWriter
 from petmjx.results.schema import Param, summary_table
-from petmjx.runs.chain_summary import ChainColumns, is_chain, write_chain
+from petmjx.runs.chain_summary import ChainColumns, write_chain
 from petmjx.runs.confidence import write_confidence
 from petmjx.runs.sweep_summary import ShareColumns, summarise_shares
 

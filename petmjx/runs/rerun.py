@@ -18,8 +18,7 @@ from petmjx.results.plan_records import plan_digest
 from petmjx.results.plan_table import kept_plans
 from petmjx.results.run_folder import RUN_FILE
 from petmjx.results.run_manifest import Manifest
-from petmjx.results.run_reader import RunResults
-from petmjx.runs.chain_summary import is_chain
+from petmjx.results.run_reader import RunResults, is_chain
 from petmjx.runs.confidence import PLACING, confidence_sweep
 from petmjx.runs.sweep_design import sweep_identity
 from petmjx.runs.sweep_file import Sweep, chain_sweep, find_sweep, load_sweep, nominal_sweep, sweep_of_tables

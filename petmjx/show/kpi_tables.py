@@ -10,8 +10,7 @@ import pandas as pd
 from rich.console import RenderableType
 
 from petmjx.analysis.kpis import Kpis
-from petmjx.show.sweep_tables import FEW_ROWS
-from petmjx.show.table_layout import FittedTable, TableColumn, line, name_column, number, number_of, percent
+from petmjx.show.table_layout import FEW_ROWS, FittedTable, TableColumn, line, name_column, number, number_of, percent
 
 
 def kpi_tables(kpis: Kpis, out: Path | None = None) -> Iterator[RenderableType]:

@@ -11,8 +11,8 @@ from rich.console import RenderableType
 from petmjx.analysis.box_strength import Loads
 from petmjx.analysis.crushing import NOT, POSSIBLY, SURELY
 from petmjx.common.text import box_label, count_text
-from petmjx.show.sweep_tables import FEW_ROWS
 from petmjx.show.table_layout import (
+    FEW_ROWS,
     FittedTable,
     Row,
     TableColumn,

@@ -14,12 +14,10 @@ from rich.text import Text
 from petmjx.common.text import box_label, count_text, first_names, three_digits
 from petmjx.engines.knife_edges import KnifeEdge, kept_edges, nearest_edge
 from petmjx.engines.verdict import Flag, Reason, Verdict
-from petmjx.results.run_reader import RunResults, split_warnings
-from petmjx.runs.chain_summary import is_chain
-from petmjx.runs.confidence import contradiction_mask
+from petmjx.results.run_reader import RunResults, is_chain, split_warnings
 from petmjx.runs.level_search import MODES
-from petmjx.show.sweep_tables import FEW_ROWS, confidence_table, sweep_tables
 from petmjx.show.table_layout import (
+    FEW_ROWS,
     FittedTable,
     Row,
     TableColumn,
@@ -52,6 +50,8 @@ def run_tables(results: RunResults) -> Iterator[RenderableType]:
         yield nominal
         yield ""
     if results.summary is not None:
+        from petmjx.show.sweep_tables import sweep_tables  # a plain score does not need the code of sweeps
+
         for table in sweep_tables(results.summary):
             yield table
             yield ""
@@ -78,6 +78,9 @@ def _nominal(results: RunResults) -> FittedTable | None:
 def _confidence_tables(results: RunResults, summary: pd.DataFrame) -> Iterator[RenderableType]:
     """The tables and lines of a score with confidence. One table has the worlds without errors. Another table has, for
     each plan, the share of worlds with errors in which the plan stands. Lines name the plans that need attention."""
+    from petmjx.runs.confidence import contradiction_mask  # a plain score does not need the code of sweeps
+    from petmjx.show.sweep_tables import confidence_table
+
     # runs of earlier versions do not have these columns
     since = {name: 0 for name in ("n_not_placed", "n_fell") if name not in summary}
     summary = summary.assign(**since)

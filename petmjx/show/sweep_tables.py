@@ -17,6 +17,7 @@ from petmjx.runs.chain_legs import AS_IS
 from petmjx.runs.chain_summary import WHOLE_WAY, arrivals, shares_by_leg
 from petmjx.runs.sweep_axes import AXIS_KINDS
 from petmjx.show.table_layout import (
+    FEW_ROWS,
     Cell,
     FittedTable,
     Row,
@@ -30,9 +31,6 @@ from petmjx.show.table_layout import (
     percent_of,
     text_of,
 )
-
-FEW_ROWS: Final = 40
-"""Largest number of worlds or searches for which a table with one row for each is shown."""
 
 MAX_VALUES: Final = 50
 """Largest number of rows in other tables. The run's table ``summary`` has all rows."""

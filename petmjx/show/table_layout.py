@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import pandas as pd
 from rich.cells import cell_len
@@ -20,6 +20,9 @@ Row = Mapping[Any, Any]
 
 Cell = Callable[[Any], str | Text]
 """A function that makes a cell of a table from a row."""
+
+FEW_ROWS: Final = 40
+"""Largest number of worlds or searches for which a table with one row for each is shown."""
 
 
 @dataclass(frozen=True)

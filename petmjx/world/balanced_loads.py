@@ -22,6 +22,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.common.highs import minimised
 from petmjx.common.units import FloatArray
 from petmjx.world.load_sharing import IntArray
 from petmjx.world.supports import Bearing
@@ -155,7 +156,7 @@ def _solved_loads(
     cost[outside:moments] = _OUTSIDE
     cost[moments:least] = _OUTSIDE**2
     limits = np.concatenate([inside, open_loads]), np.concatenate([np.full(len(place), np.inf), open_loads])
-    force = _least(cost, rows, *limits, most)
+    force = minimised(cost, rows, *limits, most)
     if force is None:
         return None
     balancing, beyond = load.copy(), np.zeros(len(load))
@@ -178,21 +179,3 @@ def _edges_of(bearing: Bearing, boxes: IntArray) -> tuple[IntArray, FloatArray, 
     normal = np.concatenate([np.tile(_ALONG, (len(one), 1)), bearing.hulls.normal[number[hull], edge]])
     along = np.concatenate([bearing.low[contact], -bearing.high[contact]], axis=1).ravel()
     return place, normal, np.concatenate([along, bearing.hulls.offset[number[hull], edge]])
-
-
-def _least(
-    cost: FloatArray, rows: FloatArray, least: FloatArray, most: FloatArray, bound: FloatArray
-) -> FloatArray | None:
-    """The x that minimises ``cost @ x`` subject to least ≤ rows @ x ≤ most and 0 ≤ x ≤ bound. The result is None if the
-    solver HiGHS finds no solution."""
-    # SciPy is imported here, since its import takes a second and few plans need it.
-    from scipy.optimize import Bounds, LinearConstraint, milp
-    from scipy.sparse import csc_array
-
-    row, column = np.nonzero(rows)
-    order = np.argsort(column, kind="stable")
-    begins = np.searchsorted(column[order], np.arange(rows.shape[1] + 1)).astype(np.int32)
-    table = csc_array((rows[row, column][order], row[order].astype(np.int32), begins), shape=rows.shape)
-    result = milp(cost, constraints=LinearConstraint(table, least, most), bounds=Bounds(0.0, bound))
-    answer: FloatArray | None = result.x
-    return answer

@@ -3,8 +3,10 @@ accordingly. Kernels that it has compiled before start sooner."""
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -99,6 +101,51 @@ def test_the_fastest_round_counts_within_bounds(seconds: float, factor: float, m
     machine_speed.slowness.cache_clear()
     try:
         assert machine_speed.slowness() == pytest.approx(factor)
+    finally:
+        machine_speed.slowness.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ("content", "age_s", "expected"),
+    [
+        ("2.5", 60.0, 2.5),
+        ("2.5", machine_speed.KEPT_S + 60.0, 1.5),  # too old
+        ("2.5", -3600.0, 1.5),  # the clock has been set back
+        ("99.0", 60.0, 1.5),  # no machine is so slow
+        ("nan", 60.0, 1.5),
+        ("2,5", 60.0, 1.5),
+    ],
+)
+def test_a_recent_measurement_is_kept(
+    content: str, age_s: float, expected: float, monkeypatch: pytest.MonkeyPatch, no_kernels: Path
+) -> None:
+    seconds = [1.0 * machine_speed.REFERENCE_S]
+    monkeypatch.setattr(machine_speed, "block_s", lambda: seconds[0])
+    try:
+        machine_speed.slowness.cache_clear()
+        assert machine_speed.slowness() == 1.0
+        (file,) = (file for file in no_kernels.iterdir() if file.name.startswith("slowness"))
+        seconds[0] *= 1.5
+        file.write_text(content)
+        written_s = time.time() - age_s
+        os.utime(file, (written_s, written_s))
+        machine_speed.slowness.cache_clear()
+        assert machine_speed.slowness() == expected
+        machine_speed.slowness.cache_clear()
+        assert machine_speed.slowness() == expected  # the new measurement replaces the old one
+    finally:
+        machine_speed.slowness.cache_clear()
+
+
+def test_where_nothing_can_be_kept_the_machine_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(kind: str) -> Path:
+        raise EngineUnavailable("no folder for compiled programs")
+
+    monkeypatch.setattr(machine_speed, "cache_folder", refuse)
+    monkeypatch.setattr(machine_speed, "block_s", lambda: 3.0 * machine_speed.REFERENCE_S)
+    machine_speed.slowness.cache_clear()
+    try:
+        assert machine_speed.slowness() == 3.0
     finally:
         machine_speed.slowness.cache_clear()
 

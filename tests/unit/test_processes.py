@@ -92,3 +92,22 @@ def test_who_interrupts_a_search_does_not_wait_for_its_tasks() -> None:
     with pytest.raises(KeyboardInterrupt), UnorderedResults(time.sleep, [100.0] * 4, 2):
         raise KeyboardInterrupt
     assert time.monotonic() - begin < 50
+
+
+@pytest.mark.parametrize("is_command", [False, True])
+def test_only_the_command_leaves_lasting_objects_out_of_later_collections(is_command: bool) -> None:
+    """In a user's process, garbage that exists when an engine starts must be collected later."""
+    code = f"""
+import gc
+from petmjx.common.processes import claim_process, no_collection
+if {is_command}:
+    claim_process()
+with no_collection():
+    pass
+assert gc.get_freeze_count() == 0
+with no_collection(lasting=True):
+    assert not gc.isenabled()
+print(gc.isenabled(), gc.get_freeze_count() > 1000)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["True", str(is_command)]

@@ -28,8 +28,8 @@ from petmjx.show.compare_tables import comparison_tables
 from petmjx.show.progress import ProgressLines, progress
 from petmjx.show.run_tables import SHOWN_SKIPPED, notes, run_tables, search_table, summary_table, worlds_table
 from petmjx.show.story_text import story_tables
-from petmjx.show.sweep_tables import FEW_ROWS, MAX_VALUES, sweep_tables
-from petmjx.show.table_layout import FittedTable, TableColumn, number, percent, print_renderables
+from petmjx.show.sweep_tables import MAX_VALUES, sweep_tables
+from petmjx.show.table_layout import FEW_ROWS, FittedTable, TableColumn, number, percent, print_renderables
 
 LONG = "x" * 80 + "end"
 CHINESE = "纸箱托盘计划" * 8
