@@ -76,7 +76,7 @@ def assert_equal(outcomes: Sequence[Outcome], expected: Sequence[Outcome]) -> No
 @pytest.mark.slow
 def test_worlds_that_leave_end_as_those_that_stay(monkeypatch: pytest.MonkeyPatch) -> None:
     """Placements that stand and fall, one in stiffer contacts, and a drive after its placement continue on a thread. A
-    drive that begins from the kept state of a continued placement continues in a process. Histories are joined."""
+    placement whose state is kept stays; a drive from this state continues in a process. Histories are joined."""
     bridge = tiny("hand-bridge")
     jobs = [Job(scene) for scene in tiny_scenes().values()]
     jobs += [Job(bridge, push("acceleration", 12.0)), Job(bridge, stiff=0.5), Job(bridge, keep_state=True)]
@@ -86,6 +86,7 @@ def test_worlds_that_leave_end_as_those_that_stay(monkeypatch: pytest.MonkeyPatc
     assert_equal(outcomes, expected)
     assert {outcome.verdict for outcome in outcomes} == {Verdict.STABLE, Verdict.UNSTABLE}
     assert len(steps) >= 5
+    assert len(steps) < len(jobs)
     assert set(steps) <= {LIMIT, LIMIT + 1}, "a world leaves at its limit, or a step later if a box is placed there"
     assert [*progress.notes] == ["long worlds were simulated to their ends on mjx-warp-cpu"]
     monkeypatch.undo()
@@ -195,8 +196,8 @@ def test_which_worlds_leave_depends_on_their_jobs_alone() -> None:
     assert alone[-1] > steps[0], "boxes with errors take more steps"
     assert alone[2] == pytest.approx(alone[3] + steps[0], rel=0.1)
     assert most_steps([replace(jobs[0], record=Record(0.1))], sim)[0] == steps[0]
-    stay = [replace(jobs[0], pauses_after=1), replace(fork, drive=None)]
-    assert most_steps(stay, sim).tolist() == [NEVER] * 2
+    stay = [replace(jobs[0], pauses_after=1), replace(jobs[0], keep_state=True), replace(fork, drive=None)]
+    assert most_steps(stay, sim).tolist() == [NEVER] * 3
     assert most_steps(jobs, sim.changed(schedule="fixed")).tolist() == [NEVER] * 2
 
 

@@ -31,18 +31,22 @@ PAUSE_S: Final = 0.05
 """Interval at which answers are awaited when no world is left on the GPU, s."""
 
 WORTH_A_PROCESS: Final = 64
-"""After this number of worlds, the process for long worlds starts, even if no world needs it yet."""
+"""With this number of worlds in the first table, the process for long worlds starts before a world needs it. It takes
+some seconds to start."""
 
 
 def most_steps(jobs: Sequence[Job], sim: Simulation) -> NDArray[np.int32]:
     """(n,) number of steps after which the world of each job leaves the GPU.
 
-    The result is ``NEVER`` for worlds that stay: with the fixed schedule, in which all worlds are long, and for worlds
-    that begin or end with a placement that pauses.
+    The result is ``NEVER`` for worlds that stay: with the fixed schedule, in which all worlds are long, for placements
+    from whose states drives start, since these drives wait for them, and for worlds that begin or end with a placement
+    that pauses.
     """
     if sim.schedule is Schedule.FIXED:
         return np.full(len(jobs), NEVER, np.int32)
-    stays = [job.pauses_after is not None or (job.start is not None and job.drive is None) for job in jobs]
+    stays = [
+        job.keep_state or job.pauses_after is not None or (job.start is not None and job.drive is None) for job in jobs
+    ]
     return np.where(stays, NEVER, MEASURED.long_steps(jobs, sim)).astype(np.int32)
 
 
@@ -59,21 +63,27 @@ class ContinuedWorlds:
 
     def __init__(self, simulator: AttemptSimulator, sim: Simulation, progress: Progress) -> None:
         self._simulator, self._sim, self._progress = simulator, sim, progress
-        self._taken, self._prepared = 0, set[bool]()
+        self._many, self._prepared = False, set[bool]()
+        """Whether there are many jobs; and whether the worlds for which the process is ready have drives."""
         self._left: dict[int, tuple[Job, Outcome]] = {}
         """Stream number → job and outcome of each world that is simulated, as it left."""
 
-    def take(self, job: Job, outcome: Outcome) -> bool:
-        """Continue a world if it has left the GPU. Returns whether it has; if not, its outcome is final.
+    def prepare(self, jobs: Sequence[Job]) -> None:
+        """Start the process before the first slice, if there are many jobs. The process then simulates a world of one
+        box, so that it has loaded its kernel and programs before they are needed."""
+        self._many = len(jobs) >= WORTH_A_PROCESS
+        if self._many:
+            self._get_ready(jobs[0])
 
-        After ``WORTH_A_PROCESS`` worlds, the process starts, and simulates a world of one box and, if worlds are
-        driven, its drive. So it has loaded its kernel and programs before it is needed.
-        """
-        self._taken += 1
-        if self._taken >= WORTH_A_PROCESS and (driven := job.drive is not None) not in self._prepared:
+    def _get_ready(self, job: Job) -> None:
+        """Let the process simulate one box of a job, with the drive of the job if it has one."""
+        if self._many and (driven := job.drive is not None) not in self._prepared:
             self._prepared.add(driven)
-            ready = Job(job.scene.first(1), job.drive)
-            self._simulator.begin(AttemptTask(READY, ENGINE, ready, self._sim))
+            self._simulator.begin(AttemptTask(READY, ENGINE, Job(job.scene.first(1), job.drive), self._sim))
+
+    def take(self, job: Job, outcome: Outcome) -> bool:
+        """Continue a world if it has left the GPU. Returns whether it has; if not, its outcome is final."""
+        self._get_ready(job)
         if not (isinstance(outcome.state, State) and int(outcome.state.status) == Status.LEFT):
             return False
         self._progress.notes[f"long worlds were simulated to their ends on {ENGINE}"] = None

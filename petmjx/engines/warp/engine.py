@@ -155,7 +155,7 @@ class MjxWarpEngine(Engine):
         while not source.ended:
             waits = source.recorded
             continued = self._continued(sim, progress)
-            slices = self._slices(source, sim, progress, waits, long_leave=continued is not None)
+            slices = self._slices(source, sim, progress, waits, continued)
             try:
                 for outcome in outcomes_of(slices, sim, progress, waits=waits, continued=continued):
                     stream_number = outcome.job if outcome is not None else None  # None means that the engine pauses
@@ -197,20 +197,29 @@ class MjxWarpEngine(Engine):
                     yield outcome
 
     def _slices(
-        self, source: TableJobs, sim: Simulation, progress: Progress, waits: bool, *, long_leave: bool
+        self,
+        source: TableJobs,
+        sim: Simulation,
+        progress: Progress,
+        waits: bool,
+        continued: ContinuedWorlds | None,
     ) -> Generator[SliceResult]:
         """The ended worlds of one table after another. The iteration stops before a table that needs the other value of
         ``waits``.
 
         Args:
             waits: whether each time slice waits for the CPU, as it must if worlds are recorded.
-            long_leave: whether long worlds leave the device.
+            continued: object that simulates the worlds that leave the device; None if no world leaves it.
         """
+        is_first = True
         while not source.ended and source.recorded == waits:
             jobs, stream_numbers, rows = source.begin()
             running, source.running = source.running, None
             room = source.profile_room(jobs, rows)
-            run = TableRun.of(source.needs, sim, progress, long_leave=long_leave)
+            if continued is not None and is_first:  # the caller has no outcome yet, so it does not use ``continued``
+                continued.prepare(jobs)
+            is_first = False
+            run = TableRun.of(source.needs, sim, progress, long_leave=continued is not None)
             table = self._load(run, jobs, stream_numbers, rows, room)
             if running is not None:
                 table.put_running(running)
