@@ -8,8 +8,8 @@ The corner of a box is put above a point, and the box is lowered until it rests 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
 from contextlib import suppress
+from types import ModuleType
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -33,8 +33,8 @@ _WORTH_A_THREAD: Final = 50_000
 """Smallest number of pairs (a point and a box) for which another thread is started."""
 
 _WORTH_COMPILING: Final = 256
-"""Smallest number of requested boxes for which compiled code is used, if Warp is installed. Compiling takes one to
-three seconds; the code is kept for later runs."""
+"""Smallest number of pallets or of requested boxes for which compiled code is used, if Warp is installed. Compiling
+takes some seconds; the code is kept for later runs."""
 
 _Lowered = tuple[NDArray[np.intp], FloatArray, FloatArray, NDArray[np.bool_]]
 
@@ -79,10 +79,11 @@ def free_places(
     """
     count = stock.count[placements.pallet]
     if grid is None:
-        points = stock.find_points(placements.pallet, gap_mm)
+        code = _machine_code() if max(len(stock.count), len(placements)) >= _WORTH_COMPILING else None
+        points = stock.find_points(placements.pallet, gap_mm, code)
         of_each = points.count(placements.pallet)
-        if len(placements) >= _WORTH_COMPILING and not hulls and (lowered_boxes := _machine_code()) is not None:
-            row, corner, support = lowered_boxes(
+        if code is not None and not hulls and len(placements):
+            row, corner, support = code.lowered_boxes(
                 placements.pallet,
                 placements.size_mm,
                 *points.tables,
@@ -125,14 +126,14 @@ def free_places(
 
 
 @functools.cache
-def _machine_code() -> Callable[..., tuple[NDArray[np.intp], FloatArray, FloatArray]] | None:
-    """``petmjx.loop.compiled_places.lowered_boxes``; None if Warp is not installed, or cannot compile the code."""
+def _machine_code() -> ModuleType | None:
+    """The module ``petmjx.loop.compiled_places``, loaded; None if Warp is not installed, or cannot compile the code."""
     if why_no_warp_on_cpu() is None:
         with suppress(Exception):  # whatever Warp raises, NumPy finds the places
             from petmjx.loop import compiled_places
 
             compiled_places.load()
-            return compiled_places.lowered_boxes
+            return compiled_places
     return None
 
 
