@@ -269,8 +269,11 @@ def _in_turn(row: NDArray[np.intp], seen: NDArray[np.intp], most: int) -> NDArra
     Returns:
         Indices of the chosen places, in ascending order.
     """
-    turn = np.lexsort((seen, ranks(seen), row))
-    return np.sort(turn[ranks(row[turn]) < most])
+    is_chosen = np.bincount(row)[row] <= most
+    many = np.flatnonzero(~is_chosen)
+    turn = many[np.lexsort((seen[many], ranks(seen[many]), row[many]))]
+    is_chosen[turn[ranks(row[turn]) < most]] = True
+    return np.flatnonzero(is_chosen)
 
 
 def ranks(of: NDArray[np.intp]) -> NDArray[np.int64]:

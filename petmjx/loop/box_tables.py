@@ -78,7 +78,7 @@ class BoxTable:
         is_named = np.zeros(len(self.count), bool)
         is_named[pallets] = True
         rows = np.flatnonzero(is_named & (points.boxes < self.count))
-        if machine_code is not None:
+        if machine_code is not None and len(rows):
             points.add_all(rows, self.corner_mm, self.size_mm, self.count, machine_code)
             return points
         # pallets are sorted by number of boxes, so that all pallets of a chunk have similar numbers of points

@@ -86,7 +86,7 @@ class Points:
         n_boxes: NDArray[np.int64],
         machine_code: ModuleType,
     ) -> None:
-        """Add the points of all boxes on these pallets whose points are not included yet.
+        """Add the points of all boxes on these pallets, at least one, whose points are not included yet.
 
         Args:
             corner_mm, size_mm: (n, k, 3) corners and sizes of the boxes on all pallets; ``n_boxes``: (n,) their
@@ -94,7 +94,7 @@ class Points:
             machine_code: the module ``petmjx.loop.compiled_places``, loaded.
         """
         most = self.count(pallets) + _POINTS_PER_BOX * (n_boxes[pallets] - self.boxes[pallets])
-        self._make_room(int(most.max(initial=0)), int(n_boxes[pallets].max(initial=0)))
+        self._make_room(int(most.max()), int(n_boxes[pallets].max()))
         machine_code.add_points(pallets, self.boxes, corner_mm, size_mm, n_boxes, self.gap_mm, self._at, self._count)
         self.boxes[pallets] = n_boxes[pallets]
 
