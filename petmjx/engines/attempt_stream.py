@@ -63,6 +63,7 @@ def score_worlds(
     following: Callable[[], Iterable[AnyWorld]] | None = None,
     bounds: JobBounds | None = None,
     check_pool: CheckPool[Any] | None = None,
+    verdicts_only: bool = False,
 ) -> Iterator[WorldResult[AnyWorld]]:
     """Simulate worlds and yield the final result of each world, in any order.
 
@@ -84,6 +85,9 @@ def score_worlds(
 
     ``check_pool``: a pool of processes that several calls use one after another. If ``check_pool`` is None, a call with
     many worlds starts a pool of its own.
+
+    ``verdicts_only``: whether the caller needs only verdicts. The outcomes of first attempts then lack what
+    ``outcome_checks`` leaves out.
 
     If an engine raises an error and has a fallback engine, the run continues: the fallback engine simulates the worlds
     without an outcome. The run also continues after an error at a second or later attempt. Without a fallback engine,
@@ -113,8 +117,11 @@ def score_worlds(
         stiff=[recipe.stiff for recipe in attempts if recipe.joins and recipe.stiff is not None] if joins else (),
     )
     most_pending *= engine.devices
-    first_runner = AttemptRunner[AnyWorld](attempts[0], attempts[0].apply_to_sim(sim), engines, most=most_pending)
-    attempt_tasks = _AttemptTasks[AnyWorld](sim, engines, check_pool)
+    first_sim = attempts[0].apply_to_sim(sim)
+    first_runner = AttemptRunner[AnyWorld](
+        attempts[0], first_sim, engines, most=most_pending, verdicts_only=verdicts_only
+    )
+    attempt_tasks = _AttemptTasks[AnyWorld](sim, engines, check_pool, needs_pool=not verdicts_only)
     run = _AttemptRun[AnyWorld](sim, engines, attempts, following, most_pending, stream, first_runner, attempt_tasks)
     yield from run.results(worlds)
 
@@ -291,6 +298,8 @@ class _AttemptTasks(Generic[AnyWorld]):
     engines: Engines
     lent: CheckPool[Pending[AnyWorld]] | None = None
     """A pool of processes that the caller provides and keeps for later runs."""
+    needs_pool: bool = True
+    """Whether checks of many outcomes take long enough for processes."""
     check_pool: CheckPool[Pending[AnyWorld]] | None = None
     first: AttemptRunner[AnyWorld] | None = None
     """The runner of the first attempts, whose outcomes the pool checks."""
@@ -307,7 +316,8 @@ class _AttemptTasks(Generic[AnyWorld]):
         """At the beginning of a large run, start two kinds of processes: those that check outcomes, and one that makes
         the attempts that few worlds need. The process for attempts first simulates one box. So the kernel of this
         process is compiled early: compiling takes as long as simulating many worlds."""
-        self.check_pool = self.check_pool or self.lent or check_pool_for(self.engines.primary, len(jobs))
+        if self.needs_pool:
+            self.check_pool = self.check_pool or self.lent or check_pool_for(self.engines.primary, len(jobs))
         name = BESIDE.get(self.engines.primary.name)
         if name is None or len(jobs) < LARGE:
             return

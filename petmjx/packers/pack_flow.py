@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any, Final, NamedTuple, Protocol, runtime_checkable
 
 from petmjx.common.parallel_map import UnorderedResults
@@ -177,7 +178,8 @@ class Flow:
         """The result of each order, in the sequence of the input."""
         if isinstance(engine, TableEngine):
             engine.least_rows, engine.granule = self._at_a_time.rows, GRANULE
-        for result in score_worlds((), self._worlds.sim, engine, following=self._more):
+        results = score_worlds((), self._worlds.sim, engine, following=self._more, verdicts_only=True)
+        for result in results:
             world = result.world
             assert isinstance(world, _PackingWorld)
             self._unanswered -= 1
@@ -226,7 +228,9 @@ class Flow:
             )
             return
         for trial, variants in requests:
-            for world in self._worlds.of(trial.plan, variants):
+            if trial.worlds is None:  # scenes of all worlds are made together, which takes half of the time
+                trial.worlds = self._worlds.of(trial.plan, range(1 + self._options.worlds))
+            for world in islice(trial.worlds, len(variants)):
                 self._following.append(_PackingWorld(world.plan, world.variant, world.job, order, trial))
                 order.unanswered += 1
                 self._unanswered += 1
