@@ -5,6 +5,7 @@ Each simulation of a world is an *attempt*. petmjx/engines/attempts.py lists the
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
@@ -33,6 +34,10 @@ from petmjx.world.job import Job
 MOST_PENDING: Final = 13 * GPU_WORLDS // 8
 """Largest number of worlds in a list, for an engine that cannot read a stream of jobs. The thread that makes worlds
 also pauses when this number of worlds waits for a further attempt."""
+
+BESIDE_WAIT_S: Final = 0.02
+"""While only attempts beside the engine are running, a run from whose results worlds may follow looks for such worlds
+at intervals of this length, s."""
 
 FIRST_WORLDS: Final = 1600
 """Number of worlds with which a GPU begins. This number of worlds is enough to keep all thread blocks for worlds of few
@@ -184,7 +189,10 @@ class _AttemptRun(Generic[AnyWorld]):
             elif not self.retry_queue and self.attempt_tasks.unanswered:
                 n_unanswered = self.attempt_tasks.unanswered
                 self.engines.progress.message = f"{count_text(n_unanswered, 'world')} again on CPU threads"
-                yield from self._task_results(wait=True)
+                # Worlds may follow before these attempts end, such as the packings of the next order.
+                yield from self._task_results(wait=self.following is None)
+                if self.following is not None:
+                    time.sleep(BESIDE_WAIT_S)
             elif not self.retry_queue and closed:
                 source.raise_error()
                 return
