@@ -79,10 +79,11 @@ def free_places(
     """
     count = stock.count[placements.pallet]
     if grid is None:
-        code = _machine_code() if max(len(stock.count), len(placements)) >= _WORTH_COMPILING else None
+        are_many = max(len(stock.count), len(placements)) >= _WORTH_COMPILING
+        code = _machine_code() if are_many and not hulls else None
         points = stock.find_points(placements.pallet, gap_mm, code)
         of_each = points.count(placements.pallet)
-        if code is not None and not hulls and len(placements):
+        if code is not None and len(placements):
             row, corner, support = code.lowered_boxes(
                 placements.pallet,
                 placements.size_mm,
