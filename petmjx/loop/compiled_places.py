@@ -57,10 +57,10 @@ def add_points(
         points: (n, p) points as x + iy, mm; ``n_points``: (n, c) number of points after the first 0, 1, … boxes. Both
             tables need room for the new points.
     """
-    boxes = _table(box_corner_mm, wp.vec3d), _table(box_size_mm, wp.vec3d), _table(n_boxes, wp.int64)
-    tables = _points_table(points), _table(n_points, wp.int64)
-    rows, known = _table(pallet, wp.int64), _table(n_known, wp.int64)
-    _launch(place_kernel.add_points, len(pallet), [rows], [known, *boxes, _free_space(gap_mm), *tables])
+    boxes = table(box_corner_mm, wp.vec3d), table(box_size_mm, wp.vec3d), table(n_boxes, wp.int64)
+    tables = _points_table(points), table(n_points, wp.int64)
+    rows, known = table(pallet, wp.int64), table(n_known, wp.int64)
+    launch(place_kernel.add_points, len(pallet), [rows], [known, *boxes, _free_space(gap_mm), *tables])
 
 
 def lowered_boxes(
@@ -91,8 +91,8 @@ def lowered_boxes(
         (c,) the new box of each of c places, (c, 3) corners, mm, and (c,) supported shares of bases. The places of a
         box follow one another, sorted by height, then by x, then by y.
     """
-    boxes = _table(box_corner_mm, wp.vec3d), _table(box_size_mm, wp.vec3d), _table(n_boxes, wp.int64)
-    tables = _points_table(points), _table(n_points, wp.int64), *boxes
+    boxes = table(box_corner_mm, wp.vec3d), table(box_size_mm, wp.vec3d), table(n_boxes, wp.int64)
+    tables = _points_table(points), table(n_points, wp.int64), *boxes
     limits = _free_space(gap_mm), wp.vec2d(*extent_mm), max_height_mm, least_support
 
     def lower(first: int) -> tuple[NDArray[np.intp], FloatArray, FloatArray]:
@@ -100,9 +100,9 @@ def lowered_boxes(
         some, m = pallet[rows], len(pallet[rows])
         most = int(n_points[some].max())
         count, corner, support = np.zeros(m, np.int64), np.empty((most, m, 3)), np.empty((most, m))
-        new = _table(some, wp.int64), _table(size_mm[rows], wp.vec3d)
-        results = _table(count, wp.int64), _table(corner, wp.vec3d), _table(support, wp.float64)
-        _launch(place_kernel.lower_boxes, m, [*new], [*tables, *limits, *results])
+        new = table(some, wp.int64), table(size_mm[rows], wp.vec3d)
+        results = table(count, wp.int64), table(corner, wp.vec3d), table(support, wp.float64)
+        launch(place_kernel.lower_boxes, m, [*new], [*tables, *limits, *results])
         row = np.repeat(np.arange(m), count)
         number = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
         return first + row, corner[number, row], support[number, row]
@@ -112,19 +112,19 @@ def lowered_boxes(
     return row, corner, support
 
 
-def _launch(kernel: Any, m: int, of_rows: list[Any], others: list[Any]) -> None:
+def launch(kernel: Any, m: int, of_rows: list[Any], others: list[Any]) -> None:
     """Launch a kernel for m rows, on several threads. The kernel's arguments are ``of_rows``, the first row of the
     launch, and ``others``."""
 
-    def launch(rows: range) -> None:
+    def launch_rows(rows: range) -> None:
         wp.launch(kernel, dim=len(rows), inputs=[*of_rows, rows.start, *others], device="cpu")
 
     n_pieces = min(max(m // _WORTH_A_THREAD, 1), _THREADS)
     ends = [m * piece // n_pieces for piece in range(n_pieces + 1)]
-    on_threads(launch, [range(*of_piece) for of_piece in pairwise(ends)], _THREADS)
+    on_threads(launch_rows, [range(*of_piece) for of_piece in pairwise(ends)], _THREADS)
 
 
-def _table(values: NDArray[Any], kind: Any) -> Any:
+def table(values: NDArray[Any], kind: Any) -> Any:
     """An array of Warp with the memory of a NumPy array. If the NumPy array is not contiguous, it is copied."""
     return wp.array(np.ascontiguousarray(values), dtype=kind, device="cpu", copy=False)
 

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from petmjx.common.warp_setup import machine_code
 from petmjx.loop import candidate_places
 from petmjx.loop.box_tables import BoxTable
 from petmjx.loop.candidate_places import Places, free_places
@@ -96,9 +97,9 @@ def test_places_with_less_support_are_left_out() -> None:
 
 @pytest.fixture
 def code_not_loaded() -> Iterator[None]:
-    candidate_places._machine_code.cache_clear()
+    machine_code.cache_clear()
     yield
-    candidate_places._machine_code.cache_clear()
+    machine_code.cache_clear()
 
 
 @pytest.mark.usefixtures("code_not_loaded")
