@@ -7,13 +7,16 @@ own Warp programs. A setting that the caller has already changed stays as it is.
 
 from __future__ import annotations
 
+import functools
+import importlib
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from types import ModuleType
 
 from petmjx.common.compile_caches import cache_folder
-from petmjx.common.machine import cuda_devices
+from petmjx.common.machine import cuda_devices, why_no_warp_on_cpu
 
 
 def set_up_warp() -> None:
@@ -38,6 +41,19 @@ def set_up_warp() -> None:
     if not cuda_devices():
         with _nothing_on_stderr():
             warp.init()
+
+
+@functools.cache
+def machine_code(name: str) -> ModuleType | None:
+    """The module ``name``, whose functions launch kernels of Warp on a CPU, after a call of its function ``load``. The
+    call compiles the kernels, or loads compiled ones. The result is None if Warp is not installed, or cannot compile
+    the kernels."""
+    if why_no_warp_on_cpu() is None:
+        with suppress(Exception):  # whatever Warp raises, the caller has NumPy
+            module = importlib.import_module(name)
+            module.load()
+            return module
+    return None
 
 
 @contextmanager

@@ -74,6 +74,7 @@ class AttemptRunner(Generic[AnyWorld]):
             results, such as the drives of a settled pallet, into the stream.
         check_pool: pool of processes that check outcomes; None if this process checks them.
         most: largest number of jobs in a list, for engines that cannot read a stream.
+        verdicts_only: whether only verdicts are needed, as in ``outcome_checks``. A pool checks everything.
         joined: world → runner of its further attempt, for worlds whose further attempt is in the stream of
             ``run_stream``.
     """
@@ -84,6 +85,7 @@ class AttemptRunner(Generic[AnyWorld]):
     put_following: Callable[[], None] = _no_more
     check_pool: CheckPool[Pending[AnyWorld]] | None = None
     most: int = sys.maxsize
+    verdicts_only: bool = False
     joined: dict[AnyWorld, AttemptRunner[AnyWorld]] = field(default_factory=dict)
     _message: str = ""
     """Text of the last exception that an engine raised."""
@@ -241,7 +243,8 @@ class AttemptRunner(Generic[AnyWorld]):
         else:
             jobs = [world.job for (world, _, _), _ in arrivals]
             jobs = self.attempt.apply_to_jobs(jobs) if self.attempt.soft else jobs
-            outcomes = outcome_checks([answer for _, answer in arrivals], jobs, self.sim)
+            unchecked = [answer for _, answer in arrivals]
+            outcomes = outcome_checks(unchecked, jobs, self.sim, verdicts_only=self.verdicts_only)
             answered = [(pending, outcome) for (pending, _), outcome in zip(arrivals, outcomes, strict=True)]
         for (world, before, records), outcome in answered:
             outcome.attempt, outcome.engine = self.attempt.number, engine or outcome.engine

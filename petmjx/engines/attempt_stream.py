@@ -5,6 +5,7 @@ Each simulation of a world is an *attempt*. petmjx/engines/attempts.py lists the
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
@@ -33,6 +34,10 @@ from petmjx.world.job import Job
 MOST_PENDING: Final = 13 * GPU_WORLDS // 8
 """Largest number of worlds in a list, for an engine that cannot read a stream of jobs. The thread that makes worlds
 also pauses when this number of worlds waits for a further attempt."""
+
+BESIDE_WAIT_S: Final = 0.02
+"""While only attempts beside the engine are running, a run from whose results worlds may follow looks for such worlds
+at intervals of this length, s."""
 
 FIRST_WORLDS: Final = 1600
 """Number of worlds with which a GPU begins. This number of worlds is enough to keep all thread blocks for worlds of few
@@ -63,6 +68,7 @@ def score_worlds(
     following: Callable[[], Iterable[AnyWorld]] | None = None,
     bounds: JobBounds | None = None,
     check_pool: CheckPool[Any] | None = None,
+    verdicts_only: bool = False,
 ) -> Iterator[WorldResult[AnyWorld]]:
     """Simulate worlds and yield the final result of each world, in any order.
 
@@ -84,6 +90,9 @@ def score_worlds(
 
     ``check_pool``: a pool of processes that several calls use one after another. If ``check_pool`` is None, a call with
     many worlds starts a pool of its own.
+
+    ``verdicts_only``: whether the caller needs only verdicts. The outcomes of first attempts then lack what
+    ``outcome_checks`` leaves out.
 
     If an engine raises an error and has a fallback engine, the run continues: the fallback engine simulates the worlds
     without an outcome. The run also continues after an error at a second or later attempt. Without a fallback engine,
@@ -113,8 +122,11 @@ def score_worlds(
         stiff=[recipe.stiff for recipe in attempts if recipe.joins and recipe.stiff is not None] if joins else (),
     )
     most_pending *= engine.devices
-    first_runner = AttemptRunner[AnyWorld](attempts[0], attempts[0].apply_to_sim(sim), engines, most=most_pending)
-    attempt_tasks = _AttemptTasks[AnyWorld](sim, engines, check_pool)
+    first_sim = attempts[0].apply_to_sim(sim)
+    first_runner = AttemptRunner[AnyWorld](
+        attempts[0], first_sim, engines, most=most_pending, verdicts_only=verdicts_only
+    )
+    attempt_tasks = _AttemptTasks[AnyWorld](sim, engines, check_pool, needs_pool=not verdicts_only)
     run = _AttemptRun[AnyWorld](sim, engines, attempts, following, most_pending, stream, first_runner, attempt_tasks)
     yield from run.results(worlds)
 
@@ -177,7 +189,10 @@ class _AttemptRun(Generic[AnyWorld]):
             elif not self.retry_queue and self.attempt_tasks.unanswered:
                 n_unanswered = self.attempt_tasks.unanswered
                 self.engines.progress.message = f"{count_text(n_unanswered, 'world')} again on CPU threads"
-                yield from self._task_results(wait=True)
+                # Worlds may follow before these attempts end, such as the packings of the next order.
+                yield from self._task_results(wait=self.following is None)
+                if self.following is not None:
+                    time.sleep(BESIDE_WAIT_S)
             elif not self.retry_queue and closed:
                 source.raise_error()
                 return
@@ -291,6 +306,8 @@ class _AttemptTasks(Generic[AnyWorld]):
     engines: Engines
     lent: CheckPool[Pending[AnyWorld]] | None = None
     """A pool of processes that the caller provides and keeps for later runs."""
+    needs_pool: bool = True
+    """Whether checks of many outcomes take long enough for processes."""
     check_pool: CheckPool[Pending[AnyWorld]] | None = None
     first: AttemptRunner[AnyWorld] | None = None
     """The runner of the first attempts, whose outcomes the pool checks."""
@@ -307,7 +324,8 @@ class _AttemptTasks(Generic[AnyWorld]):
         """At the beginning of a large run, start two kinds of processes: those that check outcomes, and one that makes
         the attempts that few worlds need. The process for attempts first simulates one box. So the kernel of this
         process is compiled early: compiling takes as long as simulating many worlds."""
-        self.check_pool = self.check_pool or self.lent or check_pool_for(self.engines.primary, len(jobs))
+        if self.needs_pool:
+            self.check_pool = self.check_pool or self.lent or check_pool_for(self.engines.primary, len(jobs))
         name = BESIDE.get(self.engines.primary.name)
         if name is None or len(jobs) < LARGE:
             return

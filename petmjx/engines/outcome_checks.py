@@ -43,17 +43,26 @@ MOST_TOGETHER: Final = 256
 by one took longer than their simulation on a GPU."""
 
 
-def outcome_checks(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> list[Outcome]:
+def outcome_checks(
+    outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation, *, verdicts_only: bool = False
+) -> list[Outcome]:
     """The outcomes with all values that follow from an outcome and its job. The checks may change the verdict.
 
     Args:
         jobs: the jobs as the engine simulated them, one for each outcome.
         sim: the options with which the engine simulated.
+        verdicts_only: whether only the verdicts, and what decides about further attempts, are needed. Then, worlds that
+            stand get no distances from edges, and no flags that such distances or leaning boxes set, which takes most
+            of the time.
     """
     noted = note_penetration(outcomes, jobs, sim)
     for outcome, margin in zip(noted, margins_of(noted, sim.thresholds), strict=True):
         outcome.flags &= ~Flag.RERUN_AFTER_OVERFLOW
         outcome.margin = margin
+    if verdicts_only:
+        fell = [k for k, outcome in enumerate(noted) if outcome.verdict is Verdict.UNSTABLE]
+        note_edges([noted[k] for k in fell], [jobs[k] for k in fell], sim)
+        return noted
     at_rest = [k for k, job in enumerate(jobs) if noted[k].verdict is Verdict.STABLE and job.drive is None]
     for k, leans in zip(at_rest, _leaning([noted[k] for k in at_rest]), strict=True):
         if leans.any():

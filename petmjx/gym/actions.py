@@ -253,7 +253,7 @@ class Actions:
         order = np.lexsort((corner[:, 1], corner[:, 0], corner[:, 2], box_number))
         number = np.full(len(row), self.count)
         selected = order[_in_turn(row[order], box_number[order], self.count)]
-        number[selected] = _ranks(row[selected])
+        number[selected] = ranks(row[selected])
         return row, number
 
 
@@ -269,11 +269,14 @@ def _in_turn(row: NDArray[np.intp], seen: NDArray[np.intp], most: int) -> NDArra
     Returns:
         Indices of the chosen places, in ascending order.
     """
-    turn = np.lexsort((seen, _ranks(seen), row))
-    return np.sort(turn[_ranks(row[turn]) < most])
+    is_chosen = np.bincount(row)[row] <= most
+    many = np.flatnonzero(~is_chosen)
+    turn = many[np.lexsort((seen[many], ranks(seen[many]), row[many]))]
+    is_chosen[turn[ranks(row[turn]) < most]] = True
+    return np.flatnonzero(is_chosen)
 
 
-def _ranks(of: NDArray[np.intp]) -> NDArray[np.int64]:
+def ranks(of: NDArray[np.intp]) -> NDArray[np.int64]:
     """For each entry of an array, the position (0, 1, 2, …) of the entry within the group of entries with the same
     value. Entries with the same value must be adjacent."""
     first = np.flatnonzero(np.diff(of, prepend=-1))

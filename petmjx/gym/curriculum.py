@@ -60,12 +60,13 @@ class Curriculum:
 
     def order(self, boxes: Boxes, level: float) -> Boxes:
         """The order as it is used in an episode of level ``level``."""
-        size, mass = boxes.size_mm.mean(axis=0), boxes.mass_kg.mean()
+        whole = boxes
         if self.boxes is not None:
             boxes = boxes.take(slice(round(_between(self.boxes, level))))
         share = _between(self.sizes, level)
         if share == 1.0:
             return boxes
+        size, mass = whole.size_mm.mean(axis=0), whole.mass_kg.mean()
         return Boxes(
             size + share * (boxes.size_mm - size),
             mass + share * (boxes.mass_kg - mass),

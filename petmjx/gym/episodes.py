@@ -14,7 +14,7 @@ from petmjx.common.argument_checks import number_of
 from petmjx.common.checked_records import shown_value
 from petmjx.common.errors import InputError
 from petmjx.common.units import FloatArray
-from petmjx.gym.actions import Actions, Table, features_of
+from petmjx.gym.actions import Actions, Table, features_of, ranks
 from petmjx.gym.curriculum import Curriculum
 from petmjx.gym.environment_options import PalletizingOptions
 from petmjx.gym.item_queues import Queues, parts_of
@@ -225,31 +225,29 @@ class Episodes:
         before it. Of each kind of box (equal size and mass), only one box is examined, because equal boxes have equal
         actions. Several kinds are examined in one call, and their number grows from call to call, because even a call
         for few boxes takes time."""
-        kinds = {row: self._queues.kinds(row) for row in rows.tolist()}
+        if not len(rows):
+            return
+        of, position, boxes = self._queues.kinds(rows)
+        number = ranks(of)
+        is_open = np.ones(len(rows), bool)
         begin = most = 1  # kind 0 is the kind of the next box, which is known to have no legal action
-        while kinds:
-            searched = np.array([*kinds], np.int64)
-            boxes = [of_row[begin : begin + most] for _, of_row in kinds.values()]
-            counts = np.array([len(of_row) for of_row in boxes])
-            episodes = np.repeat(searched, counts)
-            table = Table.empty(len(episodes), self.n_actions)
-            if len(episodes):
-                self._actions.fill(table, np.arange(len(episodes)), *parts_of(np.concatenate(boxes)[:, None]), episodes)
+        while is_open.any():
+            searched = np.flatnonzero(is_open[of] & (begin <= number) & (number < begin + most))
+            table = Table.empty(len(searched), self.n_actions)
+            if len(searched):
+                some = parts_of(boxes[searched, None])
+                self._actions.fill(table, np.arange(len(searched)), *some, rows[of[searched]])
             # the first row of the table with a legal action, for each episode that has such a row
             sources = np.flatnonzero(table.legal.any(axis=1))
-            into, of_first = np.unique(episodes[sources], return_index=True)
+            into, of_first = np.unique(of[searched[sources]], return_index=True)
             sources = sources[of_first]
-            self.table.copy(into, table, sources)
-            is_exhausted = counts == 0
-            n_left_out = dict(
-                zip(searched[is_exhausted].tolist(), self._queues.counts[searched[is_exhausted]], strict=True)
-            )
-            first_of = dict(zip(kinds, np.cumsum(counts) - counts, strict=True))
-            for row, source in zip(into.tolist(), sources, strict=True):
-                n_left_out[row] = kinds[row][0][begin + source - first_of[row]]
-            self._queues.leave_out(np.array([*n_left_out], np.int64), np.array([*n_left_out.values()], np.int64))
-            for row in n_left_out:
-                del kinds[row]
+            self.table.copy(rows[into], table, sources)
+            self._queues.leave_out(rows[into], position[searched[sources]])
+            is_exhausted = is_open.copy()
+            is_exhausted[of[searched]] = False
+            exhausted = rows[is_exhausted]
+            self._queues.leave_out(exhausted, self._queues.counts[exhausted])
+            is_open[into], is_open[is_exhausted] = False, False
             begin, most = begin + most, min(2 * most, _MOST_KINDS)
 
     # ------------------------------------------------------------------ observations

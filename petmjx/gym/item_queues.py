@@ -70,16 +70,26 @@ class Queues:
         self.left_out[rows] += n_removed
         self._go_on(rows, n_removed)
 
-    def kinds(self, row: int) -> tuple[NDArray[np.intp], FloatArray]:
-        """The first box of each kind among the remaining boxes of a queue. Boxes of one kind are equal, except that
-        their strengths may differ. Returns (k,) the positions of these boxes in the queue, in ascending order, and (k,
-        8) the values of ``Boxes.rows`` for these boxes. This method may be used only if all boxes so far have been
-        removed from the front of the queue.
+    def kinds(self, rows: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArray]:
+        """The first box of each kind (``Boxes.kind``) among the remaining boxes of each of m queues. This method may be
+        used only if all boxes so far have been removed from the front of the queues.
+
+        Returns:
+            (k,) the queue of each of these k boxes, as an index into ``rows``; (k,) its position in this queue; and (k,
+            8) its values in ``Boxes.rows``. Boxes are sorted by queue, and then by position.
         """
-        boxes = self._boxes[row]
-        begin = len(boxes) - int(self.counts[row])
-        first = np.flatnonzero(boxes.equal_before[begin:] < begin)
-        return first, boxes.rows[begin + first]
+        queues = [
+            (self._boxes[row], count) for row, count in zip(rows.tolist(), self.counts[rows].tolist(), strict=True)
+        ]
+        of = np.repeat(np.arange(len(rows)), self.counts[rows])
+        kind = np.concatenate([boxes.kind[len(boxes) - count :] for boxes, count in queues])
+        order = np.lexsort((kind, of))  # a stable sort: the first box of a kind stays the first
+        is_first = np.ones(len(order), bool)
+        is_first[1:] = (np.diff(kind[order]) != 0) | (np.diff(of[order]) != 0)
+        first = np.sort(order[is_first])
+        values = np.concatenate([boxes.rows[len(boxes) - count :] for boxes, count in queues])
+        begin = np.cumsum(self.counts[rows]) - self.counts[rows]
+        return of[first], first - begin[of[first]], values[first]
 
     def kept(self, rows: NDArray[np.int64]) -> list[NDArray[Any]]:
         """A copy of the states of the queues in these rows, from which ``restore`` can set them again."""

@@ -10,12 +10,17 @@ from numpy.typing import NDArray
 
 from petmjx.common.processes import on_threads
 from petmjx.common.units import FloatArray
+from petmjx.common.warp_setup import machine_code
 from petmjx.loop.height_maps import spans
 from petmjx.world.growing_scenes import FIRST_COLUMNS, widened_table
 
 _AT_ONCE: Final = 512
 """Number of pallets whose maps are computed at a time. The maps of this many pallets fit into the cache of a CPU
 core."""
+
+_WORTH_COMPILING: Final = 256
+"""Smallest number of pallets for which compiled code is used, if Warp is installed. Compiling takes some seconds; the
+code is kept for later runs."""
 
 _MOST: Final = float(np.finfo(np.float32).max)
 
@@ -36,6 +41,7 @@ class Maps:
         self.loads: Map = np.zeros((n, *cells), np.float32)
         # for each box, the ranges of cells that it covers
         self._spans: NDArray[np.int32] = np.zeros((n, FIRST_COLUMNS, 2, 2), np.int32)
+        self._code = machine_code("petmjx.gym.compiled_maps") if n >= _WORTH_COMPILING else None
 
     def clear(self, rows: NDArray[np.int64]) -> None:
         """Set the maps of the pallets in these rows to the maps of empty pallets."""
@@ -53,6 +59,9 @@ class Maps:
         self._spans = widened_table(self._spans, int(number.max(initial=0)) + 1)
         self._spans[rows, number] = box_spans = spans(size_mm, corner_mm, self._cell_mm)
         tops = (corner_mm[:, 2] + size_mm[:, 2]).astype(np.float32)
+        if self._code is not None:
+            self._code.raise_heights(rows, self._spans[rows, number], tops, self.heights)
+            return
         over_x, over_y = self._over(box_spans)
         # contiguous factors and results in place take a half to a quarter of the time
         heights = np.ascontiguousarray((tops * over_x).T)[:, :, None] * np.ascontiguousarray(over_y.T)[:, None]
@@ -65,6 +74,9 @@ class Maps:
             top_force_n: (m, k) force on the top of each box, N; NaN after the last box of a pallet.
         """
         force = np.minimum(np.nan_to_num(top_force_n), _MOST).astype(np.float32)
+        if self._code is not None:
+            self._code.put_loads(rows, force, self._spans, self.loads)
+            return
         count = (force > 0).sum(axis=1)
         # pallets with similar numbers of loaded boxes are computed together
         fullest = np.argsort(-count, kind="stable")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import ModuleType
 from typing import Any, Final
 
 import numpy as np
@@ -61,12 +62,25 @@ class BoxTable:
             values[into] = values[sources]
         self._points.copy(sources, into)
 
-    def find_points(self, pallets: NDArray[np.int64], gap_mm: float = 0.0) -> Points:
+    def find_points(
+        self, pallets: NDArray[np.int64], gap_mm: float = 0.0, machine_code: ModuleType | None = None
+    ) -> Points:
         """The extreme points (candidate corners of a new box) of these pallets, after an update for all boxes on them.
-        ``gap_mm`` is the free space between boxes."""
+
+        Args:
+            gap_mm: free space between boxes.
+            machine_code: the module ``petmjx.loop.compiled_places``, loaded. If ``machine_code`` is None, NumPy
+                computes the points.
+        """
         if gap_mm != self._points.gap_mm:
             self._points = Points(len(self.count), gap_mm)
-        points, rows, free_mm = self._points, np.unique(pallets), np.array([gap_mm, gap_mm, 0.0])
+        points, free_mm = self._points, np.array([gap_mm, gap_mm, 0.0])
+        is_named = np.zeros(len(self.count), bool)
+        is_named[pallets] = True
+        rows = np.flatnonzero(is_named & (points.boxes < self.count))
+        if machine_code is not None and len(rows):
+            points.add_all(rows, self.corner_mm, self.size_mm, self.count, machine_code)
+            return points
         # pallets are sorted by number of boxes, so that all pallets of a chunk have similar numbers of points
         rows = rows[np.argsort(self.count[rows], kind="stable")]
         while len(rows := rows[points.boxes[rows] < self.count[rows]]):

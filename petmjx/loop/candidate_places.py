@@ -7,17 +7,14 @@ The corner of a box is put above a point, and the box is lowered until it rests 
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable
-from contextlib import suppress
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.common.machine import why_no_warp_on_cpu
 from petmjx.common.processes import DEFAULT_THREADS, on_threads
 from petmjx.common.units import FloatArray
+from petmjx.common.warp_setup import machine_code
 from petmjx.loop.box_tables import BoxTable
 from petmjx.loop.placements import Placements
 from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM
@@ -33,8 +30,11 @@ _WORTH_A_THREAD: Final = 50_000
 """Smallest number of pairs (a point and a box) for which another thread is started."""
 
 _WORTH_COMPILING: Final = 256
-"""Smallest number of requested boxes for which compiled code is used, if Warp is installed. Compiling takes one to
-three seconds; the code is kept for later runs."""
+"""Smallest number of pallets or of requested boxes for which compiled code is used, if Warp is installed. Compiling
+takes some seconds; the code is kept for later runs."""
+
+COMPILED: Final = "petmjx.loop.compiled_places"
+"""The module with the compiled code."""
 
 _Lowered = tuple[NDArray[np.intp], FloatArray, FloatArray, NDArray[np.bool_]]
 
@@ -79,10 +79,12 @@ def free_places(
     """
     count = stock.count[placements.pallet]
     if grid is None:
-        points = stock.find_points(placements.pallet, gap_mm)
+        are_many = max(len(stock.count), len(placements)) >= _WORTH_COMPILING
+        code = machine_code(COMPILED) if are_many and not hulls else None
+        points = stock.find_points(placements.pallet, gap_mm, code)
         of_each = points.count(placements.pallet)
-        if len(placements) >= _WORTH_COMPILING and not hulls and (lowered_boxes := _machine_code()) is not None:
-            row, corner, support = lowered_boxes(
+        if code is not None and len(placements):
+            row, corner, support = code.lowered_boxes(
                 placements.pallet,
                 placements.size_mm,
                 *points.tables,
@@ -122,18 +124,6 @@ def free_places(
     by_row = np.argsort(row, kind="stable")
     row, corner, support = row[by_row], corner[by_row], support[by_row]
     return Places(row, placements.pallet[row], corner, support, centred[by_row] if hulls else None)
-
-
-@functools.cache
-def _machine_code() -> Callable[..., tuple[NDArray[np.intp], FloatArray, FloatArray]] | None:
-    """``petmjx.loop.compiled_places.lowered_boxes``; None if Warp is not installed, or cannot compile the code."""
-    if why_no_warp_on_cpu() is None:
-        with suppress(Exception):  # whatever Warp raises, NumPy finds the places
-            from petmjx.loop import compiled_places
-
-            compiled_places.load()
-            return compiled_places.lowered_boxes
-    return None
 
 
 def _lowered_boxes(

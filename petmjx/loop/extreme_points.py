@@ -8,6 +8,7 @@ pallet, the pallet has its previous points again.
 
 from __future__ import annotations
 
+from types import ModuleType
 from typing import Final
 
 import numpy as np
@@ -72,11 +73,34 @@ class Points:
             fresh = ~(points == point[:, None]).any(axis=1)
             points[rows[fresh], count[fresh]] = point[fresh]
             count += fresh
-        self._at = widened_table(self._at, int(count.max()))
-        self._count = widened_table(self._count, int(number.max()) + 2)
+        self._make_room(int(count.max()), int(number.max()) + 1)
         self._at[pallets, : points.shape[1]] = points[:, : self._at.shape[1]]
         self._count[pallets, number + 1] = count
         self.boxes[pallets] += 1
+
+    def add_all(
+        self,
+        pallets: NDArray[np.int64],
+        corner_mm: FloatArray,
+        size_mm: FloatArray,
+        n_boxes: NDArray[np.int64],
+        machine_code: ModuleType,
+    ) -> None:
+        """Add the points of all boxes on these pallets, at least one, whose points are not included yet.
+
+        Args:
+            corner_mm, size_mm: (n, k, 3) corners and sizes of the boxes on all pallets; ``n_boxes``: (n,) their
+                numbers.
+            machine_code: the module ``petmjx.loop.compiled_places``, loaded.
+        """
+        most = self.count(pallets) + _POINTS_PER_BOX * (n_boxes[pallets] - self.boxes[pallets])
+        self._make_room(int(most.max()), int(n_boxes[pallets].max()))
+        machine_code.add_points(pallets, self.boxes, corner_mm, size_mm, n_boxes, self.gap_mm, self._at, self._count)
+        self.boxes[pallets] = n_boxes[pallets]
+
+    def _make_room(self, n_points: int, n_boxes: int) -> None:
+        """Widen the tables if they have no room for this number of points, or for those of this number of boxes."""
+        self._at, self._count = widened_table(self._at, n_points), widened_table(self._count, n_boxes + 1)
 
     def cut(self, pallets: NDArray[np.int64], count: NDArray[np.int64]) -> None:
         """Keep only the extreme points of the first ``count`` boxes of each of these pallets."""

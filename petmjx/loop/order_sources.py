@@ -20,7 +20,7 @@ from petmjx.options.run_options import RunOptions
 from petmjx.plans.articles import Articles, read_articles
 from petmjx.plans.item_columns import MOST_PIECES, SIZE_LETTERS
 from petmjx.plans.item_orders import OrderReading
-from petmjx.plans.order_generator import Item, Order, draw_order
+from petmjx.plans.order_generator import Item, Order, catalogue, drawn_articles
 from petmjx.plans.order_reader import read_order_frame, read_orders
 from petmjx.plans.plan_fields import vanishing_side
 
@@ -62,6 +62,8 @@ class Boxes:
         strength_n: (k,) largest load that each box can bear on its top, N; NaN if unknown.
         upright: (k, 3) whether the length, the width and the height of each box may be vertical. If ``upright`` is
             None, only the height may be vertical.
+        article: (k,) number of the article of each box. Boxes of an article are equal, except that their strengths may
+            differ. If ``article`` is None, the articles are unknown.
         name: id of the order in its source; "" if the order has no id.
     """
 
@@ -70,6 +72,7 @@ class Boxes:
     strength_n: FloatArray
     upright: NDArray[np.bool_] | None = None
     name: str = ""
+    article: NDArray[np.int64] | None = None
 
     @cached_property
     def rows(self) -> FloatArray:
@@ -81,21 +84,19 @@ class Boxes:
         return rows
 
     @cached_property
-    def equal_before(self) -> NDArray[np.int64]:
-        """(k,) for each box, the index of the last earlier box that is equal to it, apart from the strength; −1 if
-        there is none."""
-        last: dict[bytes, int] = {}
-        before = np.full(len(self), -1, np.int64)
-        for index, box in enumerate(np.delete(self.rows, STRENGTH, axis=1)):
-            key = box.tobytes()
-            before[index] = last.get(key, -1)
-            last[key] = index
-        return before
+    def kind(self) -> NDArray[np.int64]:
+        """(k,) number of each box's kind. Boxes of a kind are equal, except that their strengths may differ."""
+        if self.article is not None:
+            return self.article
+        numbers: dict[bytes, int] = {}
+        keys = [box.tobytes() for box in np.delete(self.rows, STRENGTH, axis=1)]
+        return np.array([numbers.setdefault(key, len(numbers)) for key in keys], np.int64)
 
     def take(self, rows: Any) -> Boxes:
         """The boxes in these rows."""
         upright = None if self.upright is None else self.upright[rows]
-        return Boxes(self.size_mm[rows], self.mass_kg[rows], self.strength_n[rows], upright, self.name)
+        article = None if self.article is None else self.article[rows]
+        return Boxes(self.size_mm[rows], self.mass_kg[rows], self.strength_n[rows], upright, self.name, article)
 
     def __len__(self) -> int:
         return len(self.mass_kg)
@@ -149,8 +150,16 @@ class Orders:
     def numbered(self, number: int) -> Boxes:
         """The order with this number, from 0 to ``count`` − 1."""
         if self._all is None:
-            return _of_order(draw_order(self._seed, number), self._articles)
+            _, articles = drawn_articles(self._seed, number)
+            return self._catalogue.take(articles)
         return self._all[number]
+
+    @cached_property
+    def _catalogue(self) -> Boxes:
+        """A box of each article of the generator."""
+        articles = catalogue(self._seed)
+        boxes = _of_order(Order("", articles), self._articles)
+        return replace(boxes, article=np.arange(len(articles)))
 
     @property
     def count(self) -> int:

@@ -1,5 +1,5 @@
-"""Warp kernel that lowers boxes at the extreme points of pallets until they rest on something. Twin of
-``petmjx.loop.candidate_places``."""
+"""Warp kernels that find the extreme points of pallets, and lower boxes at these points until they rest on something.
+Twins of ``petmjx.loop.extreme_points`` and ``petmjx.loop.candidate_places``."""
 
 from __future__ import annotations
 
@@ -22,29 +22,91 @@ def _is_before(a: wp.vec3d, b: wp.vec3d) -> bool:
     return a[1] < b[1]
 
 
+@wp.func
+def _add_point(
+    points: wp.array2d(dtype=wp.vec2d), on: wp.int64, count: wp.int64, x: wp.float64, y: wp.float64
+) -> wp.int64:
+    """Add a point to the points of a pallet, unless the pallet has it. Returns the number of points."""
+    for point in range(int(count)):
+        if points[on, point][0] == x and points[on, point][1] == y:
+            return count
+    points[on, int(count)] = wp.vec2d(x, y)
+    return count + wp.int64(1)
+
+
+@wp.kernel(enable_backward=False, module="unique", module_options={"block_dim": 1, "fuse_fp": False})
+def add_points(
+    pallet: wp.array(dtype=wp.int64),
+    first_row: int,
+    n_known: wp.array(dtype=wp.int64),
+    corner: wp.array2d(dtype=wp.vec3d),
+    size: wp.array2d(dtype=wp.vec3d),
+    n_boxes: wp.array(dtype=wp.int64),
+    free: wp.vec3d,
+    points: wp.array2d(dtype=wp.vec2d),
+    n_points: wp.array2d(dtype=wp.int64),
+) -> None:
+    """One thread for each pallet. The arguments are those of ``petmjx.loop.compiled_places.add_points``; ``n_points``
+    has the number of points after each box. The thread of index 0 has the row ``first_row`` of ``pallet``."""
+    on = pallet[first_row + wp.tid()]
+    for number in range(int(n_known[on]), int(n_boxes[on])):
+        near = corner[on, number]
+        far = near + size[on, number] + free
+        # not in one assignment, which would make four names of one variable
+        south = wp.float64(0.0)
+        west = wp.float64(0.0)
+        west_on_top = wp.float64(0.0)
+        south_on_top = wp.float64(0.0)
+        for box in range(number):
+            low = corner[on, box]
+            high = low + size[on, box] + free
+            if high[1] <= near[1] + TOUCH:
+                if low[0] <= far[0] and far[0] < high[0] and low[2] <= near[2] and near[2] < high[2]:
+                    south = wp.max(south, high[1])
+                if low[0] <= near[0] and near[0] < high[0] and low[2] <= far[2] and far[2] < high[2]:
+                    south_on_top = wp.max(south_on_top, high[1])
+            if high[0] <= near[0] + TOUCH:
+                if low[1] <= far[1] and far[1] < high[1] and low[2] <= near[2] and near[2] < high[2]:
+                    west = wp.max(west, high[0])
+                if low[1] <= near[1] and near[1] < high[1] and low[2] <= far[2] and far[2] < high[2]:
+                    west_on_top = wp.max(west_on_top, high[0])
+        count = n_points[on, number]
+        count = _add_point(points, on, count, far[0], near[1])
+        count = _add_point(points, on, count, far[0], south)
+        count = _add_point(points, on, count, near[0], far[1])
+        count = _add_point(points, on, count, west, far[1])
+        count = _add_point(points, on, count, near[0], near[1])
+        count = _add_point(points, on, count, west_on_top, near[1])
+        count = _add_point(points, on, count, near[0], south_on_top)
+        n_points[on, number + 1] = count
+
+
 @wp.kernel(enable_backward=False, module="unique", module_options={"block_dim": 1, "fuse_fp": False})
 def lower_boxes(
     pallet: wp.array(dtype=wp.int64),
     size: wp.array(dtype=wp.vec3d),
+    first_row: int,
     points: wp.array2d(dtype=wp.vec2d),
     n_points: wp.array(dtype=wp.int64),
-    low: wp.array2d(dtype=wp.vec3d),
-    high: wp.array2d(dtype=wp.vec3d),
+    box_corner: wp.array2d(dtype=wp.vec3d),
+    box_size: wp.array2d(dtype=wp.vec3d),
     n_boxes: wp.array(dtype=wp.int64),
+    free: wp.vec3d,
     extent: wp.vec2d,
     max_height: wp.float64,
     least_support: wp.float64,
-    gap: wp.float64,
     count: wp.array(dtype=wp.int64),
     corner: wp.array2d(dtype=wp.vec3d),
     support: wp.array2d(dtype=wp.float64),
 ) -> None:
-    """One thread for each new box. The arguments are those of ``petmjx.loop.compiled_places.lowered_boxes``, except
-    that ``size``, ``high`` (the highest corners of the boxes on the pallets) and ``extent`` include the free space. The
-    last three arguments are the results: the number of places of each new box, their corners and supported shares."""
-    row = wp.tid()
+    """One thread for each new box. The arguments are those of ``petmjx.loop.compiled_places.lowered_boxes``. The thread
+    of index 0 has the row ``first_row`` of ``pallet`` and ``size``. The last three arguments are the results: (m,) the
+    number of places of each new box, and (p, m) their corners and supported shares, place by place: few boxes have many
+    places, so few rows of these tables are written."""
+    row = first_row + wp.tid()
     on = pallet[row]
-    new = size[row]
+    gap = free[0]
+    new = size[row] + free
     boxes = int(n_boxes[on])
     n_places = int(0)
     for point in range(int(n_points[on])):
@@ -58,8 +120,8 @@ def lower_boxes(
         x_far, y_far = x_end - TOUCH, y_end - TOUCH
         z = wp.float64(0.0)
         for box in range(boxes):
-            first = low[on, box]
-            last = high[on, box]
+            first = box_corner[on, box]
+            last = first + box_size[on, box] + free
             if first[0] < x_far and first[1] < y_far and x_near < last[0] and y_near < last[1]:
                 z = wp.max(z, last[2])
         if not (z + new[2] <= max_height + TOUCH):
@@ -68,8 +130,8 @@ def lower_boxes(
         if z > wp.float64(0.0):
             carried = wp.float64(0.0)
             for box in range(boxes):
-                first = low[on, box]
-                last = high[on, box]
+                first = box_corner[on, box]
+                last = first + box_size[on, box] + free
                 if first[0] < x_far and first[1] < y_far and x_near < last[0] and y_near < last[1]:
                     if z - TOUCH <= last[2]:
                         side_x = wp.min(x_end, last[0]) - wp.max(x, first[0]) - gap
@@ -80,11 +142,11 @@ def lower_boxes(
             continue
         place = wp.vec3d(x, y, z)
         at = n_places
-        while at > 0 and _is_before(place, corner[row, at - 1]):
-            corner[row, at] = corner[row, at - 1]
-            support[row, at] = support[row, at - 1]
+        while at > 0 and _is_before(place, corner[at - 1, row]):
+            corner[at, row] = corner[at - 1, row]
+            support[at, row] = support[at - 1, row]
             at -= 1
-        corner[row, at] = place
-        support[row, at] = share
+        corner[at, row] = place
+        support[at, row] = share
         n_places += 1
     count[row] = wp.int64(n_places)

@@ -3,13 +3,14 @@ boxes are placed exactly, and in worlds with errors. The results of simulations 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
 from petmjx.common.units import MM_PER_M
 from petmjx.engines.verdict import Verdict
+from petmjx.engines.world_results import World
 from petmjx.packers.baseline_packer import PlacedBox
 from petmjx.packers.beam_search import search
 from petmjx.packers.learned_packer import CLEARANCE_MM, pack_learned
@@ -127,9 +128,11 @@ class Trial:
         n_requested: number of worlds requested so far.
         n_worlds: number of worlds with errors that have a verdict so far.
         n_standing: number of worlds with errors in which the plan stands so far.
+        worlds: the worlds that were not requested yet, in the order of their variants; None before the first request.
     """
 
     def __init__(self, plan_id: str, finalist: Finalist) -> None:
+        self.worlds: Iterator[World] | None = None
         self.finalist, self.plan = finalist, plan_of(plan_id, finalist)
         self.n_requested = self.n_worlds = self.n_standing = 0
         self._nominal: Verdict | None = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any, Final, NamedTuple, Protocol, runtime_checkable
 
 from petmjx.common.parallel_map import UnorderedResults
@@ -31,7 +32,8 @@ class Orders(NamedTuple):
     """Numbers that limit how many orders and worlds are simulated at the same time.
 
     Attributes:
-        few: an idle engine waits until the search is complete for this number of orders.
+        few: an idle engine waits until the search is complete for this number of orders. The worlds of later orders
+            join those that are running.
         most: largest number of orders that are simulated at a time. More orders do not make an engine faster.
         worlds: an engine that simulates fewer worlds than this number has spare capacity. Spare capacity is used for
             worlds that may turn out not to be needed.
@@ -46,16 +48,12 @@ class Orders(NamedTuple):
 
 
 CPU: Final = Orders(4, 16, 0, 1024)
-GPU: Final = Orders(64, 1024, 256, 8192)
+GPU: Final = Orders(16, 1024, 256, 8192)
 
 GRANULE: Final = 96
 """Number of boxes of which the engine's capacities (boxes per world) are multiples. With a smaller number, orders would
 exceed the present capacity more often. An order that exceeds the capacity, and all orders after it, must wait until the
 worlds of the earlier orders have ended."""
-
-FEW_ALONE: Final = 16
-"""Upper limit of ``Orders.few``, the number of searched orders for which an idle engine waits, if searches run in the
-same process as the simulations."""
 
 Searched = tuple[str, Order, list[Finalist]]
 """The result of a search: id of the order, the order, and the packings to simulate."""
@@ -166,7 +164,6 @@ class Flow:
     ) -> None:
         self._searched, self._options, self._worlds = searched, options, worlds
         self._at_a_time = at_a_time
-        self._few = min(at_a_time.few, FEW_ALONE) if searched.alone else at_a_time.few
         self._open = self._unanswered = self._n_yielded = (
             0  # numbers of simulated orders, of their worlds without a result, and of yielded orders
         )
@@ -177,7 +174,8 @@ class Flow:
         """The result of each order, in the sequence of the input."""
         if isinstance(engine, TableEngine):
             engine.least_rows, engine.granule = self._at_a_time.rows, GRANULE
-        for result in score_worlds((), self._worlds.sim, engine, following=self._more):
+        results = score_worlds((), self._worlds.sim, engine, following=self._more, verdicts_only=True)
+        for result in results:
             world = result.world
             assert isinstance(world, _PackingWorld)
             self._unanswered -= 1
@@ -200,7 +198,8 @@ class Flow:
         """
         while self._open < self._at_a_time.most:
             idle = self._unanswered == len(self._following)
-            searched_orders = self._searched.take(waits=self._open < self._few and (idle or self._searched.alone))
+            is_waiting = self._open < self._at_a_time.few and (idle or self._searched.alone)
+            searched_orders = self._searched.take(waits=is_waiting)
             if not searched_orders:
                 break
             for number, (order_id, order, packings) in searched_orders:
@@ -226,7 +225,9 @@ class Flow:
             )
             return
         for trial, variants in requests:
-            for world in self._worlds.of(trial.plan, variants):
+            if trial.worlds is None:  # scenes of all worlds are made together, which takes fewer calls
+                trial.worlds = self._worlds.of(trial.plan, range(1 + self._options.worlds))
+            for world in islice(trial.worlds, len(variants)):
                 self._following.append(_PackingWorld(world.plan, world.variant, world.job, order, trial))
                 order.unanswered += 1
                 self._unanswered += 1

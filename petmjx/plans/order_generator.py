@@ -14,6 +14,7 @@ import re
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from petmjx.common.checked_records import shown_value
 from petmjx.common.errors import InputError
@@ -193,35 +194,42 @@ def draw_order(seed: int, index: int) -> Order:
     """The order with the number ``index`` among the orders of ``seed``. Its target (the kind of carrier: "euro-pallet"
     or "rollcontainer"), its number of boxes, and its articles with their quantities are drawn at random."""
     articles = catalogue(seed)
+    target, numbers = drawn_articles(seed, index)
+    return Order(target, tuple(articles[j] for j in numbers.tolist()))
+
+
+def drawn_articles(seed: int, index: int) -> tuple[str, NDArray[np.int64]]:
+    """The target of an order of ``draw_order``, and (k,) for each of its k boxes, the index of the article in the
+    catalogue of ``seed``. Boxes of an article follow one another."""
     rng = stream(seed, _ORDER_STREAM, index)
     n_boxes = _draw_count(rng)
     target = "euro-pallet" if rng.random() < EURO_PALLET_SHARE else "rollcontainer"
     low, high = DISTINCT_SHARE
     n_articles = max(1, round(n_boxes * (low + (high - low) * rng.random())))
-    chosen = [int(j) for j in rng.permutation(len(articles))[:n_articles]]
+    chosen = rng.permutation(CATALOGUE_SIZE)[:n_articles]
     # One box of each article; the remaining boxes are distributed so that few articles have many boxes.
     appetite = -np.log1p(-rng.random(n_articles))
-    edges = np.cumsum(appetite) / appetite.sum()
-    extra = np.searchsorted(edges[:-1], rng.random(n_boxes - n_articles), side="right")
-    quantity = 1 + np.bincount(extra, minlength=n_articles)
+    edges = appetite.cumsum() / appetite.sum()
+    extra = edges[:-1].searchsorted(rng.random(n_boxes - n_articles), side="right")
+    quantity = 1.0 + np.bincount(extra, minlength=n_articles)
 
     extent = TARGET_EXTENT_MM[target]
     budget_m3 = FILL_BUDGET * extent[0] * extent[1] * 2000 * 1e-9
     of_all = _volumes_m3(seed)
     volumes = of_all[chosen]
-    while float(volumes @ quantity) > budget_m3:
+    while volumes @ quantity > budget_m3:
         # The boxes have more volume than they may have on one target: replace the article with the largest total volume
         # by a smaller article.
-        bulkiest = int(np.argmax(volumes * quantity))
+        bulkiest = (volumes * quantity).argmax()
         free = of_all < volumes[bulkiest]
         free[chosen] = False
-        smaller = np.flatnonzero(free)
+        (smaller,) = free.nonzero()
         if not len(smaller):  # no unused article is smaller, so the order gets one box less
             quantity[bulkiest] -= 1
             continue
-        chosen[bulkiest] = int(smaller[int(rng.integers(len(smaller)))])
+        chosen[bulkiest] = smaller[rng.integers(len(smaller))]
         volumes[bulkiest] = of_all[chosen[bulkiest]]
-    return Order(target, tuple(articles[j] for j, q in zip(chosen, quantity, strict=True) for _ in range(int(q))))
+    return target, chosen.repeat(quantity.astype(np.int64))
 
 
 def _draw_count(rng: np.random.Generator) -> int:

@@ -33,7 +33,7 @@ class OpenScenes:
     def __init__(self, scenes: Sequence[Scene], blank: EmptyCarrier) -> None:
         n = len(scenes)
         self._blank, self._carrier = blank, scenes[0].carrier
-        self._scenes = list(scenes)
+        self._scenes: NDArray[np.object_] = np.empty(n, object)
         """The scene of each world, as of the last request for this scene. Boxes that were added after the last request
         are only in the arrays."""
         self._count = np.zeros(n, np.int64)
@@ -45,7 +45,8 @@ class OpenScenes:
         return len(self._scenes)
 
     def __getitem__(self, world: int) -> Scene:
-        scene, n = self._scenes[world], int(self._count[world])
+        scene: Scene = self._scenes[world]
+        n = int(self._count[world])
         if scene.n_boxes < n:
             added_boxes = NextBoxes(*(values[world, scene.n_boxes : n] for values in self._columns))
             for row in range(len(added_boxes)):
@@ -71,10 +72,10 @@ class OpenScenes:
 
     def copy(self, sources: Sequence[int], into: Sequence[int]) -> None:
         """Copy the scenes of the worlds ``sources`` into the worlds ``into``."""
-        for world, scene in zip(into, [self._scenes[source] for source in sources], strict=True):
-            self._scenes[world] = scene
-        for table in (self._count, *self._columns):
-            table[np.asarray(into, np.intp)] = table[np.asarray(sources, np.intp)]
+        rows, copied = np.asarray(into, np.intp), np.asarray(sources, np.intp)
+        n_used = int(max(self._count[rows].max(initial=0), self._count[copied].max(initial=0)))
+        for table in (self._scenes, self._count, *(columns[:, :n_used] for columns in self._columns)):
+            table[rows] = table[copied]
 
     def stacks(self, worlds: Sequence[int]) -> Stacks:
         """The boxes of the given worlds, in arrays with as many columns as the fullest world has boxes. ``worlds`` may

@@ -358,11 +358,10 @@ def test_a_load_sets_the_flag_near_an_edge_and_less_near_on_the_wrong_side(
         assert nearest_edge(sides, verdict) is None, "at rest the side does not count"
 
 
-def test_outcomes_that_are_checked_together_are_those_checked_alone() -> None:
-    """Outcomes that are checked together get the same values, to the last bit, as if each were checked alone. There are
-    heaps and stacks that stand, that fell with all or some boxes, and with errors."""
-    rng = np.random.default_rng(12)
-    sim, jobs, outcomes = Simulation(), list[Job](), list[Outcome]()
+def outcomes_of_heaps(sim: Simulation) -> tuple[list[Outcome], list[Job]]:
+    """Made-up outcomes, and their jobs, of heaps and stacks that stand, that fell with all or some boxes, and with
+    errors."""
+    rng, jobs, outcomes = np.random.default_rng(12), list[Job](), list[Outcome]()
     for number in range(48):
         n = int(rng.integers(2, 14))
         slender = stack(n, size_mm=(60, 60, 400), kg=[0.2] + [5.0] * (n - 1))  # these lean because contacts are soft
@@ -384,12 +383,35 @@ def test_outcomes_that_are_checked_together_are_those_checked_alone() -> None:
             )
         )
         jobs.append(Job(scene, has_errors=has_errors))
+    return outcomes, jobs
+
+
+def test_outcomes_that_are_checked_together_are_those_checked_alone() -> None:
+    """Outcomes that are checked together get the same values, to the last bit, as if each were checked alone."""
+    sim = Simulation()
+    outcomes, jobs = outcomes_of_heaps(sim)
     alone = [outcome_checks([replace(outcome)], [job], sim)[0] for outcome, job in zip(outcomes, jobs, strict=True)]
     together = outcome_checks([replace(outcome) for outcome in outcomes], jobs, sim)
     for one, other in zip(together, alone, strict=True):
         assert _values(one) == _values(other)
     assert {Flag.NONE, Flag.SINKING} <= {outcome.flags & Flag.SINKING for outcome in together if outcome.culprit >= 0}
     assert sum(outcome.build_edge_m < 0 for outcome in together) > 5
+
+
+def test_checks_for_verdicts_give_the_verdicts_of_all_checks() -> None:
+    sim = Simulation()
+    outcomes, jobs = outcomes_of_heaps(sim)
+    whole, verdicts = (
+        outcome_checks([replace(outcome) for outcome in outcomes], jobs, sim, verdicts_only=verdicts_only)
+        for verdicts_only in (False, True)
+    )
+    for outcome, checked in zip(verdicts, whole, strict=True):
+        assert (outcome.verdict, outcome.reason, outcome.margin) == (checked.verdict, checked.reason, checked.margin)
+        assert outcome.flags & Flag.SINKING == checked.flags & Flag.SINKING
+        if checked.verdict is Verdict.STABLE:
+            assert np.isnan(outcome.plan_edge_m)
+    assert {Verdict.STABLE, Verdict.UNSTABLE} == {outcome.verdict for outcome in verdicts}
+    assert {Flag.NONE, Flag.SINKING} == {outcome.flags & Flag.SINKING for outcome in verdicts}
 
 
 def _values(outcome: Outcome) -> dict[str, Any]:

@@ -3,11 +3,13 @@ other pallets that are computed together."""
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
+from petmjx.common.warp_setup import machine_code
 from petmjx.loop import candidate_places
 from petmjx.loop.box_tables import BoxTable
 from petmjx.loop.candidate_places import Places, free_places
@@ -95,9 +97,9 @@ def test_places_with_less_support_are_left_out() -> None:
 
 @pytest.fixture
 def code_not_loaded() -> Iterator[None]:
-    candidate_places._machine_code.cache_clear()
+    machine_code.cache_clear()
     yield
-    candidate_places._machine_code.cache_clear()
+    machine_code.cache_clear()
 
 
 @pytest.mark.usefixtures("code_not_loaded")
@@ -108,19 +110,24 @@ def test_machine_code_finds_the_same_places_as_numpy(
 ) -> None:
     compiled = pytest.importorskip("petmjx.loop.compiled_places", reason="warp-lang is not installed (extra: warp)")
     monkeypatch.setattr(compiled, "_AT_ONCE", at_once)
+    monkeypatch.setattr(compiled, "_WORTH_A_THREAD", 8)
     lowered_boxes, calls = compiled.lowered_boxes, []
     monkeypatch.setattr(compiled, "lowered_boxes", lambda *values: calls.append(lowered_boxes(*values)) or calls[-1])
     rng, n = np.random.default_rng(33401), 40
     stock = lively_stock(rng, n)
     pallet = np.repeat(rng.permutation(n), 2)
     for size_mm in (rng.uniform(100, 600, (len(pallet), 3)), rng.choice([200.0, 300.0], (len(pallet), 3))):
-        spots = []
+        spots, points = [], []
         for worth in (len(pallet) + 1, len(pallet)):
             monkeypatch.setattr(candidate_places, "_WORTH_COMPILING", worth)
-            request = boxes(size_mm, pallet)
-            spots.append(free_places(stock, request, EXTENT_MM, 1800.0, least_support=0.6, gap_mm=gap_mm, hulls=False))
+            request, pallets = boxes(size_mm, pallet), copy.deepcopy(stock)
+            pallets.find_points(np.arange(n), gap_mm + 1)  # so that the points of all boxes are found in the next line
+            limits = {"least_support": 0.6, "gap_mm": gap_mm, "hulls": False}
+            spots.append(free_places(pallets, request, EXTENT_MM, 1800.0, **limits))
+            points.append(pallets.find_points(np.arange(n), gap_mm).of(np.arange(n)))
         by_numpy, by_code = spots
         assert len(by_numpy.row) > n
+        np.testing.assert_array_equal(*points)
         for numpy_values, values in zip(by_numpy[:4], by_code[:4], strict=True):
             np.testing.assert_array_equal(values, numpy_values)
     assert len(calls) == 2

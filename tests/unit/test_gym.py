@@ -28,10 +28,11 @@ from petmjx.common.errors import InputError, PlanWarning
 from petmjx.engines.engine_choice import make_engine
 from petmjx.gym.actions import _in_turn
 from petmjx.gym.env import PalletizingEnv
+from petmjx.gym.item_queues import Queues
 from petmjx.gym.vector_env import PalletizingVectorEnv
-from petmjx.loop.order_sources import Orders
+from petmjx.loop.order_sources import STRENGTH, Boxes, Orders
 from petmjx.plans.item_orders import SET_KG_M3
-from petmjx.plans.order_generator import Item, Order
+from petmjx.plans.order_generator import Item, Order, draw_order
 from petmjx.show.pictures.picture_files import why_nothing_is_drawn
 
 NAME = "petmjx/Palletizing-v0"
@@ -385,3 +386,31 @@ def test_boxes_without_a_place_are_left_out_in_few_calls(monkeypatch: pytest.Mon
         assert terminated
         assert info["placed"] == 2
         env.close()
+
+
+def test_generated_orders_have_the_boxes_of_petmjx_samples() -> None:
+    """The orders of episodes have the boxes that ``draw_order`` draws, in the same sequence. Boxes of one kind are
+    equal."""
+    orders = Orders(seed=33501)
+    for number in (0, 7, 199_999):
+        boxes, items = orders.numbered(number), draw_order(33501, number).items
+        sizes = [(item.length_mm, item.width_mm, item.height_mm) for item in items]
+        assert boxes.size_mm.tolist() == [list(size) for size in sizes]
+        assert boxes.mass_kg.tolist() == [item.weight_kg for item in items]
+        assert len({*zip(boxes.kind.tolist(), sizes, strict=True)}) == len({*boxes.kind.tolist()}) < len(items)
+
+
+def test_queues_name_the_first_remaining_box_of_each_kind() -> None:
+    size_mm = np.array([[300.0, 200.0, 100.0]] * 2 + [[400.0, 300.0, 200.0]] * 3 + [[300.0, 200.0, 100.0]])
+    strength_n = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    queues = Queues(3, 1)
+    for row in range(3):
+        queues.begin(row, Boxes(size_mm, size_mm[:, 0] / 100, strength_n))
+    rows = np.arange(3)
+    queues.leave_out(rows, np.array([0, 1, 3]))
+    of, position, boxes = queues.kinds(rows)
+    assert list(zip(of.tolist(), position.tolist(), boxes[:, STRENGTH].tolist(), strict=True)) == [
+        *((0, 0, 1.0), (0, 2, 3.0)),
+        *((1, 0, 2.0), (1, 1, 3.0)),
+        *((2, 0, 4.0), (2, 2, 6.0)),
+    ]

@@ -47,10 +47,17 @@ def test_queues_are_lists_of_boxes() -> None:
     np.testing.assert_array_equal(queues.left_out, left_out)
 
 
-def test_maps_have_the_highest_top_and_the_largest_force_over_each_cell(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(petmjx.gym.observation_maps, "_AT_ONCE", 3)
+@pytest.mark.parametrize("compiled", [False, True])
+def test_maps_have_the_highest_top_and_the_largest_force_over_each_cell(
+    compiled: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if compiled:
+        pytest.importorskip("petmjx.gym.compiled_maps", reason="warp-lang is not installed (extra: warp)")
     rng, n, cells, cell_mm = np.random.default_rng(1), 4, (12, 8), 100.0
+    monkeypatch.setattr(petmjx.gym.observation_maps, "_AT_ONCE", 3)
+    monkeypatch.setattr(petmjx.gym.observation_maps, "_WORTH_COMPILING", n if compiled else n + 1)
     maps, boxes = Maps(n, cells, cell_mm), [[] for _ in range(n)]
+    assert (maps._code is not None) == compiled
     for step in range(20):
         rows = np.flatnonzero(rng.random(n) < 0.8)
         corner, size = rng.integers(0, 700, (len(rows), 3)).astype(float), rng.integers(50, 500, (len(rows), 3)) * 1.0

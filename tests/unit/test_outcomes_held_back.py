@@ -23,6 +23,7 @@ from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.protocol import Engine, Progress, says_at_hand
 from petmjx.engines.subprocess.attempt_process import AttemptAnswer, AttemptTask
 from petmjx.engines.verdict import Flag, Outcome, Verdict
+from petmjx.engines.world_results import World
 from petmjx.options.simulation import Simulation
 from petmjx.results.run_reader import load_run
 from petmjx.results.run_writer import RunWriter
@@ -142,7 +143,7 @@ def test_attempts_beside_a_silent_engine_are_shown_in_its_pauses(monkeypatch: py
             yield outcome_of(1, Verdict.STABLE)
 
     monkeypatch.setattr(attempts, "AttemptProcess", lambda _: Beside())
-    monkeypatch.setattr("petmjx.engines.attempt_runner.outcome_checks", lambda outcomes, jobs, sim: list(outcomes))
+    monkeypatch.setattr("petmjx.engines.attempt_runner.outcome_checks", unchecked)
     for result in score_worlds(worlds_failing(0, 0), Simulation(), Device()):
         seen.append(result.world.plan.plan_id)
     assert seen == ["p0", "p1"]
@@ -169,6 +170,51 @@ def test_an_outcome_is_shown_in_a_pause_if_the_next_one_does_not_come() -> None:
     for result in score_worlds(worlds_failing(0, 0), Simulation(), Device()):
         seen.append(result.world.plan.plan_id)
     assert seen == ["p0", "p1"]
+
+
+def test_worlds_follow_while_an_attempt_runs_beside_an_idle_engine(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A CPU thread makes a further attempt at one world, and the engine has nothing else to do. Before the attempt
+    ends, the caller has another world, as a packer whose next search has ended. The engine simulates this world at
+    once."""
+    first, second = worlds_failing(0, 0)
+    beside: list[AttemptTask] = []
+    runs: list[int] = []
+
+    class Beside:
+        def begin(self, task: AttemptTask) -> None:
+            beside.append(task)
+
+        def ended(self, *, wait: bool) -> Iterator[AttemptAnswer]:
+            assert not wait, "the world that follows would have to wait for the attempt"
+            if len(runs) == 2:
+                yield AttemptAnswer(beside.pop().number, make_outcome(1), "")
+
+        def close(self) -> None:
+            pass
+
+    class Device(Engine):
+        name = "mjx-warp"
+
+        def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+            runs.append(len(jobs))
+            outcome = outcome_of(0, Verdict.UNSTABLE if len(runs) == 1 else Verdict.STABLE)
+            outcome.flags |= Flag.SINKING if len(runs) == 1 else Flag.NONE
+            yield outcome
+
+    nothing: list[list[World]] = [[]] * 4  # what the caller has while the attempt runs, call by call
+
+    def following() -> list[World]:
+        return (nothing.pop() if nothing else [second]) if beside and len(runs) == 1 else []
+
+    monkeypatch.setattr(attempts, "AttemptProcess", lambda _: Beside())
+    monkeypatch.setattr("petmjx.engines.attempt_runner.outcome_checks", unchecked)
+    results = list(score_worlds([first], Simulation(), Device(), following=following))
+    assert [result.world for result in results] == [second, first]
+    assert runs == [1, 1]
+
+
+def unchecked(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation, **_: Any) -> list[Outcome]:
+    return list(outcomes)
 
 
 def test_no_pause_is_asked_of_an_engine_that_does_not_know_them() -> None:
