@@ -142,13 +142,26 @@ def test_tables_are_those_of_a_run_without_workers(
     assert (shared.info["config"]["workers"], shared.info["config"]["ray"]) == (2, None)
 
 
+def wait_for_two(pool: WorkerPool) -> None:
+    """Wait until both workers are ready. A worker that does not become ready is killed and started again: Ray once lost
+    the start of a worker, and had not found it after 11 minutes. A run would continue with the other worker."""
+    for _ in range(3):
+        deadline = time.monotonic() + 40.0
+        while len(pool.pids) < 2 and time.monotonic() < deadline:
+            for worker, ref in pool._news():
+                pool._greet(worker, ref)
+        for lost in [worker for worker in pool._workers if not worker.ready]:
+            pool._kill(lost)
+            pool._workers[pool._workers.index(lost)] = pool._start(lost.place)
+        if len(pool.pids) == 2:
+            return
+    pytest.fail("no second worker got ready")
+
+
 @pytest.mark.usefixtures("free_cluster")
-@pytest.mark.parametrize("least", [None, 1])
-def test_workers_with_kernels_give_the_tables_of_one_process(
-    least: int | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_workers_with_kernels_give_the_tables_of_one_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Drives (motions of the carrier) start from settled states, which may come from the other worker. Piles whose
-    contacts are too soft are placed again in stiffer contacts, among the other worlds. ``least``: if a number, jobs are
+    contacts are too soft are placed again in stiffer contacts, among the other worlds. In the second run, jobs are
     dealt as to devices."""
     heavy = stack(2, size_mm=(400, 300, 200), kg=(0.02, 300.0))
     plans = [
@@ -158,11 +171,17 @@ def test_workers_with_kernels_give_the_tables_of_one_process(
     ]
     (file := tmp_path / "sweep.toml").write_text(GRID)
     alone = petmjx.sweep(file, plans, engine="mjx-warp-cpu", threads=1)
-    monkeypatch.setattr(pool_module, "LEAST", {} if least is None else {"mjx-warp-cpu": least})
-    shared = petmjx.sweep(file, plans, engine="mjx-warp-cpu", workers=2, threads=1)
-    assert_same(shared, tables(alone))
-    assert set(shared.attempts.attempt) == {1, 6}
-    assert set(shared.attempts.engine) == {"mjx-warp-cpu"}
+    pool = WorkerPool(Recipe("mjx-warp-cpu", {"threads": 1}), [Place(1), Place(1)], Cluster())
+    try:
+        wait_for_two(pool)
+        for least in ({}, {"mjx-warp-cpu": 1}):
+            monkeypatch.setattr(pool_module, "LEAST", least)
+            shared = petmjx.sweep(file, plans, engine=pool)
+            assert_same(shared, tables(alone))
+            assert set(shared.attempts.attempt) == {1, 6}
+            assert set(shared.attempts.engine) == {"mjx-warp-cpu"}
+    finally:
+        pool.close()
 
 
 @pytest.mark.usefixtures("free_cluster")
@@ -260,22 +279,6 @@ def test_an_error_in_a_worker_is_raised_here_and_leaves_the_pool_usable(pool: Wo
     with pytest.raises(RuntimeError, match=r"a worker failed: .*no number"):
         list(pool.run([Job(fake_scene(1.0), start=_Unreadable())], SHORT))
     assert len(list(pool.run([Job(fake_scene(1.0))], SHORT))) == 1
-
-
-def wait_for_two(pool: WorkerPool) -> None:
-    """Wait until both workers are ready. A worker that does not become ready is killed and started again: Ray once lost
-    the start of a worker, and had not found it after 11 minutes. A run would continue with the other worker."""
-    for _ in range(3):
-        deadline = time.monotonic() + 40.0
-        while len(pool.pids) < 2 and time.monotonic() < deadline:
-            for worker, ref in pool._news():
-                pool._greet(worker, ref)
-        for lost in [worker for worker in pool._workers if not worker.ready]:
-            pool._kill(lost)
-            pool._workers[pool._workers.index(lost)] = pool._start(lost.place)
-        if len(pool.pids) == 2:
-            return
-    pytest.fail("no second worker got ready")
 
 
 def test_a_place_where_no_worker_gets_ready_any_more_is_left(
