@@ -199,7 +199,9 @@ def test_a_fall_is_seen_at_the_next_sample_and_ends_the_world(engine: FakeEngine
     assert fallen.n_steps % 25 == 0
     assert fallen.boxes.drop_s[1] == pytest.approx(fallen.n_steps * DT)
     assert np.isnan(fallen.boxes.rest_top_force_n).all()
-    assert standing.verdict is Verdict.STABLE
+    assert (standing.verdict, standing.culprit) == (Verdict.STABLE, -1)
+    assert np.isnan(standing.first_sign_s)
+    assert standing.n_steps == plainly((1.0, 1.0, 1.0), SHORT).end, "although others in the batch have ended"
     on = SHORT.changed(early_stop=False)
     (full_run,) = run_all(engine, jobs[:1], on)
     assert full_run.n_placed == 3
