@@ -165,6 +165,10 @@ LONGEST_FIRST = (
     "test_score",
     "test_soft",
     "test_toppling",
+    "test_physical_packer",
+    "test_pictures",
+    "test_slip",
+    "test_warp_small_world_blocks",
 )
 """Files that take longest, 50 to 8 s of CPU time, also of browsers and of processes that are started. With several test
 processes (``make test``) each takes the next file when it is through with one. A long file that comes last leaves the

@@ -49,7 +49,8 @@ def check_program(
         step = jax.lax.scan(lambda state, corner: petmjx.jax.place(state, SIZE, corner, MASS), state, jnp.array(steps))
         return step, petmjx.jax.try_all(step[0], *candidates)
 
-    (after, report), tried = program(state)
+    # arrays of NumPy, since JAX would compile each index
+    (after, report), tried = jax.tree.map(np.asarray, program(state))
     pallets, exactly = petmjx.Pallets(2, engine=engine, most_boxes=most_boxes), engine == "mujoco"
     for number, corners in enumerate(steps):
         expected = pallets.place(size_mm=SIZE, corner_mm=corners, mass_kg=MASS)
@@ -81,7 +82,7 @@ def test_on_mjx_warp_the_kernel_runs_inside_the_program() -> None:
     assert tried.stable.tolist() == [True, False]
     one = petmjx.jax.empty(1, engine=engine(), most_boxes=4)
     place = jax.jit(jax.vmap(lambda *box: petmjx.jax.place(one, *box)[1]))
-    vmapped = place(SIZE[:, None], STEPS[0][:, None].astype(np.float32), MASS[:, None])
+    vmapped = jax.tree.map(np.asarray, place(SIZE[:, None], STEPS[0][:, None].astype(np.float32), MASS[:, None]))
     for ours, theirs in zip(jax.tree.leaves(vmapped), jax.tree.leaves(report), strict=True):
         np.testing.assert_array_equal(ours[:, 0], theirs[0])
 

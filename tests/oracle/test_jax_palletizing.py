@@ -49,22 +49,28 @@ def env() -> petmjx.jax.Palletizing:
     return petmjx.jax.Palletizing(**OPTIONS, rewards=TERMS, most_boxes=4, engine="mujoco", most_illegal=2)
 
 
-def key_of(env: petmjx.jax.Palletizing, order: int) -> jax.Array:
-    """Return a random key with which ``env.reset`` chooses this order."""
-    return next(key for key in map(jax.random.key, range(50)) if env.reset(key)[0].order == order)
+@pytest.fixture(scope="module")
+def reset(env: petmjx.jax.Palletizing) -> Any:
+    """``env.reset``, compiled once. Without ``jax.jit``, JAX compiles each of its operations."""
+    return jax.jit(env.reset)
+
+
+@pytest.fixture(scope="module")
+def step(env: petmjx.jax.Palletizing) -> Any:
+    return jax.jit(env.step)
 
 
 @pytest.mark.parametrize("order", [0, 1])
-def test_an_episode_is_that_of_the_gymnasium_environment(env: petmjx.jax.Palletizing, order: int) -> None:
+def test_an_episode_is_that_of_the_gymnasium_environment(reset: Any, step: Any, order: int) -> None:
     pytest.importorskip("gymnasium", reason="gymnasium is not installed (extra: gym)")
     from petmjx.gym.env import PalletizingEnv
 
     table = TABLE[TABLE.order_id == order]
     gym = PalletizingEnv(**{**OPTIONS, "orders": table}, rewards=TERMS, actions="cells", most_illegal=2)
-    rng, step = np.random.default_rng(order), jax.jit(env.step)
+    rng = np.random.default_rng(order)
     for _ in range(3):
         expected, _ = gym.reset(seed=0)
-        state, timestep = env.reset(key_of(env, order))
+        state, timestep = reset(jax.random.key(0), order)
         assert bool(timestep.first())
         while True:
             seen = timestep.observation
@@ -112,8 +118,8 @@ def test_vmapped_and_scanned_it_is_as_one_by_one(env: petmjx.jax.Palletizing) ->
     assert (many.extras["reward_placed"].sum(axis=1) > 0).all()
 
 
-def test_specs_fit_and_what_is_wrong_is_one_line(env: petmjx.jax.Palletizing) -> None:
-    _, timestep = env.reset(jax.random.key(0))
+def test_specs_fit_and_what_is_wrong_is_one_line(env: petmjx.jax.Palletizing, reset: Any) -> None:
+    state, timestep = reset(jax.random.key(0), 0)
     for name, seen in timestep.observation._asdict().items():
         spec = env.observation_spec[name]
         assert (spec.shape, spec.dtype) == (seen.shape, seen.dtype), spec.name
@@ -135,7 +141,6 @@ def test_specs_fit_and_what_is_wrong_is_one_line(env: petmjx.jax.Palletizing) ->
     ):
         with pytest.raises(InputError, match=message):
             petmjx.jax.Palletizing(**{**OPTIONS, **options})
-    state, _ = env.reset(jax.random.key(0))
     with pytest.raises(InputError, match=r"action must be a whole number, got 0\.5"):
         env.step(state, 0.5)  # type: ignore[arg-type]
     for order in (1.5, "a", np.float32(1), [0, 1], 2**70):

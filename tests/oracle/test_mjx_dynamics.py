@@ -17,8 +17,10 @@ from petmjx.engines.mjx.body_dynamics import Bodies, Links
 from petmjx.engines.mjx.mjx_import import mjx
 from petmjx.engines.mjx.newton import BlockSolver, Problem
 from petmjx.engines.mjx.padded_template import FLOAT32_TOLERANCE, contact_geoms, padded_template
+from petmjx.engines.mjx.slip import SlipLaw
 from petmjx.engines.mujoco.live_world import LiveWorld
 from petmjx.options.simulation import Simulation
+from petmjx.world.contact_laws import ENOUGH_M_S2, slack_m_s2
 
 SIM = Simulation(physics={"skin_m": 0.0})
 ROUNDING = 2e-5
@@ -109,3 +111,55 @@ def test_the_solver_finds_the_accelerations_and_forces_of_c() -> None:
         assert force[:, 0].sum() == pytest.approx(data.efc_force[::3].sum(), rel=1e-3)
         slid = max(slid, float(np.hypot(*force[:, 1:].T).max()))
     assert slid > 10.0, "friction acts"
+
+
+class OneContact(BlockSolver):
+    """A solver for worlds of one contact, without physics: friction slows the contact by ``SLOWS`` times the normal
+    row's reference acceleration. Unlike Newton's method, it does not depend on where it starts."""
+
+    SLOWS = 0.4
+
+    def __init__(self) -> None:
+        self.links = self  # type: ignore[assignment]  # SlipLaw asks the links for ``along``
+
+    def along(self, jacobian: jax.Array, velocity: jax.Array) -> jax.Array:
+        """The (1, 3) rows, which are the velocities themselves."""
+        return velocity[None]
+
+    def solve(self, problem: Problem, pull: jax.Array, start: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """The accelerations, forces and residuals; the accelerations are the reference accelerations."""
+        return pull[0], jnp.zeros_like(pull), pull.at[:, 1].add(-self.SLOWS * pull[:, 0])
+
+
+def test_a_sliding_contact_is_corrected_alone_as_beside_others() -> None:
+    friction, normal = 0.5, 5.0
+    towed = np.array([30.0, 0.0, 3.0, 8.0, 60.0, 15.0])  # reference accelerations along the ground; 0: at rest
+    worlds, law = len(towed), SlipLaw(SIM.physics, OneContact())
+    zeros = jnp.zeros((worlds, 1, 3))
+    problem = Problem(
+        mass=zeros[:, 0],
+        smooth=zeros[:, 0],
+        jacobian=jnp.zeros((worlds, 1, 3, 12)),
+        stiffness=zeros + 1.0,
+        sliding=zeros[..., 1:] + friction,
+        mu=zeros[..., 0],
+        least=zeros[:, 0, 0],
+        iterations=jnp.zeros(worlds, jnp.int32),
+        evaluations=jnp.zeros(worlds, jnp.int32),
+    )
+    solve = jax.jit(law.solve)
+
+    def corrected(towed: FloatArray) -> FloatArray:
+        """(world,) the corrected reference acceleration along the normal."""
+        pull = np.stack([np.full(worlds, normal), towed, np.zeros(worlds)], axis=-1)[:, None]
+        return np.asarray(solve(problem, single(pull), zeros[:, 0])[0])[:, 0]
+
+    beside_others = corrected(towed)
+    for world in range(worlds):
+        alone = np.where(np.arange(worlds) == world, towed, 0.0)
+        assert corrected(alone)[world] == beside_others[world]
+    # the excess of which a further round changes nothing
+    left = np.maximum(towed - slack_m_s2(SIM.physics) - OneContact.SLOWS * normal, 0.0)
+    excess = left / (1 - OneContact.SLOWS * friction)
+    few_m_s2 = ENOUGH_M_S2 / (1 - OneContact.SLOWS * friction)
+    np.testing.assert_allclose(beside_others, normal - friction * excess, atol=few_m_s2)

@@ -18,7 +18,6 @@ from petmjx.engines.mjx.batch_step import PaddedModel, StepResult
 from petmjx.engines.mjx.engine import Program
 from petmjx.engines.mjx.host_to_device import Batch, is_out_of_memory
 from petmjx.engines.mjx.padded_template import FIRST_BOX_BODY
-from petmjx.engines.protocol import Progress
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.options.simulation import Simulation
 from petmjx.world.history import Record
@@ -129,23 +128,17 @@ class SmallDevice(FakeEngine):
         return replace(program, chunk=chunk)
 
 
-def test_too_large_batches_are_halved_until_they_fit(healthy: list[Outcome]) -> None:
-    engine, progress = SmallDevice(16, 64), Progress()
-    outcomes = run_all(engine, JOBS, SHORT, progress)
-    assert engine.tried == [64, 32, 16, 16, 16]
-    for outcome, expected in zip(outcomes, healthy, strict=True):
-        assert_same(outcome, expected)
-
-
-def test_a_run_that_found_little_memory_does_not_bind_the_next(healthy: list[Outcome]) -> None:
+def test_too_large_batches_are_halved_until_they_fit_and_the_next_run_begins_with_large_ones(
+    healthy: list[Outcome],
+) -> None:
     engine = SmallDevice(16, 64)
-    run_all(engine, JOBS, SHORT)
-    engine.holds = 64
-    engine.tried.clear()
-    outcomes = run_all(engine, JOBS, SHORT)
-    assert engine.tried == [64]
-    for outcome, expected in zip(outcomes, healthy, strict=True):
-        assert_same(outcome, expected)
+    for holds, tried in ((16, [64, 32, 16, 16, 16]), (64, [64])):
+        engine.holds = holds
+        engine.tried.clear()
+        outcomes = run_all(engine, JOBS, SHORT)
+        assert engine.tried == tried
+        for outcome, expected in zip(outcomes, healthy, strict=True):
+            assert_same(outcome, expected)
 
 
 def test_memory_that_runs_out_midway_leaves_no_frames() -> None:
@@ -159,8 +152,8 @@ def test_memory_that_runs_out_midway_leaves_no_frames() -> None:
 
 def test_a_device_without_any_room_gives_invalid_worlds() -> None:
     engine = SmallDevice(0, 2)
-    outcomes = run_all(engine, JOBS[:6], SHORT)
-    assert engine.tried == [2, *[1] * 6]
+    outcomes = run_all(engine, JOBS[:3], SHORT)  # programs are compiled anew after each lack of memory
+    assert engine.tried == [2, *[1] * 3]
     for outcome in outcomes:
         assert (outcome.verdict, outcome.reason) == (Verdict.INVALID, Reason.OUT_OF_MEMORY)
         assert outcome.flags & Flag.OUT_OF_MEMORY

@@ -100,11 +100,14 @@ def placements(outcome: Outcome, sim: Simulation) -> np.ndarray:
     return middle - mean_age
 
 
+LANES = 16
+
+
 @pytest.fixture(scope="module")
 def engine() -> FakeEngine:
-    """The engine of all these tests, since programs take long to compile. The 40 worlds make three batches of two
-    sizes."""
-    return FakeEngine(16)
+    """The engine of all these tests. Programs take long to compile, so batches are as large as the engine makes them.
+    The 40 worlds make three batches of two sizes."""
+    return FakeEngine(LANES)
 
 
 MASSES = [
@@ -166,7 +169,7 @@ def test_a_static_world_stands_from_the_soft_start_on(schedule: Schedule) -> Non
 def test_the_shape_of_the_batch_does_not_matter(engine: FakeEngine) -> None:
     jobs = [Job(fake_scene(*masses)) for masses in MASSES if len(masses) <= 4]  # one size: fewer programs to compile
     expected = run_all(engine, jobs, SHORT)
-    for jobs_there, lanes in ((jobs, 64), (jobs[:7], 3), (jobs[4:5], 1)):
+    for jobs_there, lanes in ((jobs[:7], 3), (jobs[4:5], 1)):
         first = jobs.index(jobs_there[0])
         for k, outcome in enumerate(run_all(FakeEngine(lanes), jobs_there, SHORT)):
             assert_same(outcome, expected[first + k])
@@ -185,8 +188,8 @@ def test_a_batch_has_worlds_that_are_alike() -> None:
 
 
 def test_a_fall_is_seen_at_the_next_sample_and_ends_the_world(engine: FakeEngine) -> None:
-    jobs = [Job(fake_scene(1.0, FALLS_KG, 1.0)), Job(fake_scene(1.0, 1.0, 1.0))]
-    fallen, standing = run_all(engine, jobs, SHORT)
+    jobs = LANES // 2 * [Job(fake_scene(1.0, FALLS_KG, 1.0)), Job(fake_scene(1.0, 1.0, 1.0))]
+    *_, fallen, standing = run_all(engine, jobs, SHORT)
     assert (fallen.verdict, fallen.reason, fallen.culprit) == (Verdict.UNSTABLE, Reason.DROP, 1)
     assert fallen.flags & Flag.EARLY_STOP
     assert fallen.n_placed == 2
@@ -196,7 +199,9 @@ def test_a_fall_is_seen_at_the_next_sample_and_ends_the_world(engine: FakeEngine
     assert fallen.n_steps % 25 == 0
     assert fallen.boxes.drop_s[1] == pytest.approx(fallen.n_steps * DT)
     assert np.isnan(fallen.boxes.rest_top_force_n).all()
-    assert standing.verdict is Verdict.STABLE
+    assert (standing.verdict, standing.culprit) == (Verdict.STABLE, -1)
+    assert np.isnan(standing.first_sign_s)
+    assert standing.n_steps == plainly((1.0, 1.0, 1.0), SHORT).end, "although others in the batch have ended"
     on = SHORT.changed(early_stop=False)
     (full_run,) = run_all(engine, jobs[:1], on)
     assert full_run.n_placed == 3
@@ -224,8 +229,8 @@ def test_a_drive_starts_when_the_pallet_is_quiet_and_lasts_as_long_as_its_profil
     engine: FakeEngine, kind: str
 ) -> None:
     level = 0.01 if kind == "force" else 5.0
-    drives = [pushes(kind, steps, level) for steps in (30, 61)]
-    masses = [(1.0, 60.0, 1.0), (1.0, 90.0)]
+    drives = [pushes(kind, steps, level) for steps in range(30, 30 + 2 * LANES, 2)]
+    masses = LANES // 2 * [(1.0, 60.0, 1.0), (1.0, 90.0)]
     jobs = [Job(fake_scene(*m), drive) for m, drive in zip(masses, drives, strict=True)]
     for m, drive, outcome in zip(masses, drives, run_all(engine, jobs, SHORT), strict=True):
         assert outcome.n_steps == plainly(m, SHORT).end + len(drive.excitation.samples) + 100
@@ -288,9 +293,10 @@ def test_forks_share_one_settled_state_and_equal_whole_runs(engine: FakeEngine, 
 
 
 def test_a_world_that_fell_skips_its_drive(engine: FakeEngine) -> None:
-    (outcome,) = run_all(engine, [Job(fake_scene(FALLS_KG), pushes("force", 30, 0.01))], SHORT)
-    assert outcome.reason is Reason.DROP
-    assert np.isnan(outcome.boxes.max_sway_m).all()
+    jobs = [Job(fake_scene(FALLS_KG), pushes("force", steps, 0.01)) for steps in range(30, 30 + LANES)]
+    for outcome in run_all(engine, jobs, SHORT):
+        assert outcome.reason is Reason.DROP
+        assert np.isnan(outcome.boxes.max_sway_m).all()
 
 
 # ---------------------------------------------------------------------- compilation
@@ -298,11 +304,11 @@ def test_a_world_that_fell_skips_its_drive(engine: FakeEngine) -> None:
 
 def test_one_program_a_shape() -> None:
     """Other jobs, another number of jobs and another run all use the same program."""
-    fresh = FakeEngine(16)
+    fresh = FakeEngine(LANES)
     for masses in (MASSES[:32], [m[::-1] for m in MASSES[:25]]):
         run_all(fresh, [Job(fake_scene(*m)) for m in masses], SHORT)
     shapes = [(key.capacity, key.worlds, key.drive) for key in fresh.programs]
-    assert sorted(shapes) == [(4, 16, None), (8, FEWEST_WORLDS, None)]
+    assert sorted(shapes) == [(4, LANES, None), (8, FEWEST_WORLDS, None)]
 
 
 def test_one_placement_program_and_few_for_drives() -> None:

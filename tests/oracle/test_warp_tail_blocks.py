@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from types import SimpleNamespace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -28,6 +29,9 @@ from petmjx.options.simulation import Simulation
 ONE = BlockPool(Launch(4, SIZES[0].threads, 2, 0, 37), 4, 40, 1, 420, 336)
 TWO_LAST = replace(ONE, blocks=2, last=True)
 
+_expected_tail = jax.jit(expected_tail, static_argnums=3)
+"""Compiled as a whole. Otherwise, JAX compiles each of its operations for each number of worlds."""
+
 
 def expected(steps: list[int], ended: list[int], lanes: int = 1, spare: int = 0) -> list[int]:
     """Return the numbers of the worlds that are expected to be last.
@@ -39,8 +43,8 @@ def expected(steps: list[int], ended: list[int], lanes: int = 1, spare: int = 0)
     """
     queued, n = len(steps), len(steps) + spare
     order = jnp.array([[*range(1, queued), -1], [0, *[-1] * (queued - 1)]], jnp.int32)
-    running = jnp.array([world not in ended for world in range(n)])
-    return np.flatnonzero(expected_tail(order, jnp.array(steps + [0] * spare, jnp.int32), running, lanes)).tolist()
+    running = jnp.array(~np.isin(np.arange(n), ended))
+    return np.flatnonzero(_expected_tail(order, jnp.array(steps + [0] * spare, jnp.int32), running, lanes)).tolist()
 
 
 def test_worlds_that_have_taken_many_times_the_usual_steps_are_expected_to_be_last() -> None:

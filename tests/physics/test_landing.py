@@ -19,7 +19,7 @@ from support.plans import Box, make_plan, make_scene, stack
 from benchmarks.landings import NEAR, landed
 from petmjx.common.errors import InputError
 from petmjx.common.units import STANDARD_GRAVITY
-from petmjx.engines.mjx.body_dynamics import Bodies, Links
+from petmjx.engines.mjx.body_dynamics import Bodies, ContactRows, Links
 from petmjx.engines.mjx.landing import Landing, act
 from petmjx.engines.mjx.mjx_import import mjx
 from petmjx.engines.mjx.newton import BlockSolver, Problem
@@ -166,15 +166,20 @@ def test_mjx_changes_contacts_as_c_does() -> None:
     links = Links(device)
     boxes = live.geom_bodies[links.geoms]
     state = Landing(jnp.zeros(2, jnp.int32), jnp.zeros((2, 6)), surface, table)
+
+    @jax.jit
+    def act_in_mjx(inputs: dict[str, jax.Array], contact: Any, landing: Landing) -> tuple[ContactRows, Landing]:
+        rows = links.rows(Bodies.of(device, inputs), device, contact)
+        return act(rows, inputs["qvel"], boxes, contact, landing, links, sim)
+
     for _ in range(2):
         mujoco.mj_step1(model, data)
         contact = in_slots(mjx.put_data(model, data, impl="jax")._impl.contact, links)
-        at_rest, landing = data.efc_aref.copy(), state
+        at_rest = data.efc_aref.copy()
         landings.act(live)
         inputs = {name: jnp.asarray(getattr(data, name), jnp.float32) for name in ("qpos", "qvel")}
         with jax.numpy_rank_promotion("allow"):
-            rows = links.rows(Bodies.of(device, inputs), device, contact)
-            changed, state = act(rows, inputs["qvel"], boxes, contact, landing, links, sim)
+            changed, state = act_in_mjx(inputs, contact, state)
         active_rows = np.flatnonzero(np.asarray(changed.jacobian).reshape(-1, 12).any(axis=1))
         pulls, stiffness = (
             np.sort(np.asarray(values).reshape(-1)[active_rows]) for values in (changed.pull, changed.stiffness)
@@ -217,14 +222,18 @@ def test_mjx_stops_a_landing_wherever_its_solver_starts() -> None:
     contact = mjx.put_data(model, data, impl="jax")._impl.contact
     links = Links(device, contacts=1)
     solver = BlockSolver(links)
-    bodies = Bodies.of(device, {name: jnp.asarray(getattr(data, name), jnp.float32) for name in ("qpos", "qvel")})
-    with jax.numpy_rank_promotion("allow"):
+    inputs = {name: jnp.asarray(getattr(data, name), jnp.float32) for name in ("qpos", "qvel")}
+
+    @jax.jit
+    def solved(starts: jax.Array) -> jax.Array:
+        bodies = Bodies.of(device, inputs)
         rows = links.rows(bodies, device, contact)
-    problem = Problem.of(device, bodies.mass, bodies.smooth(device, jnp.zeros((1, 6))), rows)
-    solved = jax.jit(jax.vmap(lambda start: solver.solve(problem, rows.pull, start)[0]))
-    np.testing.assert_allclose(
-        solved(jnp.asarray(starts, jnp.float32)), np.tile(data.qacc, (64, 1)), atol=SAME_ACCELERATION
-    )
+        problem = Problem.of(device, bodies.mass, bodies.smooth(device, jnp.zeros((1, 6))), rows)
+        return jax.vmap(lambda start: solver.solve(problem, rows.pull, start)[0])(starts)
+
+    with jax.numpy_rank_promotion("allow"):
+        qacc = solved(jnp.asarray(starts, jnp.float32))
+    np.testing.assert_allclose(qacc, np.tile(data.qacc, (64, 1)), atol=SAME_ACCELERATION)
 
 
 @pytest.mark.slow

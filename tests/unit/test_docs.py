@@ -82,7 +82,7 @@ def source_of(path: Path) -> Source:
     tree = ast.parse(source)
     texts = []
     names_in_classes: set[str] = set()
-    for node in ast.walk(tree):
+    for node in statements_of(tree):
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
             texts += [(node.lineno + number - 1, line) for number, line in lines_of(node.value.value)]
         elif isinstance(node, ast.ClassDef):
@@ -91,6 +91,15 @@ def source_of(path: Path) -> Source:
         if comment := match["comment"]:
             texts.append((source.count("\n", 0, match.start()) + 1, comment))
     return Source(tuple(texts), members_of(tree.body), frozenset(names_in_classes))
+
+
+def statements_of(node: ast.AST) -> Iterator[ast.stmt]:
+    """All statements in a module or statement. ``ast.walk`` takes three times as long, since it visits expressions."""
+    for field in ("body", "handlers", "cases", "orelse", "finalbody"):
+        for part in getattr(node, field, ()):
+            if isinstance(part, ast.stmt):
+                yield part
+            yield from statements_of(part)
 
 
 def members_of(body: list[ast.stmt]) -> Members:

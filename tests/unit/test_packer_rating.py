@@ -108,7 +108,7 @@ def run_of(plans: Mapping[str, Plan], verdicts: Mapping[str, str], with_orders: 
     return SimpleNamespace(worlds=pd.DataFrame(worlds), plans=pd.DataFrame(columns), carrier=Carrier.FOOTPRINT, info={})
 
 
-def test_a_thousand_entries_are_rated_from_0_to_1_and_honest_ones_do_not_move() -> None:
+def test_hundreds_of_entries_are_rated_from_0_to_1_and_honest_ones_do_not_move() -> None:
     rng = np.random.default_rng(56)
     orders = {f"o{k}": order_of(rng) for k in range(2)}
     n_ordered = sum(len(order.items) for order in orders.values())
@@ -122,7 +122,7 @@ def test_a_thousand_entries_are_rated_from_0_to_1_and_honest_ones_do_not_move() 
     plans: dict[str, dict[str, Plan]] = {"all": honest, "one": {"o1": honest["o1"]}}
     verdicts = {"all": dict.fromkeys(orders, "stable"), "one": {"o1": "stable"}}
     expected = {"all": 1.0, "one": len(orders["o1"].items) / n_ordered}
-    for number in range(1000):
+    for number in range(300):
         name = f"stranger {number}"
         plans[name], verdicts[name], standing = {}, {}, 0
         for plan_id, order in orders.items():

@@ -110,7 +110,7 @@ def test_what_is_there_is_not_simulated_again(kind: str, after: int, tmp_path: P
 def test_runs_that_are_killed_many_times_go_on(tmp_path: Path) -> None:
     """The runs are killed in a process of their own, since killing uses fork."""
     script = Path(__file__).parents[1] / "support" / "kills.py"
-    kills = {"score": 16, "grid": 8, "search": 8}
+    kills = {"score": 8, "grid": 4, "search": 4}
     command = [sys.executable, str(script), str(tmp_path), *(str(word) for pair in kills.items() for word in pair)]
     environment = {**os.environ, "PYTHONPATH": str(script.parents[2])}
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)

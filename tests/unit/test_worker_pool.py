@@ -63,20 +63,44 @@ def cluster() -> Iterator[None]:
         cluster = Cluster()
     assert process_state() == before
     yield
+    close_pool()
     cluster.close()
     assert process_state() == before
     assert not ray.is_initialized()
 
 
+_kept: list[WorkerPool] = []
+"""The pool of the tests that leave it usable, since a worker takes a second of a core to start."""
+
+
+def close_pool() -> None:
+    while _kept:
+        _kept.pop().close()
+
+
 @pytest.fixture
-def pool() -> Iterator[WorkerPool]:
-    pool = WorkerPool(MUJOCO, [Place(1), Place(1)], Cluster())
+def pool() -> WorkerPool:
+    """Two workers, which take both CPUs of the cluster."""
+    if not _kept:
+        _kept.append(WorkerPool(MUJOCO, [Place(1), Place(1)], Cluster()))
+    return _kept[0]
+
+
+@pytest.fixture
+def free_cluster() -> None:
+    """For tests that start other workers."""
+    close_pool()
+
+
+@pytest.fixture
+def lost_pool(free_cluster: None, pool: WorkerPool) -> Iterator[WorkerPool]:
+    """Two workers for a test after which the pool starts no more workers."""
     yield pool
-    pool.close()
+    close_pool()
 
 
 class Killer:
-    """A watcher that kills a worker each time that this number of worlds has ended."""
+    """A watcher that kills a worker each time that this number of worlds has ended, but not more than two workers."""
 
     def __init__(self, pool: WorkerPool, every: int) -> None:
         self.pool, self.every, self.done, self.killed = pool, every, 0, 0
@@ -85,7 +109,7 @@ class Killer:
 
     def world_done(self, world: object) -> None:
         self.done += 1
-        if self.done % self.every == 0 and self.pool.pids:
+        if self.done % self.every == 0 and self.pool.pids and self.killed < 2:
             os.kill(self.pool.pids[0], signal.SIGKILL)
             self.killed += 1
 
@@ -105,6 +129,7 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> dict[str, petmjx.RunResul
     return {kind: run(kind, tmp_path_factory.mktemp("alone"), engine=MujocoEngine(1)) for kind in kinds}
 
 
+@pytest.mark.usefixtures("free_cluster")
 @pytest.mark.parametrize("kind", ["grid", "search"])
 def test_tables_are_those_of_a_run_without_workers(
     kind: str, alone: dict[str, petmjx.RunResults], tmp_path: Path
@@ -117,12 +142,26 @@ def test_tables_are_those_of_a_run_without_workers(
     assert (shared.info["config"]["workers"], shared.info["config"]["ray"]) == (2, None)
 
 
-@pytest.mark.parametrize("least", [None, 1])
-def test_workers_with_kernels_give_the_tables_of_one_process(
-    least: int | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def wait_for_two(pool: WorkerPool) -> None:
+    """Wait until both workers are ready. A worker that does not become ready is killed and started again: Ray once lost
+    the start of a worker, and had not found it after 11 minutes. A run would continue with the other worker."""
+    for _ in range(3):
+        deadline = time.monotonic() + 40.0
+        while len(pool.pids) < 2 and time.monotonic() < deadline:
+            for worker, ref in pool._news():
+                pool._greet(worker, ref)
+        for lost in [worker for worker in pool._workers if not worker.ready]:
+            pool._kill(lost)
+            pool._workers[pool._workers.index(lost)] = pool._start(lost.place)
+        if len(pool.pids) == 2:
+            return
+    pytest.fail("no second worker got ready")
+
+
+@pytest.mark.usefixtures("free_cluster")
+def test_workers_with_kernels_give_the_tables_of_one_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Drives (motions of the carrier) start from settled states, which may come from the other worker. Piles whose
-    contacts are too soft are placed again in stiffer contacts, among the other worlds. ``least``: if a number, jobs are
+    contacts are too soft are placed again in stiffer contacts, among the other worlds. In the second run, jobs are
     dealt as to devices."""
     heavy = stack(2, size_mm=(400, 300, 200), kg=(0.02, 300.0))
     plans = [
@@ -132,13 +171,20 @@ def test_workers_with_kernels_give_the_tables_of_one_process(
     ]
     (file := tmp_path / "sweep.toml").write_text(GRID)
     alone = petmjx.sweep(file, plans, engine="mjx-warp-cpu", threads=1)
-    monkeypatch.setattr(pool_module, "LEAST", {} if least is None else {"mjx-warp-cpu": least})
-    shared = petmjx.sweep(file, plans, engine="mjx-warp-cpu", workers=2, threads=1)
-    assert_same(shared, tables(alone))
-    assert set(shared.attempts.attempt) == {1, 6}
-    assert set(shared.attempts.engine) == {"mjx-warp-cpu"}
+    pool = WorkerPool(Recipe("mjx-warp-cpu", {"threads": 1}), [Place(1), Place(1)], Cluster())
+    try:
+        wait_for_two(pool)
+        for least in ({}, {"mjx-warp-cpu": 1}):
+            monkeypatch.setattr(pool_module, "LEAST", least)
+            shared = petmjx.sweep(file, plans, engine=pool)
+            assert_same(shared, tables(alone))
+            assert set(shared.attempts.attempt) == {1, 6}
+            assert set(shared.attempts.engine) == {"mjx-warp-cpu"}
+    finally:
+        pool.close()
 
 
+@pytest.mark.usefixtures("free_cluster")
 @pytest.mark.gpu
 @pytest.mark.parametrize("kind", ["score", "grid", "search"])
 def test_gpu_workers_give_the_tables_of_one_process(kind: str, tmp_path_factory: pytest.TempPathFactory) -> None:
@@ -224,48 +270,45 @@ def test_a_run_that_is_left_in_the_middle_leaves_the_pool_usable(pool: WorkerPoo
     assert set(pids) <= set(pool.pids)
 
 
-def wait_for_two(pool: WorkerPool) -> None:
-    """Wait until both workers are ready. A worker that does not become ready is killed and started again: Ray once lost
-    the start of a worker, and had not found it after 11 minutes. A run would continue with the other worker."""
-    for _ in range(3):
-        deadline = time.monotonic() + 40.0
-        while len(pool.pids) < 2 and time.monotonic() < deadline:
-            for worker, ref in pool._news():
-                pool._greet(worker, ref)
-        for lost in [worker for worker in pool._workers if not worker.ready]:
-            pool._kill(lost)
-            pool._workers[pool._workers.index(lost)] = pool._start(lost.place)
-        if len(pool.pids) == 2:
-            return
-    pytest.fail("no second worker got ready")
+class _Unreadable:
+    def __reduce__(self) -> Any:
+        return int, ("no number",)
 
 
-def test_a_place_where_no_worker_gets_ready_any_more_is_left(pool: WorkerPool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_in_a_worker_is_raised_here_and_leaves_the_pool_usable(pool: WorkerPool) -> None:
+    with pytest.raises(RuntimeError, match=r"a worker failed: .*no number"):
+        list(pool.run([Job(fake_scene(1.0), start=_Unreadable())], SHORT))
+    assert len(list(pool.run([Job(fake_scene(1.0))], SHORT))) == 1
+
+
+def test_a_place_where_no_worker_gets_ready_any_more_is_left(
+    lost_pool: WorkerPool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """For example, a GPU may have broken down."""
-    wait_for_two(pool)
+    wait_for_two(lost_pool)
     jobs = [Job(fake_scene(1.0, 10.0 + k)) for k in range(30)]
-    outcomes = pool.run(jobs, SHORT)
+    outcomes = lost_pool.run(jobs, SHORT)
     next(outcomes)
-    monkeypatch.setattr(pool, "_recipe", Recipe("none"))
+    monkeypatch.setattr(lost_pool, "_recipe", Recipe("none"))
     monkeypatch.setattr(pool_module, "FALSE_STARTS", 1)
-    os.kill(pool.pids[0], signal.SIGKILL)
+    os.kill(lost_pool.pids[0], signal.SIGKILL)
     assert len(list(outcomes)) == 29
     patience = time.monotonic() + 60.0  # a worker needs a second or two until it reports that it cannot start
-    while len(pool._places) == 2 and time.monotonic() < patience:
-        assert len(list(pool.run(jobs * 8, SHORT))) == 240
-    assert len(pool._places) == 1
+    while len(lost_pool._places) == 2 and time.monotonic() < patience:
+        assert len(list(lost_pool.run(jobs * 8, SHORT))) == 240
+    assert len(lost_pool._places) == 1
 
 
 def test_a_ray_of_this_machine_that_has_died_is_not_waited_for(
-    pool: WorkerPool, monkeypatch: pytest.MonkeyPatch
+    lost_pool: WorkerPool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """For example, Ray's process may have been killed because memory was short. No worker can then be started any
     more."""
-    outcomes = pool.run([Job(fake_scene(1.0, 10.0 + k)) for k in range(30)], SHORT)
+    outcomes = lost_pool.run([Job(fake_scene(1.0, 10.0 + k)) for k in range(30)], SHORT)
     next(outcomes)
     monkeypatch.setattr(pool_module, "START_S", 0.0)
     monkeypatch.setattr(Cluster, "nodes", [])
-    os.kill(pool.pids[0], signal.SIGKILL)
+    os.kill(lost_pool.pids[0], signal.SIGKILL)
     with pytest.raises(PetmjxError, match="Ray died on this machine"):
         list(outcomes)
 
@@ -278,15 +321,8 @@ def _ready(recipe: Recipe) -> None:
         pool.close()
 
 
-class _Unreadable:
-    def __reduce__(self) -> Any:
-        return int, ("no number",)
-
-
-def test_errors_in_workers_are_raised_here(pool: WorkerPool, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(RuntimeError, match=r"a worker failed: .*no number"):
-        list(pool.run([Job(fake_scene(1.0), start=_Unreadable())], SHORT))
-    pool.close()
+@pytest.mark.usefixtures("free_cluster")
+def test_workers_that_cannot_start_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match="unknown engine 'none'"):
         _ready(Recipe("none"))
     monkeypatch.setattr(pool_module, "package_versions", lambda: {"mujoco": "0.1"})
@@ -294,6 +330,7 @@ def test_errors_in_workers_are_raised_here(pool: WorkerPool, monkeypatch: pytest
         _ready(MUJOCO)
 
 
+@pytest.mark.usefixtures("free_cluster")
 def test_auto_counts_what_the_cluster_has(tmp_path: Path) -> None:
     shared = petmjx.score(PLANS[:4], workers="auto")
     reason = shared.info["config"]["engine_reason"]

@@ -47,7 +47,9 @@ def test_a_signal_ends_a_command_with_workers_and_it_goes_on_without(
     plans = write(tmp_path / "plans.json", {f"p{k:03}": TOWER for k in range(30)})
     options = ["--engine", "mujoco", "--out", str(tmp_path / "o"), "--workers", "1", "--threads", "1"]
     command = [sys.executable, "-c", _INTERRUPTED, "score", str(plans), *options]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as child:
+    # SIGTERM also ends the head of the cluster, to which Ray wants to report for 5 s
+    environment = {**os.environ, "RAY_task_events_shutdown_flush_timeout_ms": "200"}
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment, start_new_session=True) as child:
         assert child.stderr is not None
         heads = []
         for line in child.stderr:
