@@ -26,7 +26,7 @@ class SlipLaw:
         self, problem: Problem, pull: Float[Array, "world contact 3"], start: Float[Array, "world velocity"]
     ) -> tuple[Float[Array, "world velocity"], Float[Array, "world contact 3"]]:
         """The accelerations and the contact forces (N). All worlds are solved again as long as contacts in any world
-        need another round.
+        need another round. Worlds that need none keep their solution, so that it does not depend on the other worlds.
 
         Args:
             problem, pull, start: see ``BlockSolver.solve``, for each world.
@@ -35,15 +35,18 @@ class SlipLaw:
 
         def goes_on(carry: tuple[Any, ...]) -> Any:
             rounds, needs_round = carry[:2]
-            return (rounds == 0) | ((rounds <= MOST_ROUNDS) & needs_round)
+            return (rounds == 0) | ((rounds <= MOST_ROUNDS) & needs_round.any())
 
         def again(carry: tuple[Any, ...]) -> tuple[Any, ...]:
-            rounds, _, excess, start, _ = carry
+            rounds, needs_round, excess, start, force_before = carry
             qacc, force, change, matters = jax.vmap(self._round)(problem, pull, start, excess, slides)
+            matters = matters & needs_round
+            qacc = jnp.where(needs_round[:, None], qacc, start)
+            force = jnp.where(needs_round[:, None, None], force, force_before)
             excess = jnp.where(matters[:, None], excess + RELAXATION * change, excess)
-            return rounds + 1, matters.any(), excess, qacc, force
+            return rounds + 1, matters, excess, qacc, force
 
-        first: tuple[Any, ...] = (jnp.int32(0), jnp.bool_(False), excess, start, jnp.zeros_like(pull))
+        first: tuple[Any, ...] = (jnp.int32(0), jnp.ones(len(start), bool), excess, start, jnp.zeros_like(pull))
         *_, qacc, force = jax.lax.while_loop(goes_on, again, first)
         return qacc, force
 
