@@ -394,7 +394,8 @@ class Candidates:
     def _falls_early(self, key: bytes) -> bool:
         """Whether a draft with this key falls as another one did, since both begin with the same placements, and the
         other one fell before its next box was placed."""
-        return key[:-1].startswith((*self._falls,))
+        longer = key[:-1]  # a draft that ends where the other one fell waits longer after its last box
+        return longer.startswith((*self._falls,))
 
     def _scored(self, states: Sequence[State]) -> Steps[list[State]]:
         """States that were judged, with their scores."""

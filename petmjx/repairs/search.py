@@ -58,12 +58,15 @@ ALONE: Final = 0.15
 so it is built anew."""
 
 PAIR: Final = 2
+"""Once a repair with one change more than this number is known, a repair with this number of changes is sought widely.
+To seek repairs with more changes in this way takes too many trials."""
+
 PAIRS: Final = 0.2
+"""Share of all trials in which a repair with ``PAIR`` changes is sought widely."""
+
 PAIRS_AT_ONCE: Final = 24
-"""Once a repair with one change more than ``PAIR`` is known, a repair with ``PAIR`` changes is sought in this share of
-all trials. Its first change usually has a worse rank by statics. So first, this many changes of the plan are judged at
-once. Of four plans (seed 33511), two get such a repair. To seek a shorter one than a longer repair takes too many
-trials."""
+"""Number of changes of the plan itself that are judged at once, if repairs with ``PAIR`` changes are sought widely.
+Their first change often has a worse rank by statics."""
 
 SHORTER: Final = 0.04
 """Once a repair is known, a shorter one is sought in this share of all trials."""
