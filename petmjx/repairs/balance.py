@@ -50,9 +50,9 @@ class Balance(NamedTuple):
         step: (k,) position in packing order of the box whose placement moves each load beyond the edge.
         cause: (k,) number of the box at that position.
         depth_mm: (k,) largest distance of each load beyond the edge.
+        weight: (k,) weight of each load in ``trouble``: 1 to 2, times ``PERHAPS`` if the load may be inside.
         last_mm: (k,) distance of each load from the edge once all boxes are placed, positive inside.
-        trouble: sum of the weights of the loads that are beyond an edge. Each of these loads has a weight of 1 to 2,
-            times ``PERHAPS`` if the load may be inside.
+        trouble: sum of the weights of the loads that are beyond an edge.
         weakness: sum of the weights of what makes the plan fall only with errors. The weight of a load inside
             the edge decreases from 1 on the edge to 0 at ``SAFE_MM`` inside. A box that is lowered between two
             others adds 1 to the sum if it has no room, and less with more room: 0 with ``ROOM_MM`` of room.
@@ -65,6 +65,7 @@ class Balance(NamedTuple):
     step: IntArray
     cause: IntArray
     depth_mm: FloatArray
+    weight: FloatArray
     last_mm: FloatArray
     trouble: float
     weakness: float
@@ -240,14 +241,15 @@ def _balance(draft: Draft, loads: _Loads, missing_room: FloatArray) -> Balance:
     rows = np.flatnonzero(beyond)
     rows = rows[np.lexsort((order[loads.box[rows]], loads.step[rows]))]
     depth_mm, steps = -loads.least_mm[rows], loads.step[rows].astype(np.intp)
-    weight = np.where(loads.is_sure[rows], 1.0, PERHAPS)
+    weight = np.where(loads.is_sure[rows], 1.0, PERHAPS) * (1 + np.minimum(depth_mm / DEEP_MM, 1.0))
     return Balance(
         box=order[loads.box[rows]].astype(np.intp),
         step=steps,
         cause=order[steps].astype(np.intp),
         depth_mm=depth_mm,
+        weight=weight,
         last_mm=loads.last_mm[rows],
-        trouble=float((weight * (1 + np.minimum(depth_mm / DEEP_MM, 1.0))).sum()),
+        trouble=float(weight.sum()),
         weakness=weakness,
         squeezed=tuple(order[missing_room > 0].tolist()),
         loads=loads,

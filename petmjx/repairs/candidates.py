@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain, zip_longest
 from typing import Final, NamedTuple
@@ -27,13 +27,13 @@ PILE: Final = 4.0
 """A box that falls is taken off together with all boxes that need it. So many of these boxes count as one needed
 change: there is no other place for a large pile, and a large pile hides further faults."""
 
-AT_ONCE: Final = 24
-"""Number of changed plans that are judged at once. If one of them stands, the same number is judged once more, so that
-worlds with errors can choose from more plans."""
+AT_ONCE: Final = 8
+"""Number of changed plans that are judged at once. Statics ranks changes well: usually one of the first stands, or
+mends a fault. So more are judged only if these fall."""
 
-PER_BATCH: Final = 0.25
-"""Each time ``AT_ONCE`` changes of a plan were judged in vain, the expected number of changes of its repair rises by
-this value."""
+PER_ROUND: Final = 0.25
+"""Each time some changes of a plan were judged in vain, the expected number of changes of its repair rises by this
+value."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +77,7 @@ class Candidate:
         key: rank of the plan; smaller is better.
         parent: the node whose plan was changed.
         risk: two numbers by which statics compares plans that stand (``Candidates._risks``).
+        unsolved: how much of the failure of ``parent`` remains by statics, from 0 to 2 (``Candidates._unsolved``).
     """
 
     draft: Draft
@@ -85,6 +86,7 @@ class Candidate:
     key: float
     parent: Node
     risk: tuple[int, int] = (0, 0)
+    unsolved: float = 0.0
 
 
 class Fault(NamedTuple):
@@ -112,15 +114,17 @@ class Node:
         faults: the faults of the plan, in the order of time; None: not counted yet.
         queue: the allowed changes of the plan that were not judged yet, the most promising first; None: no changes were
             proposed yet.
-        n_judged: number of the plan's changes that were judged.
+        n_rounds: number of times that changes of the plan were judged.
         is_anew: whether ways to build the plan anew were already proposed.
+        rank: rank by statics of the candidate that became this plan; smaller is better.
     """
 
     state: State
     faults: tuple[Fault, ...] | None = None
     queue: list[Candidate] | None = None
-    n_judged: int = 0
+    n_rounds: int = 0
     is_anew: bool = False
+    rank: float = 0.0
 
     @property
     def n_faults(self) -> float:
@@ -134,11 +138,17 @@ class Node:
         return len(self.state.changes) + self.n_faults
 
     @property
-    def key(self) -> tuple[float, int, int, float]:
-        """Rank of the plan; smaller is better. A plan of which many changes were judged in vain has a worse rank."""
-        state = self.state
-        n_held, n_standing = state.trial.progress
-        return self.n_expected + PER_BATCH * (self.n_judged // AT_ONCE), -n_held, -n_standing, state.cost
+    def n_promised(self) -> float:
+        """Expected number of changes of a repair that begins with the next change of this plan. It is larger if changes
+        were judged in vain, and if the next change hardly helps by statics."""
+        unsolved = self.queue[0].unsolved if self.queue else 0.0
+        return self.n_expected + PER_ROUND * self.n_rounds + unsolved
+
+    @property
+    def key(self) -> tuple[float, float, int, int, float]:
+        """Rank of the plan; smaller is better."""
+        n_held, n_standing = self.state.trial.progress
+        return self.n_promised, self.rank, -n_held, -n_standing, self.state.cost
 
 
 def n_counted(changes: Sequence[Change]) -> int:
@@ -158,24 +168,34 @@ def way_of(state: State) -> tuple[object, ...]:
 
 
 def batch_of(queues: Sequence[list[Candidate]], count: int) -> list[Candidate]:
-    """Take equally many candidates off each ranked queue: first the best candidate of each way to change a box, then
-    the second best of each way, and so on. Otherwise, the candidates of a batch would often be the same move by
-    different amounts, since statics ranks these candidates side by side."""
+    """Take equally many candidates off each ranked queue, the most promising ones."""
     batch = []
     for queue in queues:
-        ways: Counter[tuple[object, ...]] = Counter()
-        turns = []
-        for rank, candidate in enumerate(queue):
-            change = candidate.proposal[-1]
-            way = change.kind, change.boxes[:1], len(candidate.proposal) > 1
-            turns.append((ways[way], rank))
-            ways[way] += 1
-        chosen = [rank for _, rank in sorted(turns)[: max(count, 0) // len(queues)]]
-        batch += [queue[rank] for rank in chosen]
-        for rank in sorted(chosen, reverse=True):
-            del queue[rank]
+        n_taken = max(count, 0) // len(queues)
+        batch += queue[:n_taken]
+        del queue[:n_taken]
     return batch
 
+
+def spread(ranked: Sequence[Candidate]) -> list[Candidate]:
+    """Candidates, the most promising first, with other ways to change a plan between the amounts of one way. Statics
+    ranks one move of a box by many amounts side by side, and often all of them fall alike."""
+    ways: Counter[tuple[object, ...]] = Counter()
+    keys = []
+    for candidate in ranked:
+        change = candidate.proposal[-1]
+        way = change.kind, change.boxes[:1], len(candidate.proposal) > 1
+        keys.append(candidate.key + PER_REPETITION * ways[way])
+        ways[way] += 1
+    return [ranked[k] for k in sorted(range(len(ranked)), key=keys.__getitem__)]
+
+
+PER_REPETITION: Final = 0.5
+"""What each further amount of the same way to change a box adds to the rank. Loads beyond edges have the weight 1."""
+
+HELD: Final = 0.15
+"""Share of its weight that a load beyond an edge has in the ranking, if simulations have shown that it holds: it leans
+on something."""
 
 MOST_RANKED: Final = 168
 """Largest number of allowed changes of a plan that are kept: the most promising ones."""
@@ -188,7 +208,7 @@ PER_COST: Final = 0.3
 """Weight of a change's cost in the ranking. Loads beyond edges have the weight 1."""
 
 UNSOLVED: Final = 3.0
-"""Weight in the ranking of the first cause of the failure, if it remains after the change."""
+"""Weight in the ranking of how much of the failure remains after the change (``Candidates._unsolved``)."""
 
 SAME_COST: Final = 0.1
 """Repairs whose costs differ by less than this count as equally cheap. It is the cost of a move by 50 mm. Of equally
@@ -226,6 +246,8 @@ class Candidates:
         self._start = Draft.of(self.plan, self.film_turns)
         self._seen: set[bytes] = set()
         self._known: dict[bytes, Trial] = {}  # of each draft that was judged
+        self._falls: dict[bytes, Trial] = {}  # of each draft that fell, by the key of the boxes that were placed
+        self._held_mm: dict[int, float] = {}  # by box, largest distance of its load beyond an edge at which it held
         self._in_worlds: dict[bytes, dict[int, Trial]] = {}  # of each draft, by the number of the world
 
     # ------------------------------------------------------------------ proposals
@@ -248,14 +270,14 @@ class Candidates:
     def _ranked(self, node: Node, causes: Sequence[Target], some: Iterable[Proposal]) -> list[Candidate]:
         """The plans of some proposals that are allowed and new, the most promising first."""
         state = node.state
-        first = next((cause for cause in causes if cause.depth_mm > 0), causes[0]) if causes else None
+        failing = {cause.box: cause.depth_mm for cause in causes if cause.depth_mm > 0}
         pairs = [(draft, p) for p in some if (draft := applied(state.draft, p)) is not None]
         boxes = [{box for change in proposal for box in change.boxes} for _, proposal in pairs]
         allowed = self.rules.allow([draft for draft, _ in pairs], boxes, state.draft)
         new: dict[bytes, tuple[Draft, Proposal]] = {}
         for number in np.flatnonzero(allowed).tolist():
             new.setdefault(key_of(pairs[number][0]), pairs[number])
-        new = {key: pair for key, pair in new.items() if key not in self._seen}
+        new = {key: pair for key, pair in new.items() if key not in self._seen and not self._falls_early(key)}
         self._seen.update(new)
         ranked = []
         balances_of_new = balances([draft for draft, _ in new.values()], self.sim)
@@ -269,13 +291,45 @@ class Candidates:
                     changes = (*state.changes, *proposal)
             if n_counted(changes) > self.options.most_changes:
                 continue
-            unsolved = first is not None and after.depth_of(first.box) > 0
-            risk = after.trouble + PER_WEAKNESS * after.weakness
-            rank = risk + UNSOLVED * unsolved + PER_COST * cost_of(proposal)
-            ranked.append(Candidate(draft, changes, proposal, rank, node, _risk(after, cost_of(changes))))
+            unsolved = self._unsolved(after, failing, state.trial.culprit)
+            risk = self._expected_trouble(after, {box for change in proposal for box in change.boxes})
+            rank = risk + PER_WEAKNESS * after.weakness + UNSOLVED * unsolved + PER_COST * cost_of(proposal)
+            ranked.append(Candidate(draft, changes, proposal, rank, node, _risk(after, cost_of(changes)), unsolved))
         ranked.sort(key=lambda candidate: candidate.key)
+        ranked = spread(ranked)
         self._seen.difference_update(key_of(candidate.draft) for candidate in ranked[MOST_RANKED:])
         return ranked[:MOST_RANKED]
+
+    def _unsolved(self, after: Balance, failing: Mapping[int, float], culprit: int | None) -> float:
+        """How much of a failure remains after a change, from 0 to 2: the share of the depths of the loads beyond an
+        edge that cause it, and the same share for the load of the box that fell first.
+
+        Args:
+            failing: box → depth of its load before the change, mm.
+        """
+        beyond: dict[int, float] = dict(zip(after.box.tolist(), after.depth_mm.tolist(), strict=True))
+        shares = {box: min(beyond.get(box, 0.0) / depth_mm, 1.0) for box, depth_mm in failing.items()}
+        own = 0.0 if culprit is None else shares.get(culprit, float(culprit in beyond))
+        return sum(shares.values()) / max(len(shares), 1) + own
+
+    def _expected_trouble(self, after: Balance, changed: Collection[int]) -> float:
+        """The trouble of a changed plan. A load that was seen to hold this far beyond an edge counts little, unless its
+        box is ``changed``: it leans on something."""
+        held_mm = [0.0 if box in changed else self._held_mm.get(box, 0.0) for box in after.box.tolist()]
+        return float((after.weight * np.where(after.depth_mm <= held_mm, HELD, 1.0)).sum())
+
+    def _learn(self, drafts: Sequence[Draft], trials: Sequence[Trial]) -> None:
+        """Note how far beyond an edge loads were that held in these trials."""
+        for draft, trial, balance in zip(drafts, trials, balances(drafts, self.sim), strict=True):
+            lost, last = {*trial.fallen}, trial.n_placed
+            if not trial.stands:
+                if trial.culprit is None:
+                    continue
+                lost |= {trial.culprit, *draft.below(trial.culprit)}
+                last -= 1  # the box that was placed last may not have come to rest
+            for box, step, depth_mm in zip(balance.box.tolist(), balance.step, balance.depth_mm.tolist(), strict=True):
+                if step < last and box not in lost:
+                    self._held_mm[box] = max(self._held_mm.get(box, 0.0), depth_mm)
 
     def _causes(self, state: State) -> list[Target]:
         """Why a plan fails, the likeliest causes first. For a plan that falls only with errors, these are the causes of
@@ -323,12 +377,25 @@ class Candidates:
             self.n_trials += len(drafts)
             return (yield [Asked(draft, False) for draft in drafts]) if drafts else []
         keys = [key_of(draft) for draft in drafts]
+        for key in keys:
+            if key not in self._known and self._falls_early(key):
+                self._known[key] = next(trial for begin, trial in self._falls.items() if key.startswith(begin))
         unknown = {key: draft for key, draft in zip(keys, drafts, strict=True) if key not in self._known}
         self.n_trials += len(unknown)
         if unknown:
             trials = yield [Asked(draft, True) for draft in unknown.values()]
-            self._known.update(zip(unknown, trials, strict=True))
+            self._learn([*unknown.values()], trials)
+            for (key, draft), trial in zip(unknown.items(), trials, strict=True):
+                self._known[key] = trial
+                if not trial.stands and trial.n_placed < len(draft.order):
+                    self._falls.setdefault(key_of(draft, trial.n_placed), trial)
         return [self._known[key] for key in keys]
+
+    def _falls_early(self, key: bytes) -> bool:
+        """Whether a draft with this key falls as another one did, since both begin with the same placements, and the
+        other one fell before its next box was placed."""
+        longer = key[:-1]  # a draft that ends where the other one fell waits longer after its last box
+        return longer.startswith((*self._falls,))
 
     def _scored(self, states: Sequence[State]) -> Steps[list[State]]:
         """States that were judged, with their scores."""

@@ -220,10 +220,11 @@ class Draft:
         return np.where(self.turned[:, None], swapped, centre) + 0.0  # + 0.0 turns -0.0 into 0.0
 
 
-def key_of(draft: Draft) -> bytes:
-    """A key that is equal for equal drafts."""
-    places = np.round(np.hstack([draft.corner_mm, draft.size_mm])[draft.rows], 3)
-    key: bytes = draft.rows.tobytes() + places.tobytes() + np.array(draft.film_turns).tobytes()
+def key_of(draft: Draft, n_boxes: int | None = None) -> bytes:
+    """A key that is equal for equal drafts. It begins with the key of the draft's first ``n_boxes``."""
+    rows = draft.rows[:n_boxes]
+    places = np.round(np.hstack([draft.corner_mm[rows], draft.size_mm[rows]]), 3)
+    key: bytes = np.array(draft.film_turns).tobytes() + np.column_stack([rows, places]).tobytes()
     return key
 
 

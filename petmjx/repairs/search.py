@@ -16,6 +16,7 @@ simulated plans depend only on the plan, the options and the kind of engine, not
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -41,21 +42,36 @@ from petmjx.repairs.trials import ERROR_WORLDS, Steps, Together, Trial
 BEAM: Final = 4
 """Number of changed plans that are changed further at once."""
 
-FIRST_AT_ONCE: Final = 12
+PER_WAY: Final = 2
+"""Of plans in which the same boxes are changed in the same ways, and the same box falls, this many are changed
+further."""
+
+FIRST_AT_ONCE: Final = 4
 """Number of changed plans that are judged first. If one change is enough, statics usually ranks it among the best."""
 
 MOST_LIFTED: Final = 3
 """The boxes of at most this many faults are taken off one after the other. Each time, the search waits for a
 simulation. Further faults come to light when these are mended."""
 
-ALONE: Final = 0.35
+ALONE: Final = 0.15
 """Share of all trials in which only single changes are tried. A plan that still falls after them has faults everywhere,
 so it is built anew."""
+
+PAIR: Final = 2
+"""Once a repair with one change more than this number is known, a repair with this number of changes is sought widely.
+To seek repairs with more changes in this way takes too many trials."""
+
+PAIRS: Final = 0.2
+"""Share of all trials in which a repair with ``PAIR`` changes is sought widely."""
+
+PAIRS_AT_ONCE: Final = 24
+"""Number of changes of the plan itself that are judged at once, if repairs with ``PAIR`` changes are sought widely.
+Their first change often has a worse rank by statics."""
 
 SHORTER: Final = 0.04
 """Once a repair is known, a shorter one is sought in this share of all trials."""
 
-MOST_NEARLY: Final = 6
+MOST_NEARLY: Final = 2
 """Largest number of plans that are scored before plans are built anew. They are plans with a single fault that fell
 when they were judged, because a box tilted."""
 
@@ -87,7 +103,7 @@ STRENGTHENED: Final = 0.33
 """Share of all trials in which a repair is changed further, so that it stands in more worlds with errors."""
 
 MORE_TO_COMPARE: Final = 24
-"""Number of additional changed plans that are judged, so that more repairs can be compared."""
+"""Number of additional changed plans that are judged at once, so that worlds with errors can choose from more plans."""
 
 MOST_UNDONE: Final = 8
 """Limit of the total number of changes in all repairs that are compared. Each change is taken back for a trial, so
@@ -156,6 +172,7 @@ class Search(Candidates):
                 self.begin(self.before)
         self._seen.clear()
         self._known.clear()
+        self._falls.clear()
         self.complete = True
 
     def _begun(self, judged: Trial) -> Steps[None]:
@@ -230,24 +247,28 @@ class Search(Candidates):
         fall."""
         options = self.options
         last, alone = self.n_trials + most_trials, self.n_trials + int(ALONE * most_trials)
-        nodes = list(start)
-        ways = {way_of(node.state) for node in nodes}
+        end, nodes = last, list(start)
+        ways = Counter(_kind_of(node.state) for node in nodes)
         standing: list[State] = []
         judged: list[State] = []  # states that stand
-        is_late = False
+        is_late = is_widened = False
         while self.n_trials < last and not self._stands:
             nodes.sort(key=lambda node: node.key)
             useful = nodes
             if standing:  # only shorter repairs are of use
                 fewest = len(standing[0].changes)
-                useful = [n for n in nodes if len(n.state.changes) < fewest - 1 and n.n_expected <= fewest]
+                useful = [n for n in nodes if len(n.state.changes) < fewest - 1 and n.n_promised < fewest]
             if not (standing or is_late) and self.n_trials >= alone:
                 is_late = True
                 standing = yield from self._nearly(nodes)
                 if standing:
                     break
-            queues = self._queues(useful, kinds, anew=is_late)
             at_once = FIRST_AT_ONCE if self.before is None else 2 * AT_ONCE if is_late else AT_ONCE
+            unchanged = [node for node in nodes if not node.state.changes]
+            if standing and fewest == PAIR + 1 and unchanged and not is_widened:
+                is_widened, useful, at_once = True, unchanged, PAIRS_AT_ONCE
+                last = min(end, self.n_trials + int(PAIRS * most_trials))
+            queues = self._queues(useful, kinds, anew=is_late)
             batch = batch_of(queues, min(self._scale * at_once, last - self.n_trials))
             if not batch:  # no queue is left, or fewer trials are left than there are queues
                 break
@@ -257,22 +278,23 @@ class Search(Candidates):
             states, *_ = yield Together(parts)
             if any(state.trial.stands for state in states):  # other plans may stand in more worlds with errors
                 if not self.is_wide:
-                    next_candidates = self._rivals(queues, states, min(AT_ONCE, last - self.n_trials))
+                    next_candidates = self._rivals(queues, states, last - self.n_trials)
                     batch, states = batch + next_candidates, states + (yield from self._judged(next_candidates))
                 judged += [state for state in states if state.trial.stands]
-            states, shortened = yield from self._shortened(states)
+            states, shortened = yield from self._shortened(states, is_known=bool(standing))
             if shortened and not standing:
                 last = min(last, self.n_trials + int(SHORTER * most_trials))
             standing = shortest([*standing, *shortened])
             self.repairs = tuple(standing)
             if is_late and standing:  # what is built anew has many changes, and is hardly built in fewer another time
                 break
-            changed = [Node(one, self._remaining(one, c.parent)) for one, c in zip(states, batch, strict=True)]
+            pairs = zip(states, batch, strict=True)
+            changed = [Node(one, self._remaining(one, c.parent), rank=c.key) for one, c in pairs]
             for node in sorted(changed, key=lambda node: node.key):
                 state = node.state
                 is_short = n_counted(state.changes) < options.most_changes
-                if is_short and not state.trial.stands and (way := way_of(state)) not in ways:
-                    ways.add(way)
+                if is_short and not state.trial.stands and ways[kind := _kind_of(state)] < PER_WAY:
+                    ways[kind] += 1
                     nodes.append(node)
         if standing and self.options.worlds and options.profile is None:
             fewest = len(standing[0].changes)
@@ -291,11 +313,11 @@ class Search(Candidates):
             standing = shortest([state for state in states if state.trial.stands])
             fewest, best = len(standing[0].changes), min(self._risks(standing))
             safer = [[c for c in queue if (len(c.changes), c.risk) < (fewest, best)] for queue in queues]
-            batch = batch_of([queue for queue in safer if queue], count)
+            batch = batch_of([queue for queue in safer if queue], min(AT_ONCE, count))
             for queue in queues:
                 queue[:] = [c for c in queue if c not in batch]
             return batch
-        return batch_of(queues, count)
+        return batch_of(queues, min(MORE_TO_COMPARE, count))
 
     def _compared(self, scored: Sequence[State], judged: Sequence[State]) -> Steps[list[State]]:
         """Of repairs with the same number of changes, those that stand most often in a few worlds with errors.
@@ -342,9 +364,10 @@ class Search(Candidates):
         for node in nodes:
             if node.queue is None:
                 node.queue = self._changes(node, kinds)
+            node.queue[:] = [candidate for candidate in node.queue if not self._falls_early(key_of(candidate.draft))]
             if node.queue:
                 queues.append(node.queue)
-                node.n_judged += AT_ONCE
+                node.n_rounds += 1
             if len(queues) == BEAM:
                 break
         return queues
@@ -404,16 +427,21 @@ class Search(Candidates):
             state = State(draft, changes, trial)
         return [state]
 
-    def _shortened(self, states: Sequence[State]) -> Steps[tuple[list[State], list[State]]]:
+    def _shortened(self, states: Sequence[State], *, is_known: bool) -> Steps[tuple[list[State], list[State]]]:
         """Two lists: all states, with the scores of those that stand when judged, as far as needed; and the ones that
-        stand when scored, without their needless changes."""
-        every, confirmed = yield from self._confirmed(states)
+        stand when scored, without their needless changes. ``is_known``: as in ``_confirmed``."""
+        every, confirmed = yield from self._confirmed(states, is_known=is_known)
         return every, (yield from self._pruned(confirmed, judged=True))
 
-    def _confirmed(self, states: Sequence[State]) -> Steps[tuple[list[State], list[State]]]:
+    def _confirmed(self, states: Sequence[State], *, is_known: bool) -> Steps[tuple[list[State], list[State]]]:
         """Score states that stand when judged, those with the fewest changes first, until some of them also stand when
         scored. Returns all states, and those that stand when scored. With a drive, nothing is scored here, because all
-        trials are scores."""
+        trials are scores.
+
+        Args:
+            is_known: whether a repair is known. Then only the first states are scored: if these fall, so do most others
+                of the same batch.
+        """
         every = list(states)
         numbers = [k for k, state in enumerate(states) if state.trial.stands]
         safest = [numbers[n] for n in self._safest([states[k] for k in numbers])]
@@ -425,7 +453,7 @@ class Search(Candidates):
             for k, state in zip(chosen, (yield from self._scored([states[k] for k in chosen])), strict=True):
                 every[k] = state
             confirmed = [every[k] for k in chosen if every[k].trial.stands]
-            if confirmed:
+            if confirmed or is_known:
                 return every, confirmed
         return every, []
 
@@ -461,14 +489,15 @@ class Search(Candidates):
         nodes, best = [Node(state) for state in compared], compared[0]
         last = self.n_trials + int(STRENGTHENED * options.trials)
         while nodes and best.n_good < wanted and self.n_trials < last:
-            node = min(nodes, key=lambda node: (node.n_judged // AT_ONCE - node.state.n_good, node.state.cost))
+            node = min(nodes, key=lambda node: (node.n_rounds - node.state.n_good, node.state.cost))
             if node.queue is None:
                 node.queue = self._changes(node, kinds)
             if not node.queue:
                 nodes.remove(node)
                 continue
-            node.n_judged += AT_ONCE
-            better = yield from self._stronger(node.state, batch_of([node.queue], self._scale * AT_ONCE), wanted)
+            node.n_rounds += 1
+            batch = batch_of([node.queue], self._scale * MORE_TO_COMPARE)
+            better = yield from self._stronger(node.state, batch, wanted)
             nodes += [Node(state) for state in better]
             if better and (most := max(better, key=lambda state: state.n_good)).n_good > best.n_good:
                 (most,) = yield from self._scored([most])
@@ -575,6 +604,11 @@ class Search(Candidates):
 def _lost(draft: Draft, trial: Trial) -> int:
     """The box that fell first; if none is known, the one that was placed last."""
     return draft.order[min(trial.n_placed, len(draft.order)) - 1] if trial.culprit is None else trial.culprit
+
+
+def _kind_of(state: State) -> tuple[object, ...]:
+    """A key that is equal for plans that fall, if they are changed in the same ways and the same box falls."""
+    return way_of(state), _lost(state.draft, state.trial)
 
 
 def _n_finalists(states: Sequence[State]) -> int:

@@ -21,7 +21,7 @@ from petmjx.engines.attempt_runner import outcomes_of_stream
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.repairs.balance import ROOM_MM, balances
-from petmjx.repairs.candidates import Candidate, Fault, Node, State, batch_of
+from petmjx.repairs.candidates import AT_ONCE, HELD, Candidate, Fault, Node, State, batch_of, spread
 from petmjx.repairs.changes import Exchange, Film, Kind, LeaveOut, Move, Order, Place, Sheet, Turn, applied, with_change
 from petmjx.repairs.drafts import Draft, Rules, key_of
 from petmjx.repairs.proposals import Target, proposals
@@ -42,6 +42,8 @@ from petmjx.repairs.trials import (
     TrialStream,
 )
 
+FAST_TRIALS = {"engine": "mujoco", "threads": 1}
+FALLS = Trial("unstable", "tilt", 1, (1,), 2, 2, 0.0)
 FAST = {"engine": "mujoco", "threads": 1, "worlds": 0, "trials": 40}
 """Options for repairs without worlds with errors, whose simulation takes the most time."""
 
@@ -375,7 +377,7 @@ def test_a_search_asks_for_the_same_worlds_again() -> None:
         result_of(search.run(), ask)
         requests.append(drafts)
     assert requests[0] == requests[1]
-    assert len(requests[0]) > 12
+    assert len(requests[0]) > 6, "more than one round"
 
 
 def test_a_draft_is_judged_as_it_is_scored() -> None:
@@ -530,7 +532,7 @@ def test_only_changes_that_are_needed_are_left() -> None:
     def ask(drafts: list[Asked]) -> list[Trial]:
         requests.extend(drafts)
         good = [stands(one.draft) for one in drafts]
-        return [Trial("stable" if g else "unstable", "", None, (), 1, 1, 0.0) for g in good]
+        return [Trial("stable" if g else "unstable", "", None, (), 16, 16, 0.0) for g in good]
 
     result_of(search._finished([State(draft, changes, Trial("stable", "", None, (), 16, 16, 0.0))]), ask)
     (repair,) = search.repairs
@@ -732,6 +734,127 @@ def test_no_draft_is_judged_twice() -> None:
     assert (len(requests), search.n_trials) == (2, 2)
 
 
+def test_a_plan_that_begins_as_one_that_fell_is_not_simulated() -> None:
+    """The third box of a stair falls, before the fourth one is placed. It falls in the same way wherever the fourth box
+    is placed, but not if a box below is moved."""
+    plan = make_plan(boxes=TOWER)
+    search, question = (
+        Search(plan, Simulation(), RepairOptions(worlds=0)),
+        Question(FAST_TRIALS, RepairOptions(worlds=0)),
+    )
+    start, requests = Draft.of(plan), list[Asked]()
+
+    def ask(some: list[Asked]) -> list[Trial]:
+        requests.extend(some)
+        return question.trials(some)
+
+    def judged(draft: Draft | None) -> Trial:
+        assert draft is not None
+        (trial,) = result_of(search._simulated([draft], judged=True), ask)
+        assert trial[:6] == question.trials([Asked(draft, True)])[0][:6]
+        return trial
+
+    falls = judged(start)
+    assert (falls.culprit, falls.n_placed) == (2, 3)
+    assert judged(Move(3, 60.0, 0.0).applied(start)) == falls
+    assert search.n_trials == len(requests) == 1
+    assert not search._falls_early(key_of(replace(start, order=(0, 1, 2)))), "after the last box, the wait is another"
+    judged(Move(2, -60.0, 0.0).applied(start))
+    assert search.n_trials == len(requests) == 2
+    node, early = Node(State(start, (), falls)), {}
+    for one in (search, Search(plan, Simulation(), RepairOptions(worlds=0))):
+        drafts = [c.draft for c in one._changes(node, frozenset({Kind.MOVE}))]
+        early[one is search] = [search._falls_early(key_of(draft)) for draft in drafts]
+    assert any(early[False]), "another search knows nothing of the fall"
+    assert early[True]
+    assert not any(early[True])
+
+
+def test_a_load_that_was_seen_to_hold_counts_little() -> None:
+    """The upper boxes of two stacks hang over. The one of the second stack was placed, and leans on something. If this
+    box is moved, it may lean no more."""
+    plan = make_plan(boxes=(*stack(2, 230.0), *stack(2, 230.0, at_mm=(0.0, 500.0)), ((100, 100, 100), (600, 0, 0), 1)))
+    search, start = Search(plan, Simulation(), RepairOptions(worlds=0)), Draft.of(plan)
+    (balance,) = balances([start], Simulation())
+    assert balance.box.tolist() == [1, 3]
+    assert search._expected_trouble(balance, ()) == balance.trouble == pytest.approx(balance.weight.sum())
+    search._learn([start], [FALLS._replace(culprit=1, fallen=(1,), n_placed=4)])
+    assert search._expected_trouble(balance, ()) == balance.trouble, "the box that was placed last may fall as well"
+    search._learn([start], [FALLS._replace(culprit=1, fallen=(1,), n_placed=5)])
+    first, second = balance.weight
+    assert search._expected_trouble(balance, ()) == pytest.approx(first + HELD * second)
+    assert search._expected_trouble(balance, {3}) == balance.trouble
+    further = balance._replace(depth_mm=balance.depth_mm + 10)
+    assert search._expected_trouble(further, ()) == balance.trouble, (
+        "a load farther beyond the edge was not seen to hold"
+    )
+    search._learn([start], [FALLS._replace(verdict="stable", culprit=None, fallen=(), n_placed=5)])
+    assert search._expected_trouble(balance, ()) == pytest.approx(HELD * balance.trouble)
+
+
+def test_a_change_is_ranked_by_what_remains_of_the_failure() -> None:
+    draft = Draft.of(make_plan(boxes=stack(2, 230.0)))
+    search = Search(draft.plan, Simulation(), RepairOptions(worlds=0))
+    moved = [one for x in (0.0, -15.0, -60.0) if (one := Move(1, x, 0.0).applied(draft)) is not None]
+    before, nearer, inside = balances(moved, Simulation())
+    depths = {1: before.depth_of(1)}
+    share = nearer.depth_of(1) / depths[1]
+    assert 0.3 < share < 0.7
+    assert [search._unsolved(after, depths, 1) for after in (before, nearer, inside)] == [2.0, 2 * share, 0.0]
+    assert search._unsolved(nearer, depths, 0) == share, "the box that fell first is another one"
+    assert search._unsolved(nearer, {}, None) == 0.0
+    nodes = [
+        Node(State(draft, (), FALLS), (Fault(1, 1.0),), n_rounds=n, rank=rank) for n, rank in ((0, 2), (0, 1), (1, 0))
+    ]
+    nodes[1].queue = [Candidate(draft, (), (Move(1, 5.0, 0.0),), 0.0, nodes[1], unsolved=0.2)]
+    assert [node.n_promised for node in nodes] == [1, 1.2, 1.25]
+    assert sorted([*reversed(nodes)], key=lambda node: node.key) == nodes
+
+
+@pytest.mark.parametrize(("is_known", "n_scored"), [(False, 5), (True, 2)])
+def test_few_plans_are_scored_once_a_repair_is_known(is_known: bool, n_scored: int) -> None:
+    draft = Draft.of(make_plan(boxes=stack(2)))
+    search = Search(draft.plan, Simulation(), RepairOptions(worlds=0))
+    moves = [Move(1, float(length), 0.0) for length in (5, 10, 15, 20, 25)]
+    moved = [one for move in moves if (one := move.applied(draft)) is not None]
+    stands = Trial("stable", "", None, (), 2, 2, 0.5)
+    states = [State(one, (move,), stands) for one, move in zip(moved, moves, strict=True)]
+    every, confirmed = result_of(
+        search._confirmed(states, is_known=is_known), lambda some: [FALLS._replace(n_placed=2)] * len(some)
+    )
+    assert confirmed == []
+    assert sum(not state.trial.stands for state in every) == search.n_trials == n_scored
+
+
+def test_two_changes_are_sought_widely_once_three_are_known() -> None:
+    """Each of three boxes falls until it is moved inside. If the first one is moved to the back alone, it leans on
+    something, and so does the second one. Statics does not know this, and prefers other moves."""
+    plan = make_plan(
+        boxes=[*stack(2, 230.0), *stack(2, 230.0, at_mm=(0.0, 400.0)), *stack(2, 230.0, at_mm=(600.0, 0.0))]
+    )
+    start, requests = Draft.of(plan), list[list[Draft]]()
+
+    def trial_of(draft: Draft) -> Trial:
+        (balance,) = balances([draft], Simulation())
+        falls = [box for box in (1, 3, 5) if box in balance.box]
+        if draft.corner_mm[1, 1] > 0 and draft.corner_mm[1, 0] == start.corner_mm[1, 0]:
+            falls = [box for box in falls if box == 5]
+        if not falls:
+            return Trial("stable", "", None, (), 6, 6, 1.0)
+        return Trial("unstable", "tilt", falls[0], (falls[0],), falls[0] + 1, falls[0] + 1, -1.0)
+
+    def ask(some: list[Asked]) -> list[Trial]:
+        requests.append([one.draft for one in some])
+        return [trial_of(one.draft) for one in some]
+
+    options = RepairOptions(worlds=0, forbid=("exchange", "place", "turn", "order", "sheet"))
+    search = Search(plan, Simulation(), options, is_wide=True)
+    result_of(search.run(), ask)
+    known = next(k for k, drafts in enumerate(requests) if any(trial_of(draft).stands for draft in drafts))
+    assert max(map(len, requests[:known])) <= 2 * AT_ONCE < max(map(len, requests[known + 1 :]))
+    assert len(search.repairs[0].changes) == 2
+
+
 def test_only_safer_plans_are_judged_beside_one_that_stands() -> None:
     """Without worlds with errors, statics chooses between plans that stand. So no other plans are simulated."""
     draft = Draft.of(make_plan(boxes=stack(2)))
@@ -755,7 +878,7 @@ def test_two_faults_are_mended_by_two_changes() -> None:
 
 
 def test_a_gpu_judges_more_plans_at_once() -> None:
-    search = Search(make_plan(boxes=TWO_FAULTS), Simulation(), RepairOptions(worlds=0, trials=60), is_wide=True)
+    search = Search(make_plan(boxes=TWO_FAULTS), Simulation(), RepairOptions(worlds=0), is_wide=True)
     question, sizes = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=0)), list[int]()
 
     def ask(drafts: list[Asked]) -> list[Trial]:
@@ -765,16 +888,27 @@ def test_a_gpu_judges_more_plans_at_once() -> None:
     result_of(search.run(), ask)
     assert search.repairs[0].trial.stands
     assert len(search.repairs[0].changes) == 2
-    assert 12 < max(sizes) <= 24, "twice as many as on CPU threads"
+    assert AT_ONCE < max(sizes) <= 2 * AT_ONCE, "twice as many as on CPU threads"
 
 
-def test_each_way_to_change_a_box_is_judged_before_other_amounts() -> None:
+def test_other_ways_to_change_a_plan_come_between_the_amounts_of_one_way() -> None:
     draft = Draft.of(make_plan(boxes=stack(2)))
-    proposals = [Move(0, 5.0, 0.0), Move(0, 9.0, 0.0), Move(0, 0.0, 7.0), Move(1, 5.0, 0.0), Order(1, 0)]
-    start = Node(State(draft, (), Trial("unstable", "tilt", 1, (1,), 2, 2, 0.0)))
-    queue = [Candidate(draft, (change,), (change,), float(k), start) for k, change in enumerate(proposals)]
-    assert [c.changes[0] for c in batch_of([queue], 3)] == [proposals[0], proposals[3], proposals[4]]
-    assert [c.changes[0] for c in queue] == [proposals[1], proposals[2]]
+    changes = [
+        Move(0, 5.0, 0.0),
+        Move(0, 9.0, 0.0),
+        Move(0, 0.0, 7.0),
+        Move(1, 5.0, 0.0),
+        Order(1, 0),
+        Move(1, 7.0, 0.0),
+    ]
+    ranks = 1.0, 1.0, 1.0, 1.2, 1.7, 4.0
+    start = Node(State(draft, (), FALLS))
+    pairs = zip(changes, ranks, strict=True)
+    ranked = [Candidate(draft, (change,), (change,), rank, start) for change, rank in pairs]
+    queue = spread(ranked)
+    assert [c.changes[0] for c in queue] == [changes[k] for k in (0, 3, 1, 4, 2, 5)]
+    assert [c.changes[0] for c in batch_of([queue], 2)] == [changes[0], changes[3]]
+    assert [c.changes[0] for c in queue] == [changes[k] for k in (1, 4, 2, 5)], "the rest waits"
 
 
 def test_a_plan_with_faults_all_over_is_built_anew() -> None:
