@@ -469,7 +469,8 @@ def tilting(
             name = f"a box with friction {friction:g} slides in `{profile}`"
             yield Row(f"angle at which {name}, °", "atan(friction)", angle, failed, engine)
             late = slide_late_deg(math.radians(angle), rate)
-            yield Row(f"further tilt until the first sign when {name}, °", "Coulomb", late, failed - angle, engine)
+            quantity = f"tilt from atan(friction) to the first sign when {name}, °"
+            yield Row(quantity, "Coulomb", late, failed - angle, engine)
         for block in blocks:
             width, height = 1000 * block.width_m, 1000 * block.height_m
             angle = math.degrees(block.slenderness_rad)
@@ -478,7 +479,7 @@ def tilting(
             yield Row(f"angle at which {name}, °", "atan(width / height)", angle, failed, engine)
             late = block.late_deg(rate, THRESHOLD_M)
             yield Row(
-                f"further tilt until the first sign when {name}, °",
+                f"tilt from atan(width / height) to the first sign when {name}, °",
                 "Housner 1963, linear",
                 late,
                 failed - angle,

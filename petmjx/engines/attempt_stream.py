@@ -85,8 +85,9 @@ def score_worlds(
     reads a stream simulates the returned worlds together with the other worlds; any other engine simulates the returned
     worlds last.
 
-    ``begin_with``: number of worlds with which a GPU begins. ``bounds``: limits that hold for all jobs, including the
-    jobs that follow from results.
+    ``begin_with``: an engine that simulates many worlds at once begins when this number of worlds is ready, or earlier
+    if no further world can come. ``bounds``: limits that hold for all jobs, including the jobs that follow from
+    results.
 
     ``check_pool``: a pool of processes that several calls use one after another. If ``check_pool`` is None, a call with
     many worlds starts a pool of its own.
@@ -109,7 +110,7 @@ def score_worlds(
     if sim.has_soft and not engines.has_fallback and Capability.SOFT not in engine.capabilities:
         raise InputError(f"soft boxes need the engine mujoco, got {engine.name}")
     # Attempts in stiffer contacts run together with first attempts only if states of placements are kept. In other
-    # runs, CPU threads make most of these attempts. If states are kept, no attempt in the list divides the timestep,
+    # runs, CPU threads make most of these attempts. States can be kept only if all attempts have the run's timestep,
     # because a state counts time in steps.
     keeps = following is not None and all(recipe.timestep_divisor == 1 for recipe in attempts)
     joins = keeps and getattr(engine, "streams", False) and Capability.STIFF_JOBS in engine.capabilities

@@ -158,8 +158,9 @@ class Balance:
         """The margins against tipping with one more box, m, at most ``FAR_M``. With a negative margin, a box tips.
 
         Args:
-            corner_mm, base_mm, mass_kg: as in ``rest``.
-            rest: result of the method ``rest`` for this box, if known.
+            corner_mm, base_mm, mass_kg: the box, as for the method ``rest``.
+            rest: what the method ``rest`` has returned for this box. None: the method was not called, or the box or a
+                box below would tip.
         """
         let_down = rest or self._let_down(corner_mm, base_mm, mass_kg)
         if let_down is None:  # the box has no support

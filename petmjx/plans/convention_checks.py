@@ -36,8 +36,9 @@ from petmjx.plans.plan_warnings import (
 MOST_UNEXPLAINED: Final = 100
 ONE_IN: Final = 50
 """Limits of the search. The search is limited because reading a plan in all conventions takes 2 ms. After
-``MOST_UNEXPLAINED`` odd plans that no convention explains, only every ``ONE_IN``-th odd plan is read in all
-conventions. All other odd plans are then read only in conventions that have explained earlier plans."""
+``MOST_UNEXPLAINED`` odd plans that no convention explains, only one in ``ONE_IN`` of such plans is read in all
+conventions. The odd plans between are read only in conventions that explain at least ``LEAST_SHARE`` of the odd plans
+so far."""
 
 LIGHTEST_KG_M3: Final = 2.0
 HEAVIEST_KG_M3: Final = 20_000.0

@@ -383,13 +383,13 @@ def _choosable(columns: Mapping[str, str]) -> dict[str, str]:
 def wishes_of(
     options: RunOptions, deck_mm: tuple[float, float] | None = None, reading: Reading | None = None
 ) -> Wishes:
-    """The options for reading files of other tools. An option for one choice, such as ``units``, takes precedence over
-    a written reading.
+    """How to read files of other tools, according to the options. An option for one choice, such as ``units``, takes
+    precedence over a reading.
 
     Args:
         deck_mm: extents of the carrier along x and y; None: unknown.
-        reading: how to read the file (units, columns, axes); used instead of the file that the options name with
-            ``--as``; None: that file is used.
+        reading: how to read the numbers of a file (units, columns, axes …). If it is None, the reading comes from the
+            TOML file that the option ``--as`` names, if this option is set.
 
     Raises:
         InputError: the written reading cannot be read.

@@ -258,9 +258,9 @@ def _balance(draft: Draft, loads: _Loads, missing_room: FloatArray) -> Balance:
 
 
 def _missing_room(drafts: Sequence[Draft], *, only_last: bool = False) -> list[FloatArray]:
-    """For each draft, (n,) weight of each box, in packing order: the sum over the axes x and y along which the box is
-    lowered between two others. The weight of an axis decreases from 1 without room to 0 with ``ROOM_MM`` of room.
-    ``only_last``: (1,) weight of the last box alone."""
+    """For each draft, (n,) numbers that tell how little room each box has, in packing order. Each of the axes x and y
+    along which the box is lowered between two others adds a number from 1 (no room) to 0 (``ROOM_MM`` of room or more).
+    ``only_last``: (1,) number of the last box alone."""
     results: dict[int, FloatArray] = {}
     for n in {len(draft.order) for draft in drafts}:
         numbers = [k for k, draft in enumerate(drafts) if len(draft.order) == n]
@@ -271,8 +271,8 @@ def _missing_room(drafts: Sequence[Draft], *, only_last: bool = False) -> list[F
 
 
 def _missing(low: FloatArray, high: FloatArray, begin: int) -> FloatArray:
-    """(c, n − begin) weights as in ``_missing_room``, for boxes with these (c, n, 3) corners, mm. Boxes before
-    ``begin`` have no weight."""
+    """(c, n − begin) numbers as in ``_missing_room``, for boxes with these (c, n, 3) corners, mm. Boxes before
+    ``begin`` have no number."""
     n = low.shape[1]
     before = np.triu(np.ones((n, n), bool), k=1)[:, begin:]  # the row's box is placed before the column's
     stands = before & (high[:, :, None, 2] > low[:, None, begin:, 2] + TOLERANCE_MM)

@@ -372,7 +372,7 @@ class Candidates:
     # ------------------------------------------------------------------ simulations
 
     def _simulated(self, drafts: Sequence[Draft], *, judged: bool = False) -> Steps[list[Trial]]:
-        """The trials of drafts. A draft that was judged before is not simulated again to be judged."""
+        """The trials of drafts. If drafts are only to be judged, those that were judged before are not simulated."""
         if not judged:
             self.n_trials += len(drafts)
             return (yield [Asked(draft, False) for draft in drafts]) if drafts else []

@@ -315,8 +315,8 @@ def applied(draft: Draft, changes: Sequence[Change]) -> Draft | None:
 def with_change(changes: Sequence[Change], change: Change) -> tuple[Change, ...]:
     """A list of changes with one more change. A move becomes part of an earlier change of the same boxes. Of two
     changes of a box's order, only the second one is kept. If a box is put elsewhere or left out, its earlier changes
-    are dropped. The shorter list may have another result, because changes of other boxes in between may depend on the
-    dropped ones."""
+    are dropped. The draft may then differ from one with all changes in turn, because a later change of other boxes may
+    depend on a dropped change."""
     for at in reversed(range(len(changes))):
         earlier = changes[at]
         if isinstance(change, Order) and isinstance(earlier, Order) and earlier.box == change.box:

@@ -85,8 +85,8 @@ class SweepPlan(Design):
 
     Raises:
         InputError: there is no usable plan, there are more than a million worlds without ``allow_large``, there is an
-            axis ``placing`` although boxes may not be carried, there are legs with soft boxes or ``total_time_factor``,
-            or the frequencies of a profile are too high for the timestep.
+            axis ``placing`` although boxes may not be carried, legs are combined with soft boxes or with
+            ``total_time_factor``, or the frequencies of a profile are too high for the timestep.
     """
 
     plans: Sequence[Plan]
@@ -389,8 +389,8 @@ class SweepPlan(Design):
 
     @property
     def _carried(self) -> int:
-        """Number of placements per plan in which boxes are carried to their places, for placements with errors. With an
-        axis ``placing``, placements without errors are included."""
+        """Number of placements per plan in which boxes are carried to their places. Placements without errors are
+        counted only if the sweep has an axis ``placing``."""
         sim = self.sweep.simulation
         if not sim.may_carry:
             return 0

@@ -71,5 +71,5 @@ def _boxes_table(story: Story) -> FittedTable:
 
 
 def how_to_draw() -> Text:
-    """A line that names the options with which a story is drawn."""
+    """A line for the user: the options of ``petmjx show`` that draw or play the simulation."""
     return line("to see it: --html, --png, --pdf, --svg, --gif, --mp4 or --rrd FILE, or --viewer", style="dim")

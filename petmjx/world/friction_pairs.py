@@ -31,8 +31,9 @@ two shapes, as is usual in MuJoCo."""
 
 
 FROM_PHYSICS: Final = LARGER
-"""Marks an entry without a value in a table of restitutions, of landing times or of kinetic friction. For this entry,
-``Physics`` gives the value: restitution, landing time, or kinetic friction as a share of static friction."""
+"""Marks an entry without a value in a table of restitutions, of landing times (times in which landing boxes are
+stopped) or of kinetic friction. For this entry, ``Physics`` gives the value: restitution, landing time, or kinetic
+friction as a share of static friction."""
 
 
 def scaled_pairs(
@@ -81,7 +82,8 @@ class Surfaces(NamedTuple):
         of_boxes: (n,) surface number of each box.
         of_boards: (s,) surface number of each board and wall of the carrier.
         friction: (k, k) coefficient of sliding friction between two surfaces, or ``LARGER``.
-        landing: (k, k, 2) coefficient of restitution and landing time, s, between two surfaces, or ``FROM_PHYSICS``.
+        landing: (k, k, 2) coefficient of restitution between two surfaces, and time in which a landing box is stopped,
+            s; or ``FROM_PHYSICS``.
         kinetic: (k, k) kinetic friction between two surfaces as a share of their static friction, or
             ``FROM_PHYSICS``. If ``kinetic`` is None, no pair has a share of its own.
     """

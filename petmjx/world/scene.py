@@ -78,9 +78,9 @@ class Scene:
         pair_friction: (k, k) coefficient of sliding friction between two surfaces, or
             ``petmjx.world.friction_pairs.LARGER``. If ``pair_friction`` is None, the larger coefficient of the two
             shapes is used for every pair.
-        pair_landing: (k, k, 2) coefficient of restitution and landing time, s, between two surfaces, or
-            ``petmjx.world.friction_pairs.FROM_PHYSICS``. If ``pair_landing`` is None, the values of ``Physics`` are
-            used for every pair.
+        pair_landing: (k, k, 2) coefficient of restitution between two surfaces, and time in which a landing box is
+            stopped, s; or ``petmjx.world.friction_pairs.FROM_PHYSICS``. If ``pair_landing`` is None,
+            the values of ``Physics`` are used for every pair.
         pair_kinetic: (k, k) kinetic friction between two surfaces as a share of their static friction, or
             ``petmjx.world.friction_pairs.FROM_PHYSICS``. If ``pair_kinetic`` is None, the value of ``Physics`` is used
             for every pair.

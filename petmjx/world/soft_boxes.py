@@ -310,8 +310,8 @@ def soft_friction(scene: Scene) -> SoftFriction:
     scene's table lists for the two surfaces that touch.
 
     Raises:
-        InputError: for some pair, the table has a coefficient that is not the larger one of the coefficients of the two
-            surfaces.
+        InputError: MuJoCo would use another coefficient than the table for some pair of surfaces. For soft boxes,
+            MuJoCo always uses the larger of the coefficients of the two surfaces.
     """
     box_friction = scene.friction[:, 0].copy()
     if scene.pair_friction is None or scene.surface is None or scene.soft is None:

@@ -225,7 +225,9 @@ class LiveWorld:
             twin._spec, twin.model = self._spec.copy(), copy.copy(self.model)
         elif grows and self.n_placed == self.capacity:
             return twin
-        twin.data = copy.copy(self.data)  # a filled model no longer changes, so it is shared
+        # A model from a template is not changed any more, so the copy uses the same model. Other models were copied
+        # above.
+        twin.data = copy.copy(self.data)
         twin._look_into_data()
         return twin
 

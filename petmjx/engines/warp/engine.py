@@ -122,7 +122,8 @@ class MjxWarpEngine(Engine):
             return paths(bodies, sim, self._blocks, self.slice_ns, self.most_rows)
 
     def _continued(self, sim: Simulation, progress: Progress) -> ContinuedWorlds | None:
-        """An object that simulates long worlds to their ends, which then leave the device; None if they stay."""
+        """An object that takes long worlds from this engine, and simulates them to their ends. None: this engine
+        simulates all worlds to their ends."""
         return None
 
     def _drop(self) -> None:

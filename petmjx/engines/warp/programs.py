@@ -45,9 +45,10 @@ counts."""
 DRIVEN_ITERATIONS = 7
 """Largest number of solver iterations per step of a drive (motion of the carrier). While a whole pallet slides and
 collapses, the solver would need 20 or more iterations to compute the last digits of accelerations. Of 1,600 worlds of
-EUMOS's grid, 1,598 have the same verdict as on ``mujoco``, which has no such limit. benchmarks/notebook/performance.md,
-"Sliding contacts", has the costs and gains of the limit. The limit does not apply to carriers with walls, which throw
-piles back. With the limit, the verdict differed for 9 of 240 driven worlds in roll containers with four walls."""
+the sweep ``eumos``, 1,598 have the same verdict as on the engine ``mujoco``, which has no special limit for drives.
+benchmarks/notebook/performance.md, "Sliding contacts", compares limits of 6, 7, 8 and 10. The limit does not apply to
+carriers with walls, which throw piles back: with the limit, the verdict differed for 9 of 240 driven worlds in roll
+containers with four walls."""
 
 
 def friction_damping(physics: Physics) -> float:

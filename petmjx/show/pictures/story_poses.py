@@ -51,8 +51,8 @@ class Poses:
 
 
 class Moment(NamedTuple):
-    """The number of a frame of a story, and the name of this moment. The name is "" if the moment was requested by its
-    time."""
+    """A moment of a simulation that is drawn: the number of its frame in the history, and its name ("start", "end" …).
+    The name is "" if the moment was requested by its time."""
 
     frame: int
     name: str

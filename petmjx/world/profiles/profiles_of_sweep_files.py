@@ -49,7 +49,8 @@ class _Table(CheckedRecord):
         Args:
             name: name of the profile.
             folder: folder of the sweep file. File names in the table are relative to this folder.
-            known: profiles that are defined earlier in the sweep file. A chain may contain these profiles.
+            known: profiles that are defined earlier in the sweep file. A table of kind "chain" may name these profiles,
+                and built-in profiles.
 
         Raises:
             ValidationError: a field is wrong. The path of the field begins with ``name``.
