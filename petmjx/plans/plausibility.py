@@ -242,10 +242,10 @@ def begins_half_a_box_along_y(layout: Layout) -> bool:
 
 
 def rises_sideways(layout: Layout) -> bool:
-    """Whether the boxes, in packing order, never go back along x, or never along y, but go down along z."""
-    tolerance = _tolerance_of(layout)
-    x, y, z = (bool((np.diff(layout.low[:, axis]) >= -tolerance).all()) for axis in range(3))
-    return (x or y) and not z
+    """Whether the boxes, in packing order, go forward along x, or along y, and never back, but go down along z."""
+    steps, tolerance = np.diff(layout.low, axis=0), _tolerance_of(layout)
+    never_back, forward = (steps >= -tolerance).all(axis=0), (steps > tolerance).any(axis=0)
+    return bool((never_back & forward)[:2].any() and not never_back[2])
 
 
 def same_layouts(one: Sequence[Layout], other: Sequence[Layout]) -> bool:

@@ -217,7 +217,7 @@ def test_memory_that_is_short_before_a_table_has_begun_ends_the_run(
     """The run does not try again for ever."""
     tried = itertools.count(1)
 
-    def none_left(*_: object) -> TableRun:
+    def none_left(*_: object, **__: object) -> TableRun:
         if next(tried) > 20:
             pytest.fail("tried for ever")
         raise MemoryError("no room for times")

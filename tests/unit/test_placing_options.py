@@ -143,5 +143,5 @@ def test_a_pair_of_materials_is_given_once() -> None:
 
 
 def test_a_plan_file_s_table_is_no_plan() -> None:
-    with pytest.raises(InputError, match="give the path"):
+    with pytest.raises(InputError, match=r"got a dict; petmjx\.load_plans reads dictionaries"):
         petmjx.score({"plan": []})  # type: ignore[arg-type]
