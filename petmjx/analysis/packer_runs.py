@@ -52,10 +52,12 @@ def with_engine_of(run: RunResults, options: Mapping[str, Any], folder: Path) ->
         run: a run of another packer that was made with the same options on this machine.
         options: options of ``petmjx.score``. An engine that the options name is kept. Otherwise options that the engine
             of the run does not have (threads or lanes) are left out, as ``auto`` ignores them.
-        folder: folder of the packer's run. If there is a run already, it goes on with its own engine.
+        folder: folder of the packer's run. If there is a run already, and the options do not replace it, it goes on
+            with its own engine.
     """
     engine = run.info["config"]["engine"]
-    if options.get("engine", AUTO) != AUTO or engine not in ENGINES or engine_of_run(folder) is not None:
+    goes_on = not options.get("overwrite", False) and engine_of_run(folder) is not None
+    if options.get("engine", AUTO) != AUTO or engine not in ENGINES or goes_on:
         return {**options}
     of_others = {option for name in ENGINES for option in ENGINES[name][2] if not has_option(engine, option)}
     return {name: value for name, value in options.items() if name not in of_others} | {"engine": engine}

@@ -65,14 +65,18 @@ def minimised(
 
 
 def _highs() -> Any | None:
-    """SciPy's module with HiGHS; None if the installed SciPy has none of this name, or another one."""
+    """SciPy's module with HiGHS. The result is None if the installed SciPy has no module of this name, if the module
+    cannot be loaded, or if it lacks one of the names ``_USED``."""
     with _loading:
         if _NAME not in sys.modules and (scipy := importlib.util.find_spec("scipy")) is not None:
             folder = Path(scipy.origin or "").parent.joinpath(*_NAME.split(".")[1:-1])
             spec = importlib.machinery.PathFinder.find_spec(_NAME, [str(folder)])
             if spec is not None and spec.loader is not None:
-                module = importlib.util.module_from_spec(spec)
-                sys.modules[_NAME] = module
-                spec.loader.exec_module(module)
+                try:
+                    module = importlib.util.module_from_spec(spec)
+                    sys.modules[_NAME] = module
+                    spec.loader.exec_module(module)
+                except ImportError:  # SciPy's own import may first add the folder of a library that the module needs
+                    sys.modules.pop(_NAME, None)
     module_or_none = sys.modules.get(_NAME)
     return module_or_none if all(hasattr(module_or_none, name) for name in _USED) else None

@@ -32,7 +32,8 @@ WORTH_S: Final = 1.0
 """Smallest expected time of a run for which the machine is measured, s. The measurement takes 0.1 to 0.3 s."""
 
 KEPT_S: Final = 600.0
-"""Time for which a measured value is kept, s. Later, other programs may slow the processor down, or no longer."""
+"""Time for which a measured value is kept, s. Other programs that begin or end change the speed of a processor a
+little, so the value is not kept for longer."""
 
 BOX_MM: Final = (400.0, 300.0, 200.0)
 SIDE, LAYERS, ROUNDS = 3, 3, 2
@@ -82,8 +83,8 @@ def slowness() -> float:
 def _kept_file() -> Path:
     """The file that keeps the measured value. Machines may share the folder, so the name depends on the processor, and
     on the versions of the packages that were measured."""
-    of = hashlib.sha256(repr((cpu_name(), sorted(package_versions().items()))).encode()).hexdigest()
-    return cache_folder("warp") / f"slowness-{of[:16]}"
+    digest = hashlib.sha256(repr((cpu_name(), sorted(package_versions().items()))).encode()).hexdigest()
+    return cache_folder("warp") / f"slowness-{digest[:16]}"
 
 
 def block_s() -> float:

@@ -51,9 +51,9 @@ def outcome_checks(
     Args:
         jobs: the jobs as the engine simulated them, one for each outcome.
         sim: the options with which the engine simulated.
-        verdicts_only: whether only the verdicts, and what decides about further attempts, are needed. Then, worlds that
-            stand get no distances from edges, and no flags that such distances or leaning boxes set, which takes most
-            of the time.
+        verdicts_only: whether only the verdicts, and what decides about further attempts, are needed. Then worlds that
+            stand get no distances from edges, no ``Flag.KNIFE_EDGE`` and no ``Flag.LEANS``. Computing these takes most
+            of the time of all checks.
     """
     noted = note_penetration(outcomes, jobs, sim)
     for outcome, margin in zip(noted, margins_of(noted, sim.thresholds), strict=True):

@@ -187,8 +187,7 @@ def resolve_engine(
 
         return resolve_workers(options, work, costs or MEASURED, ahead)
     threads = options.threads or cpu_threads()
-    # Measuring the speed of CPU threads takes 0.3 s. If a GPU simulates, the speed of CPU threads is
-    # irrelevant.
+    # Measuring the speed of CPU threads takes 0.3 s. If a GPU simulates, this speed is irrelevant.
     costs = costs or (MEASURED if requested_engine == "mjx-warp" else costs_here(work, threads))
     seconds = costs.seconds(work, threads)
     if requested_engine != AUTO:

@@ -244,7 +244,7 @@ def begins_half_a_box_along_y(layout: Layout) -> bool:
 def rises_sideways(layout: Layout) -> bool:
     """Whether the boxes, in packing order, go forward along x, or along y, and never back, but go down along z."""
     steps, tolerance = np.diff(layout.low, axis=0), _tolerance_of(layout)
-    never_back, forward = (steps >= -tolerance).all(axis=0), (steps > tolerance).any(axis=0)
+    never_back, forward = np.all(steps >= -tolerance, axis=0), np.any(steps > tolerance, axis=0)
     return bool((never_back & forward)[:2].any() and not never_back[2])
 
 

@@ -75,6 +75,8 @@ def test_a_run_that_is_there_keeps_its_engine(results: Path, tmp_path: Path) -> 
     options = {"engine": "auto", "threads": 1, "lanes": 4}
     assert with_engine_of(good, options, tmp_path) == {"engine": "mujoco", "threads": 1}
     assert with_engine_of(good, options, results / "bad,one") == options
+    replacing = {"engine": "auto", "overwrite": True}
+    assert with_engine_of(good, replacing, results / "bad,one") == {"engine": "mujoco", "overwrite": True}
     assert with_engine_of(good, {"engine": "mjx-warp"}, tmp_path) == {"engine": "mjx-warp"}
 
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.machinery
+import importlib.util
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -44,6 +47,19 @@ def test_the_answers_are_those_of_scipy(without: bool, monkeypatch: pytest.Monke
             solved += 1
             assert answer.tobytes() == expected.tobytes()
     assert 10 < solved < 40
+
+
+def test_a_module_that_cannot_be_loaded_is_left_to_scipy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    *folders, name = highs._NAME.split(".")
+    folder = tmp_path.joinpath(*folders)
+    folder.mkdir(parents=True)
+    (folder / f"{name}.py").write_text("HighsLp = None\nraise ImportError('a library is missing')\n")
+    scipy = importlib.machinery.ModuleSpec("scipy", None, origin=str(tmp_path / "scipy" / "__init__.py"))
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: scipy)
+    monkeypatch.delitem(sys.modules, highs._NAME, raising=False)
+    one = np.ones(1)
+    assert minimised(one, np.ones((1, 1)), one, one, one).tolist() == [1.0]
+    assert highs._NAME not in sys.modules, "SciPy could not load the module any more"
 
 
 def test_scipy_is_not_imported_and_can_be_imported_later() -> None:
