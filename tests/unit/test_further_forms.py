@@ -993,6 +993,8 @@ def test_cells_of_a_grid(tmp_path: Path) -> None:
     assert plan.size_mm[0].tolist() == [400, 300, 200]
     (plan,) = load(tmp_path, "cells.csv", of_cells(*lower), columns={"last cells": "-"}).plans
     assert plan.size_mm[0].tolist() == [390, 290, 190]
+    (skipped,) = load(tmp_path, "cells.csv", of_cells(*lower), columns={"half extents": "x2"}).skipped
+    assert skipped.message.endswith("x2 cannot hold half extents")
     (skipped,) = load(tmp_path, "ends.csv", of_cells((0, 0, 0, 40, 30, 0), (40, 0, 0, 80, 30, 20))).skipped
     assert skipped.message.endswith("row 2 (b0): z2 must be beyond z1, got 0")
     tiny = of_cells(*((x, y, z, x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1, 2)))
