@@ -13,6 +13,8 @@ from typing import Final
 
 import numpy as np
 
+from petmjx.common.errors import InputError
+from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
 from petmjx.plans.column_extraction import HALF_EXTENTS, IGNORED, LAST_CELLS, ColumnExtraction
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, may_count, word_set, words_of
@@ -92,7 +94,8 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str], units: str, masses
         units, masses: unit of all lengths and of all masses that an option sets; "": no option.
 
     Raises:
-        InputError: a chosen column does not exist. If places or sizes are missing, ``geometries`` is empty instead.
+        InputError: a chosen column does not exist, or cannot have the role. If places or sizes are missing,
+            ``geometries`` is empty instead.
     """
     extraction = ColumnExtraction(source, chosen, units, masses)
     turns = None
@@ -109,7 +112,12 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str], units: str, masses
         geometries += [other for geometry in geometries if (other := other_way(geometry)) is not None]
     for role in (HALF_EXTENTS, LAST_CELLS):
         if role in chosen:
-            geometries = [one for one in geometries if (role in one.columns) == (chosen[role] != IGNORED)] or geometries
+            is_wanted = chosen[role] != IGNORED
+            fitting = [geometry for geometry in geometries if (role in geometry.columns) == is_wanted]
+            are_known = role == HALF_EXTENTS and any(meaning and meaning.half for meaning in extraction.meanings)
+            if is_wanted and geometries and not (fitting or are_known):
+                raise InputError(f"{printable_name(chosen[role])} cannot hold {role}")
+            geometries = fitting or geometries
     geometries = [geometry for geometry in geometries if (geometry.size > 0).all(axis=1).any()] or geometries
     weight_index = weight_column(extraction)
     density_index = extraction.first("density") if weight_index is None else None

@@ -211,11 +211,15 @@ def _ends_of_vertices(value: Sequence[Any]) -> tuple[list[Any], list[Any]] | Non
     if len(value) != 8 or not all(isinstance(point, list | tuple) and len(point) == 3 for point in value):
         return None
     ends: tuple[list[Any], list[Any]] = ([], [])
-    for column in zip(*value, strict=True):
-        numbers = sorted(number.value for cell in column if (number := cell_number(cell)) is not None)
+    columns = [*zip(*value, strict=True)]
+    sorted_numbers = [
+        sorted(number.value for cell in some if (number := cell_number(cell)) is not None) for some in columns
+    ]
+    sides = [median(some[4:]) - median(some[:4]) for some in sorted_numbers if len(some) == 8]
+    noise = CORNER_NOISE * min(sides, default=0.0)
+    for column, numbers in zip(columns, sorted_numbers, strict=True):
         odd = [cell for cell in column if cell_number(cell) is None]
         low, high = (0.0, 0.0) if odd else (median(numbers[:4]), median(numbers[4:]))
-        noise = CORNER_NOISE * (high - low)
         if not odd and max(numbers[3] - numbers[0], numbers[7] - numbers[4]) > noise:
             odd = [f"{column[0]}, …, which are no level box"]
         ends[0].append(odd[0] if odd else low)

@@ -25,6 +25,7 @@ _COPY: Final = re.compile(
 _CREATE: Final = re.compile(r"\bCREATE\s{1,9}TABLE\b[^(;]{0,300}?([\w.`\"\[\]]{1,200})\s{0,9}\(", re.IGNORECASE)
 _ROW: Final = re.compile(r"[\s,]{0,99}\(((?:'(?:[^'\\]|''|\\.)*+'|[^'()])*+)\)")
 """The values of a row: "(1,'A (large)',0,0,0)". Possessive, so that the time is linear even for malicious texts."""
+_LINE_END: Final = re.compile(r"\s{0,99}\n\s{0,99}")
 _QUOTES: Final = '`"[] \t\r\n'
 _NOT_COLUMNS: Final = frozenset(("PRIMARY", "UNIQUE", "KEY", "INDEX", "CONSTRAINT", "FOREIGN", "CHECK"))
 
@@ -44,7 +45,8 @@ def rows_of_sql(text: str) -> dict[str, list[list[str]]]:
         rows = _table_of(tables, insert, text, bodies)
         at = insert.end()
         while (row := _ROW.match(text, at)) is not None:
-            values = next(csv.reader([row[1]], quotechar="'", escapechar="\\", skipinitialspace=True), [])
+            line = _LINE_END.sub(" ", row[1])
+            values = next(csv.reader([line], quotechar="'", escapechar="\\", skipinitialspace=True), [])
             rows.append(["" if value.strip().upper() == "NULL" else value for value in values])
             at = row.end()
         if text[at : at + 99].lstrip()[:1] not in ("", ";") and not text[at : at + 99].lstrip().startswith("ON "):

@@ -188,7 +188,7 @@ def _plans_of(
         return [None] * len(plans)
     size = _triples(map(_SIZE, items), len(items)) * given.length_mm
     mass = np.fromiter(map(_WEIGHT, items), np.float64, len(items)) * given.mass_kg
-    point = _triples(map(_POINT, placements), len(items)) * given.length_mm
+    point = _triples(map(_POINT, placements), len(items)) * given.place_mm
     texts = {
         "item_ids": [item.id for item in items],
         "articles": [item.article for item in items],

@@ -80,7 +80,7 @@ _ARRAYS: Final = re.compile(
 )
 """The beginning of a text of named arrays, as MiniZinc and Octave print them: "x = [0, 400];"."""
 _MESSAGES: Final = re.compile(
-    r"\s*(?:#[^\n]*\s*)*(?!return\b)(?:[a-z_]\w*\s*:\s*(?:\"[^\"\n]*\"|[\w.+-]+)\s+)*[a-z_]\w*\s*\{\s*\w+\s*[:{]"
+    r"\s*+(?:#[^\n]*+\s*+)*+(?!return\b)(?:[a-z_]\w*\s*:\s*(?:\"[^\"\n]*\"|[\w.+-]+)\s+)*[a-z_]\w*\s*\{\s*\w+\s*[:{]"
 )
 """The beginning of messages of protocol buffers as text: "boxes { sku: ..."."""
 _FIELD: Final = re.compile(r"#[^\n]*|\"(?:\\.|[^\"\\\n])*+\"?|(?<!\w)([A-Za-z_]\w{0,99})[ \t]{0,9}(:?[ \t]{0,9}\{|:)")
@@ -219,7 +219,8 @@ def values_of_blocks(text: str) -> Any:
     texts. Blocks whose names differ in their numbers are one list: "[box1]", "[box2]".
 
     Raises:
-        InputError: a line between two blocks is none. The error names the line.
+        InputError: a line of a block has no named value, or the name of an earlier line of the block. The error names
+            the line.
     """
     lines = text.splitlines()
     heads = [index for index, line in enumerate(lines) if _BLOCK.fullmatch(line)]
@@ -227,6 +228,7 @@ def values_of_blocks(text: str) -> Any:
         return None
     lists: dict[str, JsonLines] = {}
     sections: list[tuple[str, dict[str, Any]]] = []
+    fault = ""
     for head, end in zip(heads, [*heads[1:], len(lines)], strict=True):
         section = cast(re.Match[str], _BLOCK.fullmatch(lines[head]))[1] or ""
         pairs: dict[str, Any] = {"section": section} if section else {}
@@ -234,7 +236,8 @@ def values_of_blocks(text: str) -> Any:
             if (named := _NAMED.fullmatch(lines[index])) is not None and named[1] not in pairs:
                 pairs[named[1]] = named[2].strip() or None
             elif not _COMMENT.fullmatch(lines[index]) and (end < len(lines) or named is not None):
-                raise InputError(f"line {index + 1}: is no named value: {printable_name(lines[index].strip())}")
+                what = "is no named value" if named is None else "its name stands twice"
+                fault = fault or f"line {index + 1}: {what}: {printable_name(lines[index].strip())}"
         name = re.sub(r"[\W\d_]+", "", section)
         values = lists.setdefault(name, JsonLines())
         values.append(pairs)
@@ -251,8 +254,10 @@ def values_of_blocks(text: str) -> Any:
     n_known = 0
     if len(boxes) > 1 and len(boxes[0]) <= MOST_COLUMNS:
         n_known = sum(meaning is not None for meaning in column_meanings(list(boxes[0])))
-    if n_known < _LEAST_PAIRS:
+    if n_known < _LEAST_PAIRS:  # such as sections of a table, below "[Pallet 1]"
         return None
+    if fault:
+        raise InputError(fault)
     return boxes if len(lists) == 1 else {name: some if len(some) > 1 else some[0] for name, some in lists.items()}
 
 

@@ -41,7 +41,7 @@ may describe any point of the box."""
 _FAR_SIDES: Final = word_set("right back rear far rechts hinten droite arriere derecha destra")
 """Words for the sides of a box that are far from the origin. "back_right_top" is the far corner, whereas "top" alone
 may be any point of the top."""
-_PICKED: Final = tuple(map(word_set, ("offset offsets", "pick picked grasp source from")))
+_NOT_PLACES: Final = tuple(map(word_set, ("offset offsets", "pick picked grasp source from")))
 """Words in the names of columns that do not hold places if other columns do: those of offsets, which are relative to
 the box, and those of the places from which a robot takes boxes."""
 
@@ -184,7 +184,7 @@ def places_in(extraction: ColumnExtraction) -> Places | None:
     for anchor, by_axis in sorted(by_anchor.items(), key=lambda entry: entry[0] == ""):
         by_axis |= {axis: [fixed[axis]] for axis in XYZ if axis in fixed}
         if all(axis in by_axis for axis in XYZ):
-            indices = next(_same_stems(header, _without_picks(header, [by_axis[axis] for axis in XYZ])))
+            indices = next(_same_stems(header, _columns_of_places(header, [by_axis[axis] for axis in XYZ])))
             words = {meaning.axis for index in indices if (meaning := extraction.meanings[index]) is not None}
             return _places_of(extraction, indices, anchor)._replace(named_up="z" if "height" in words else "")
     for index, meaning in enumerate(extraction.meanings):
@@ -376,10 +376,11 @@ def _stem(name: str) -> str:
     return f"{path}{dot}{last[:-1]}" if last[-1:].isdigit() else path
 
 
-def _without_picks(header: Sequence[str], picked: Sequence[Sequence[int]]) -> list[list[int]]:
-    """The columns for each coordinate, without columns that do not hold places (``_PICKED``) if there are others."""
-    columns = [list(some) for some in picked]
-    for words in _PICKED:
+def _columns_of_places(header: Sequence[str], columns_of_axes: Sequence[Sequence[int]]) -> list[list[int]]:
+    """The columns for each coordinate. Columns that do not hold places (``_NOT_PLACES``) are left out if there are
+    others."""
+    columns = [list(some) for some in columns_of_axes]
+    for words in _NOT_PLACES:
         others = [[index for index in some if not words.intersection(words_of(header[index]))] for some in columns]
         columns = others if all(others) else columns
     return columns

@@ -13,6 +13,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from petmjx.engines.verdict import Verdict
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.repairs.balance import SAFE_MM, Balance, balances
@@ -246,7 +247,7 @@ class Candidates:
         self._start = Draft.of(self.plan, self.film_turns)
         self._seen: set[bytes] = set()
         self._known: dict[bytes, Trial] = {}  # of each draft that was judged
-        self._falls: dict[bytes, Trial] = {}  # of each draft that fell, by the key of the boxes that were placed
+        self._falls: dict[bytes, Trial] = {}  # of each draft that fell early, by the key of its placements until then
         self._held_mm: dict[int, float] = {}  # by box, largest distance of its load beyond an edge at which it held
         self._in_worlds: dict[bytes, dict[int, Trial]] = {}  # of each draft, by the number of the world
 
@@ -309,8 +310,8 @@ class Candidates:
         """
         beyond: dict[int, float] = dict(zip(after.box.tolist(), after.depth_mm.tolist(), strict=True))
         shares = {box: min(beyond.get(box, 0.0) / depth_mm, 1.0) for box, depth_mm in failing.items()}
-        own = 0.0 if culprit is None else shares.get(culprit, float(culprit in beyond))
-        return sum(shares.values()) / max(len(shares), 1) + own
+        of_culprit = 0.0 if culprit is None else shares.get(culprit, float(culprit in beyond))
+        return sum(shares.values()) / max(len(shares), 1) + of_culprit
 
     def _expected_trouble(self, after: Balance, changed: Collection[int]) -> float:
         """The trouble of a changed plan. A load that was seen to hold this far beyond an edge counts little, unless its
@@ -387,8 +388,10 @@ class Candidates:
             self._learn([*unknown.values()], trials)
             for (key, draft), trial in zip(unknown.items(), trials, strict=True):
                 self._known[key] = trial
-                if not trial.stands and trial.n_placed < len(draft.order):
-                    self._falls.setdefault(key_of(draft, trial.n_placed), trial)
+                # a box that a hand still carried is not among the placed ones, but may have pushed others
+                n_known = trial.n_placed + int(self.sim.placing.carries)
+                if trial.verdict == Verdict.UNSTABLE.value and n_known < len(draft.order):
+                    self._falls.setdefault(key_of(draft, n_known), trial)
         return [self._known[key] for key in keys]
 
     def _falls_early(self, key: bytes) -> bool:

@@ -221,7 +221,8 @@ class Draft:
 
 
 def key_of(draft: Draft, n_boxes: int | None = None) -> bytes:
-    """A key that is equal for equal drafts. It begins with the key of the draft's first ``n_boxes``."""
+    """A key that is equal for equal drafts. ``n_boxes``: the key of this many first boxes, with which the key of the
+    whole draft begins."""
     rows = draft.rows[:n_boxes]
     places = np.round(np.hstack([draft.corner_mm[rows], draft.size_mm[rows]]), 3)
     key: bytes = np.array(draft.film_turns).tobytes() + np.column_stack([rows, places]).tobytes()

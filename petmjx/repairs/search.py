@@ -57,6 +57,9 @@ ALONE: Final = 0.15
 """Share of all trials in which only single changes are tried. A plan that still falls after them has faults everywhere,
 so it is built anew."""
 
+LATE_AT_ONCE: Final = 2 * AT_ONCE
+"""Number of changed plans that are judged at once after these single changes."""
+
 PAIR: Final = 2
 """Once a repair with one change more than this number is known, a repair with this number of changes is sought widely.
 To seek repairs with more changes in this way takes too many trials."""
@@ -263,8 +266,8 @@ class Search(Candidates):
                 standing = yield from self._nearly(nodes)
                 if standing:
                     break
-            at_once = FIRST_AT_ONCE if self.before is None else 2 * AT_ONCE if is_late else AT_ONCE
-            unchanged = [node for node in nodes if not node.state.changes]
+            at_once = FIRST_AT_ONCE if self.before is None else LATE_AT_ONCE if is_late else AT_ONCE
+            unchanged = [node for node in nodes if node.queue and not node.state.changes]
             if standing and fewest == PAIR + 1 and unchanged and not is_widened:
                 is_widened, useful, at_once = True, unchanged, PAIRS_AT_ONCE
                 last = min(end, self.n_trials + int(PAIRS * most_trials))

@@ -248,6 +248,11 @@ def test_sizes_and_coordinates_may_have_units_of_their_own(tmp_path: Path) -> No
     (same,) = petmjx.load_plans(file, units="cm/mm,g").plans
     assert same.size_mm.tolist() == plan.size_mm.tolist()
     assert same.corner_mm.tolist() == plan.corner_mm.tolist()
+    file = tmp_path / "plans.json"
+    petmjx.save_plans(Plan.from_boxes("a", [{**box, "weight_kg": 6}]), file)
+    (same,) = petmjx.load_plans(file, units="cm/mm").plans
+    assert same.size_mm.tolist() == plan.size_mm.tolist()
+    assert same.corner_mm.tolist() == plan.corner_mm.tolist()
     for units in ("cm/", "cm/mm/m", "kg/g"):
         with pytest.raises(InputError, match=r"^units must be one of mm, .* got"):
             petmjx.load_plans(file, units=units)

@@ -23,6 +23,7 @@ import pytest
 import petmjx
 from petmjx.common.units import FloatArray
 from petmjx.plans.order_reader import read_orders
+from petmjx.plans.printed_values import printed_values
 from petmjx.plans.raw_cells import cell_number
 from petmjx.plans.readings import reading_toml
 
@@ -670,10 +671,25 @@ def test_databases_and_blocks_of_lines(kind: str, tmp_path: Path) -> None:
     assert skipped.message.endswith('weight must be a number, got "seven"')
 
 
+def test_rows_of_a_dump_may_extend_over_several_lines(tmp_path: Path) -> None:
+    text = database("INSERT").replace("(", "(\n  ").replace(", ", ",\n  ").replace(")", "\n)")
+    check_pile(load(tmp_path, "dump.sql", text).plans[0])
+
+
+def test_sections_of_a_table_may_have_titles_in_brackets(tmp_path: Path) -> None:
+    rows = table(f"box,x,y,z,{SIZES},weight", named)
+    plans = load(tmp_path, "pile.csv", f"[Pallet 1]\n{rows}[Pallet 2]\n{rows.partition(chr(10))[2]}").plans
+    assert len(plans) == 2
+    for plan in plans:
+        check_pile(plan)
+
+
 def test_damaged_dumps_are_one_line(tmp_path: Path) -> None:
     for text, fault in (
         (database("COPY").replace("\\.", ""), "line 1: the rows have no end; truncated?"),
         (database("INSERT").replace("('c'", "'c'"), "line 3: not a row of values"),
+        (database("INI").replace("box=c", "= c"), "line 23: is no named value: = c"),
+        (database("INI").replace("box=c", "box=c\nbox=d"), "line 24: its name stands twice: box=d"),
         ("INSERT INTO boxes VALUES ('a', 0);", "the names of the columns of boxes are missing"),
     ):
         (skipped,) = load(tmp_path, "dump.sql", text).skipped
@@ -748,6 +764,10 @@ def test_pallets_in_sections_and_messages(tmp_path: Path) -> None:
     assert (a.plan_id, b.plan_id, b.n_boxes) == ("A", "B", 1)
     for plan in (*plans, a):
         check_pile(plan)
+
+
+def test_long_lines_of_marks_take_no_time() -> None:
+    assert printed_values("#" * 200 + " pile\nbox,x,y,z\n") is None
 
 
 def test_tables_of_boxes_that_are_not_placed(tmp_path: Path) -> None:
@@ -950,6 +970,9 @@ def test_eight_corners_may_have_small_errors(tmp_path: Path) -> None:
     (same,) = load(tmp_path, "pile.json", json.dumps(boxes)).plans
     for one in (plan, same):
         assert np.abs(one.size_mm - np.array(PILE)[:, 3:6]).max() < 1
+    boxes[0]["corners"][0][0] += 4.5  # less than a hundredth of the longest side, but not of the shortest one
+    (skipped,) = load(tmp_path, "pile.json", json.dumps(boxes)).skipped
+    assert "which are no level box" in skipped.message
 
 
 def test_cells_of_a_grid(tmp_path: Path) -> None:
@@ -970,6 +993,8 @@ def test_cells_of_a_grid(tmp_path: Path) -> None:
     assert plan.size_mm[0].tolist() == [400, 300, 200]
     (plan,) = load(tmp_path, "cells.csv", of_cells(*lower), columns={"last cells": "-"}).plans
     assert plan.size_mm[0].tolist() == [390, 290, 190]
+    (skipped,) = load(tmp_path, "cells.csv", of_cells(*lower), columns={"half extents": "x2"}).skipped
+    assert skipped.message.endswith("x2 cannot hold half extents")
     (skipped,) = load(tmp_path, "ends.csv", of_cells((0, 0, 0, 40, 30, 0), (40, 0, 0, 80, 30, 20))).skipped
     assert skipped.message.endswith("row 2 (b0): z2 must be beyond z1, got 0")
     tiny = of_cells(*((x, y, z, x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1, 2)))

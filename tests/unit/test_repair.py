@@ -770,6 +770,21 @@ def test_a_plan_that_begins_as_one_that_fell_is_not_simulated() -> None:
     assert not any(early[True])
 
 
+@pytest.mark.parametrize(("placing", "n_known"), [("exact", 3), ("hand", 4)])
+def test_a_box_in_a_hand_may_be_why_a_plan_falls(placing: str, n_known: int) -> None:
+    """A carried box does not count as placed, but may push others. So plans with another place of this box are
+    simulated. A world without a verdict shows nothing about other plans."""
+    plan = make_plan(boxes=stack(6))
+    search, start = Search(plan, Simulation(placing=placing), RepairOptions(worlds=0)), Draft.of(plan)
+    invalid = FALLS._replace(verdict="invalid", reason="failed", culprit=None, fallen=(), n_placed=0)
+    result_of(search._simulated([start], judged=True), lambda some: [invalid] * len(some))
+    moved = [one for box in (3, 4) if (one := Move(box, 5.0, 0.0).applied(start)) is not None]
+    assert not any(search._falls_early(key_of(draft)) for draft in moved)
+    falls = FALLS._replace(n_placed=3)
+    result_of(search._simulated(moved[1:], judged=True), lambda some: [falls] * len(some))
+    assert [search._falls_early(key_of(draft)) for draft in moved] == [n_known == 3, True]
+
+
 def test_a_load_that_was_seen_to_hold_counts_little() -> None:
     """The upper boxes of two stacks hang over. The one of the second stack was placed, and leans on something. If this
     box is moved, it may lean no more."""
