@@ -291,9 +291,16 @@ _CAMEL_UNIT: Final = re.compile(
 """A unit at the end of a name, without a space or bracket before the unit: "lengthMm", "posXmm"."""
 
 
+LONGEST_NAME: Final = 256
+"""Largest number of characters of a name in which a unit is sought. The time of the search grows with the square of the
+length: a cell of 8,000 brackets took 1 s."""
+
+
 def split_unit(name: str) -> tuple[str, str]:
     """A name without its unit, and the unit: "L [mm]" → ("L", "mm"), "length_mm" → ("length", "mm"). The unit is "" if
-    there is none."""
+    there is none, or if the name is longer than ``LONGEST_NAME``."""
+    if len(name) > LONGEST_NAME:
+        return name, ""
     for match in _UNIT_MARK.finditer(name):
         word = plain_text(next(filter(None, match.groups()), "")).strip(" .").lower()
         if word in LENGTH_UNITS or word in MASS_UNITS:
@@ -319,7 +326,7 @@ _QUOTIENT: Final = re.compile(
 
 
 def _quotient(name: str) -> str:
-    match = _QUOTIENT.search(plain_text(name))
+    match = None if len(name) > LONGEST_NAME else _QUOTIENT.search(plain_text(name))
     return "" if match is None else (match[1] or match[2]).strip()
 
 

@@ -22,6 +22,7 @@ import pytest
 
 import petmjx
 from petmjx.common.units import FloatArray
+from petmjx.plans.column_names import split_unit
 from petmjx.plans.order_reader import read_orders
 from petmjx.plans.printed_values import printed_values
 from petmjx.plans.raw_cells import cell_number
@@ -1884,3 +1885,12 @@ def test_a_note_tells_which_object_gives_weights(tmp_path: Path) -> None:
         plan_set = load(tmp_path, "a.json", json.dumps(content))
         np.testing.assert_allclose(plan_set.plans[0].mass_kg, 5)
         assert f"; {note};" in notes_of(plan_set)
+
+
+def test_a_long_cell_in_the_first_row_has_no_unit() -> None:
+    """The time to seek a unit grows with the square of the length of a name: these took 10 s."""
+    began = time.process_time()
+    for name in ("(" * 20_000, "[lb / " * 6_000):
+        assert split_unit(name) == (name, "")
+    assert time.process_time() - began < 2.0
+    assert split_unit("length " * 20 + "[mm]") == (("length " * 20).strip(), "mm")
