@@ -56,11 +56,12 @@ def _boxes_table(story: Story) -> FittedTable:
     boxes, plan, culprit = story.outcome.boxes, story.plan, story.outcome.culprit
     forces = np.nan_to_num(boxes.max_top_force_n[: story.outcome.n_placed])
     pressed = np.argsort(-forces, kind="stable")[:MOST_PRESSED].tolist()
+    role = {box: "most pressed" if forces[box] > 0 else "" for box in pressed} | {culprit: "first to fail"}
     return FittedTable(
         dict.fromkeys([*([culprit] if culprit >= 0 else []), *pressed]),
         TableColumn("box", str),
         TableColumn("article", lambda box: plan.articles[box] or "-", "left", least=10, middle=True),
-        TableColumn("", lambda box: "first to fail" if box == culprit else "most pressed", "left", spare=2),
+        TableColumn("", role.__getitem__, "left", spare=2),
         TableColumn("mass\nkg", lambda box: f"{plan.mass_kg[box]:.2f}", spare=4),
         TableColumn("shift\nmm", lambda box: number(np.abs(boxes.shift_m[box]).max(), ".1f", factor=1000.0)),
         TableColumn("tilt\n°", lambda box: number(boxes.max_tilt_deg[box], ".1f")),
