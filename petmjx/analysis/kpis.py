@@ -34,7 +34,7 @@ from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_sources import PlanSource, gather_plans
 from petmjx.results.plan_lookup import plans_in_place
-from petmjx.results.run_reader import RunResults
+from petmjx.results.run_reader import RunResults, RunSource
 
 
 class KpiColumn(NamedTuple):
@@ -177,8 +177,6 @@ SCORED_HEIGHT_MM: Final = 2_000.0
 _EDGE_MM: Final = 1.0
 """BED-BPP's evaluator measures a height up to the last whole millimetre inside a box, so its heights are too small by
 this length, mm."""
-
-RunSource = RunResults | str | PathLike[str]
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ import pandas as pd
 
 from petmjx.analysis.kpis import COLUMNS
 from petmjx.analysis.packer_kpis import KPIS, against_orders
-from petmjx.analysis.packer_runs import ARRIVES, MEASURES, MISSING, RunSource, doubts, plans_of, runs_by_packer
+from petmjx.analysis.packer_runs import ARRIVES, MEASURES, MISSING, doubts, plans_of, runs_by_packer
 from petmjx.common.atomic_write import write_errors
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
@@ -29,7 +29,7 @@ from petmjx.engines.metrics import DIMENSIONLESS, TEXT
 from petmjx.engines.verdict import Verdict
 from petmjx.results.documented_tables import Described, check_tables_free, write_documented_tables
 from petmjx.results.notebook_tables import ShownColumn, block_as_html, table_as_html
-from petmjx.results.run_reader import RunResults
+from petmjx.results.run_reader import RunResults, RunSource
 from petmjx.results.share_intervals import (
     DEFAULT_CONFIDENCE,
     PairedCounts,

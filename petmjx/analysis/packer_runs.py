@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from os import PathLike
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,7 +19,7 @@ from petmjx.engines.engine_choice import ENGINES, has_option
 from petmjx.options.carriers import CARRIER_EXTENT_M, TARGETS, Carrier, OwnCarrier, extent_m
 from petmjx.options.run_options import AUTO
 from petmjx.results.resume import engine_of_run
-from petmjx.results.run_reader import RunResults, is_chain, load_run
+from petmjx.results.run_reader import RunResults, RunSource, is_chain, load_run
 from petmjx.runs.chain_summary import arrivals
 
 LONGEST_NAME: Final = 200
@@ -40,8 +41,6 @@ shares of standing plans. To add a column, add an entry to this mapping, and add
 ARRIVES: Final = "p_arrives"
 """Column with the share of a plan's simulations in which the pallet arrives at the end of the transport chain. The
 column exists if all runs simulated transport chains."""
-
-RunSource = RunResults | str | Path
 
 
 def with_engine_of(run: RunResults, options: Mapping[str, Any], folder: Path) -> dict[str, Any]:
@@ -69,7 +68,7 @@ def runs_by_packer(runs: Sequence[RunSource] | Mapping[str, RunSource]) -> dict[
     Raises:
         InputError: there are fewer than two runs, two runs have the same name, or a folder has no run.
     """
-    if isinstance(runs, str | Path | RunResults):
+    if isinstance(runs, str | PathLike | RunResults):
         runs = [runs]  # a string is a single run, and must not be taken as a sequence of letters
     runs_by_name = runs if isinstance(runs, Mapping) else None
     sources: list[Any] = (

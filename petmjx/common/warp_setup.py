@@ -45,13 +45,17 @@ def set_up_warp() -> None:
 
 @functools.cache
 def machine_code(name: str) -> ModuleType | None:
-    """The module ``name``, whose functions launch kernels of Warp on a CPU, after a call of its function ``load``. The
-    call compiles the kernels, or loads compiled ones. The result is None if Warp is not installed, or cannot compile
+    """The module ``name``, whose functions launch the kernels ``KERNELS`` of this module on a CPU. The kernels are
+    compiled, or loaded as they were compiled before. The result is None if Warp is not installed, or cannot compile
     the kernels."""
     if why_no_warp_on_cpu() is None:
         with suppress(Exception):  # whatever Warp raises, the caller has NumPy
+            import warp
+
             module = importlib.import_module(name)
-            module.load()
+            set_up_warp()
+            for kernel in module.KERNELS:
+                warp.load_module(kernel.module, device="cpu")  # several threads launch a kernel, but one must load it
             return module
     return None
 

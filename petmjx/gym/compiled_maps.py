@@ -6,20 +6,17 @@ bit for bit. The code writes only the cells that boxes cover, in threads that do
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from petmjx.common.warp_setup import set_up_warp
 from petmjx.gym import map_kernel
 from petmjx.loop.compiled_places import launch, table
 
-
-def load() -> None:
-    """Compile and load the code, or load it as it was compiled before. Must be called before the other functions."""
-    set_up_warp()
-    for kernel in (map_kernel.raise_heights, map_kernel.put_loads):
-        wp.load_module(kernel.module, device="cpu")  # several threads launch a kernel, but one must load it
+KERNELS: Final = (map_kernel.raise_heights, map_kernel.put_loads)
+"""The kernels of this module (``petmjx.common.warp_setup.machine_code``)."""
 
 
 def raise_heights(

@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 
 from petmjx.common.processes import on_threads
 from petmjx.common.units import FloatArray
-from petmjx.common.warp_setup import set_up_warp
 from petmjx.loop import place_kernel
+
+KERNELS: Final = (place_kernel.add_points, place_kernel.lower_boxes)
+"""The kernels of this module (``petmjx.common.warp_setup.machine_code``)."""
 
 _THREADS: Final = 4
 """Number of threads that lower boxes. Machine code does not need Python's lock, so the threads do not wait for it."""
@@ -27,13 +29,6 @@ _WORTH_A_THREAD: Final = 32
 
 _AT_ONCE: Final = 4096
 """Largest number of new boxes that are lowered at a time, which bounds the memory of the results."""
-
-
-def load() -> None:
-    """Compile and load the code, or load it as it was compiled before. Must be called before the other functions."""
-    set_up_warp()
-    for kernel in (place_kernel.add_points, place_kernel.lower_boxes):
-        wp.load_module(kernel.module, device="cpu")  # several threads launch a kernel, but one must load it
 
 
 def add_points(

@@ -11,6 +11,7 @@ import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -337,6 +338,10 @@ class RunResults:
     def _read(self, table: str) -> pd.DataFrame:
         rows = rows_in_order(self.parts, table)
         return data_frame(schemas()[table].empty_table() if rows is None else rows)
+
+
+RunSource = RunResults | str | PathLike[str]
+"""A run, or its folder."""
 
 
 def load_run(path: str | Path, held: Mapping[str, Plan] | None = None) -> RunResults:

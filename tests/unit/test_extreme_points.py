@@ -140,7 +140,7 @@ def test_numpy_finds_the_places_if_warp_cannot_compile(monkeypatch: pytest.Monke
     stock, request = lively_stock(rng, n), boxes(rng.uniform(100, 600, (n, 3)), np.arange(n))
     by_numpy = free_places(stock, request, EXTENT_MM, 1800.0, hulls=False)
     tried = []
-    monkeypatch.setattr(compiled, "load", lambda: tried.append(1) or 1 / 0)
+    monkeypatch.setattr(compiled.wp, "load_module", lambda *_, **__: tried.append(1) or 1 / 0)
     monkeypatch.setattr(candidate_places, "_WORTH_COMPILING", 1)
     assert_same(free_places(stock, request, EXTENT_MM, 1800.0, hulls=False)[:4], by_numpy[:4])
     assert tried
