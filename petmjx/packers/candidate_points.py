@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
-from petmjx.packers.packing_tables import Count
+from petmjx.packers.fill_interface import Count
 from petmjx.packers.pile_balance import TOUCH_MM
 
 _SLIDING = np.array([1, 0, 0, 1])
@@ -61,7 +61,7 @@ class Candidates:
         return twin
 
     def write(self, tables: Mapping[str, NDArray[Any]]) -> None:
-        """Copy the table into arrays with the layout of :mod:`petmjx.packers.packing_tables`."""
+        """Copy the table into arrays with the layout of :mod:`petmjx.packers.fill_interface`."""
         points, shapes = self.z.shape
         tables["counts"][Count.BOXES], tables["counts"][Count.POINTS] = self._n, points
         tables["base"][:shapes], tables["area"][:shapes], tables["height"][:shapes] = self.base, self.area, self.height

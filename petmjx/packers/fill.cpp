@@ -7,7 +7,7 @@
 // continues with the answer. If it is the balance of a box below, the result is UNSURE, and Packing.filled packs from
 // the beginning.
 //
-// Names in capitals that are not defined here, and the tables, are those of packing_tables.py.
+// Names in capitals that are not defined here, and the tables, are those of fill_interface.py.
 
 namespace petmjx {
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from petmjx.common.units import FloatArray
 from petmjx.packers.baseline_packer import MAX_HEIGHT_MM, PlacedBox
 from petmjx.packers.candidate_points import Candidates
-from petmjx.packers.packing_tables import Count, Number
+from petmjx.packers.fill_interface import Count, Number
 from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM, Balance, Rest
 from petmjx.plans.order_generator import Item
 
@@ -240,7 +240,7 @@ class Packing:
         return FullPacking(tuple(placed), top, volume, moment)
 
     def write(self, tables: Mapping[str, NDArray[Any]]) -> None:
-        """Copy the packing into arrays with the layout of :mod:`petmjx.packers.packing_tables`."""
+        """Copy the packing into arrays with the layout of :mod:`petmjx.packers.fill_interface`."""
         shapes = self.n_shapes
         tables["own_base"][:shapes] = self._base
         tables["weight"][:shapes] = self._weight

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from petmjx.common.convex_hull import convex_hull
 from petmjx.common.units import MM_PER_M, FloatArray
-from petmjx.packers.packing_tables import Count
+from petmjx.packers.fill_interface import Count
 
 TOUCH_MM: Final = 1e-6
 """Tolerance of lengths for rounding errors of float64 sums, mm. Tops whose heights differ by less than this count as
@@ -117,7 +117,7 @@ class Balance:
         return twin
 
     def write(self, tables: Mapping[str, NDArray[Any]]) -> None:
-        """Copy the balance into arrays with the layout of :mod:`petmjx.packers.packing_tables`."""
+        """Copy the balance into arrays with the layout of :mod:`petmjx.packers.fill_interface`."""
         n, planes = self.n, len(self._planes)
         tables["counts"][Count.PLANES] = planes
         tables["low_m"][:n], tables["high_m"][:n] = self._low[:n], self._high[:n]
