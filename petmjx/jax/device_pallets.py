@@ -19,7 +19,7 @@ from petmjx.engines.mjx.world_state import Status, take_rows
 from petmjx.engines.protocol import Engine
 from petmjx.engines.verdict import DROPPED_EXCESS, INVALID_FLAGS, Reason, failures
 from petmjx.engines.warp.next_boxes import NewBox
-from petmjx.engines.warp.open_simulator import OpenState, Simulator
+from petmjx.engines.warp.open_world_functions import OpenState, Simulator
 from petmjx.engines.warp.open_worlds import WarpWorlds
 from petmjx.jax.placement_arrays import ENDED, REASONS, PlacementArrays
 from petmjx.options.simulation import Simulation

@@ -26,7 +26,7 @@ from support.worlds import boxes_by_plan, make_plan
 from petmjx.engines.mjx.engine import MjxJaxEngine
 from petmjx.engines.mjx.world_constants import upload_worlds
 from petmjx.engines.warp.engine import MjxWarpEngine
-from petmjx.engines.warp.open_simulator import OpenState
+from petmjx.engines.warp.open_world_functions import OpenState
 from petmjx.engines.warp.open_worlds import fork
 
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")

@@ -1,7 +1,7 @@
 """Open worlds (to which boxes can be added) on the engine mjx-warp. The states of open worlds stay on the device
 between calls.
 
-petmjx/engines/warp/open_simulator.py has the pure functions that change these worlds. ``WarpWorlds`` offers the same
+petmjx/engines/warp/open_world_functions.py has the pure functions that change these worlds. ``WarpWorlds`` offers the same
 operations to ordinary Python code.
 """
 
@@ -27,7 +27,7 @@ from petmjx.engines.warp import world_arrays
 from petmjx.engines.warp.block_launch import Features
 from petmjx.engines.warp.kernel_features import needs_of
 from petmjx.engines.warp.next_boxes import NewBox, new_box, reading_inputs, readings_of
-from petmjx.engines.warp.open_simulator import OpenState, Simulator
+from petmjx.engines.warp.open_world_functions import OpenState, Simulator
 from petmjx.engines.warp.world_table import MAX_GROWTH, OVERFLOW_BITS
 from petmjx.options.simulation import Simulation
 from petmjx.world.growing_scenes import NextBoxes, Stacks
