@@ -14,7 +14,7 @@ a box distributes its weight and the load on it over its supports:
 
 In both rules, forces are linear in the load. So the weight of each box is passed down separately, and the load on a box
 after any placement is a sum over the boxes placed so far. Real supports cannot pull: if the pressure of an even bedding
-would be negative somewhere, petmjx.world.load_sharing gives the forces. If a resultant of the even bedding lies beyond
+would be negative somewhere, petmjx.world.pushing_forces gives the forces. If a resultant of the even bedding lies beyond
 an edge, petmjx.world.balanced_loads determines whether other balancing forces keep all resultants inside.
 """
 
@@ -141,7 +141,7 @@ def _loads_on_boxes(contacts: PlanContacts, sharing: Sharing) -> FloatArray:
 
 
 def bearing_of(contacts: PlanContacts) -> Bearing:
-    """The contacts of a plan, converted to metres and to the form in which petmjx.world.load_sharing needs them."""
+    """The contacts of a plan, converted to metres and to the form in which petmjx.world.pushing_forces needs them."""
     n = contacts.n_boxes
     half = contacts.size_mm / 2
     middle = contacts.corner_mm + half

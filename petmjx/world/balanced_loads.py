@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from petmjx.common.highs import minimised
 from petmjx.common.units import FloatArray
-from petmjx.world.load_sharing import IntArray
+from petmjx.world.pushing_forces import IntArray
 from petmjx.world.supports import Bearing
 
 FAR_M: Final = 0.1

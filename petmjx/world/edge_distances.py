@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from petmjx.common.units import FloatArray
 from petmjx.world.balanced_loads import BEYOND_M, balanced_loads
 from petmjx.world.history import CARRIER
-from petmjx.world.load_sharing import IntArray, pulls
+from petmjx.world.pushing_forces import IntArray, pulls
 from petmjx.world.scene import Scene
 from petmjx.world.supports import Bearing, add_rows, bearing_of, bearings_of, ranges
 

@@ -6,7 +6,7 @@ centre of pressure lies within the convex hull of its supports. Statics does not
 load. This module assumes that supports share a load like a bed of equal springs (Winkler 1867, "Die Lehre von der
 Elasticität und Festigkeit"): the pressure varies linearly over all areas that touch. The balance of force and moments
 determines this pressure. If springs would have to pull somewhere, the module computes the pushing forces with the least
-energy instead (petmjx.world.load_sharing).
+energy instead (petmjx.world.pushing_forces).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
 from petmjx.world.body_shapes import Body
 from petmjx.world.friction_pairs import LARGER
 from petmjx.world.history import CARRIER
-from petmjx.world.load_sharing import ON_EDGE_M, on_edges, pulls, pushes
+from petmjx.world.pushing_forces import ON_EDGE_M, on_edges, pulls, pushes
 from petmjx.world.rectangle_hulls import HullTable, hull_table
 from petmjx.world.scene import Scene
 

@@ -18,7 +18,7 @@ from petmjx.options.simulation import Simulation
 from petmjx.world import edge_distances
 from petmjx.world.edge_distances import building_edges, building_loads_of
 from petmjx.world.history import CARRIER
-from petmjx.world.load_sharing import on_edges, pulls, pushes
+from petmjx.world.pushing_forces import on_edges, pulls, pushes
 from petmjx.world.rectangle_hulls import hull_table
 from petmjx.world.scene import Scene, build_scene
 from petmjx.world.supports import bearing_of, bearings_of

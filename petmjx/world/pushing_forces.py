@@ -1,4 +1,4 @@
-"""Load sharing: the forces with which several supports carry a box, if supports can push but not pull.
+"""Pushing forces: the forces with which several supports carry a box, if supports can push but not pull.
 
 The pressure of a box on a bed of equal springs is a linear function of x and y (petmjx.world.supports), called the
 pressure plane in this module. If a load is far from the middle of the supports, this pressure is negative at the
