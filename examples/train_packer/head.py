@@ -12,8 +12,8 @@ from labels import ORDERS, Array, Labels
 from numpy.typing import NDArray
 from optimiser import Adam
 
-from petmjx.packers.placement_stability import NAMES, likely
-from petmjx.packers.policy_network import Network
+from petmjx.packers.policy_network import Network, likely
+from petmjx.packers.stability_features import NAMES
 from petmjx.plans.order_generator import stream
 
 STREAM = 102

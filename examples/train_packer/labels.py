@@ -19,7 +19,7 @@ from petmjx.packers.item_stream import Places
 from petmjx.packers.learned_candidates import FourSidedStream, lowest_first
 from petmjx.packers.learned_packer import CLEARANCE_MM, Policy, placing_of
 from petmjx.packers.packing_state import NextCandidate
-from petmjx.packers.placement_stability import stability_features
+from petmjx.packers.stability_features import stability_features
 from petmjx.plans.order_generator import TARGET_EXTENT_MM, draw_order, stream
 
 TARGET = "euro-pallet"

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from petmjx.common.warp_cpp import with_cpp
 from petmjx.common.warp_setup import set_up_warp
 from petmjx.packers.baseline_packer import MAX_HEIGHT_MM
-from petmjx.packers.packing_state import LEAST_SUPPORT, FullPacking, NextCandidate, Packing
 from petmjx.packers.fill_interface import AXES, Answer, Begin, Count, End, Number, names_in_cpp
+from petmjx.packers.packing_state import LEAST_SUPPORT, FullPacking, NextCandidate, Packing
 from petmjx.packers.pile_balance import (
     LEAST_TURN_M2,
     MARGIN_M,

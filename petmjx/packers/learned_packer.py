@@ -27,8 +27,8 @@ from petmjx.packers.learned_candidates import FourSidedStream, cost_mm
 from petmjx.packers.learned_features import features
 from petmjx.packers.packing_state import NextCandidate
 from petmjx.packers.pile_balance import TOUCH_MM, Balance, Rest
-from petmjx.packers.placement_stability import PlacementState, likely, placement_state, stability_features
-from petmjx.packers.policy_network import Network
+from petmjx.packers.policy_network import Network, likely
+from petmjx.packers.stability_features import PlacementState, placement_state, stability_features
 from petmjx.plans.order_generator import Item
 from petmjx.plans.plan import Plan
 

@@ -1,5 +1,5 @@
-"""A small neural network (``Network``) that computes a score from features. The network is the sum of a linear part and
-one hidden layer."""
+"""A small neural network (``Network``) that computes a score from features, and the probability that belongs to a score.
+The network is the sum of a linear part and one hidden layer."""
 
 from __future__ import annotations
 
@@ -81,3 +81,10 @@ class Network:
     def of_arrays(cls, name: str, arrays: dict[str, FloatArray]) -> Self:
         """The network with the arrays of a file. This function is the inverse of ``arrays``."""
         return cls(**{field: np.asarray(arrays[f"{name}_{field}"], float) for field in cls.__dataclass_fields__})
+
+
+def likely(network: Network, features: FloatArray) -> FloatArray:
+    """(m,) probabilities that m boxes stand, from their (m, f) features. The network's scores are the log odds."""
+    logits = np.clip(network.scores(features), -30.0, 30.0)
+    chances: FloatArray = 1.0 / (1.0 + np.exp(-logits))
+    return chances

@@ -29,10 +29,9 @@ from petmjx.packers.learned_features import NAMES, features
 from petmjx.packers.learned_packer import CLEARANCE_MM, LEARNED, Policy, pack_learned, published_policy
 from petmjx.packers.packer_registry import WHY
 from petmjx.packers.packing_state import Packing
-from petmjx.packers.placement_stability import NAMES as STABILITY_NAMES
-from petmjx.packers.placement_stability import likely
-from petmjx.packers.policy_network import Network
+from petmjx.packers.policy_network import Network, likely
 from petmjx.packers.sample_plans import generate
+from petmjx.packers.stability_features import NAMES as STABILITY_NAMES
 from petmjx.plans.order_generator import TARGET_EXTENT_MM, Item, Order, draw_order
 
 DRAWN = draw_order(5, 3)

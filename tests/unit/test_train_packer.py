@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from petmjx.packers.learned_packer import Policy, published_policy
-from petmjx.packers.placement_stability import NAMES
+from petmjx.packers.stability_features import NAMES
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples" / "train_packer"
 

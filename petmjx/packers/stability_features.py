@@ -1,5 +1,4 @@
-"""The probability that a box stands if a robot places it inexactly, predicted by a network, and the features from which
-the network predicts it.
+"""Features from which a network predicts whether a box stands if a robot places it inexactly.
 
 The network was trained with simulations in which all boxes are placed with the errors of a robot
 (examples/train_packer). The plans were made by rules, and partly at random. A box counts as standing if it stands until
@@ -16,7 +15,6 @@ import numpy as np
 
 from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.packers.pile_balance import TOUCH_MM, Balance, Margins, Rest
-from petmjx.packers.policy_network import Network
 
 NAMES: Final = (
     *("own_margin", "own_share", "pile_margin", "support", "one_support", "n_supports", "floor"),
@@ -134,10 +132,3 @@ def stability_features(box: PlacementState) -> FloatArray:
 
 def _clipped_number(value: float) -> float:
     return float(min(max(value, -4.0), 4.0))
-
-
-def likely(network: Network, features: FloatArray) -> FloatArray:
-    """(m,) probabilities that m boxes stand, from their (m, f) features."""
-    logits = np.clip(network.scores(features), -30.0, 30.0)
-    chances: FloatArray = 1.0 / (1.0 + np.exp(-logits))
-    return chances
