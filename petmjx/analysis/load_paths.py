@@ -14,8 +14,8 @@ a box distributes its weight and the load on it over its supports:
 
 In both rules, forces are linear in the load. So the weight of each box is passed down separately, and the load on a box
 after any placement is a sum over the boxes placed so far. Real supports cannot pull: if the pressure of an even bedding
-would be negative somewhere, petmjx.world.pushing_forces gives the forces. If a resultant of the even bedding lies beyond
-an edge, petmjx.world.balanced_loads determines whether other balancing forces keep all resultants inside.
+would be negative somewhere, petmjx.world.pushing_forces gives the forces. If a resultant of the even bedding lies
+beyond an edge, petmjx.world.balanced_loads determines whether other balancing forces keep all resultants inside.
 """
 
 from __future__ import annotations

@@ -40,7 +40,7 @@ from support.tiny_worlds import (
 )
 from support.worlds import simulate
 
-from petmjx.engines.warp import block_queues, slice_result, table_jobs
+from petmjx.engines.warp import block_queues, table_jobs, time_slices
 from petmjx.engines.warp import engine as mjx_warp
 from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.block_queues import Queues
@@ -212,7 +212,7 @@ def test_memory_that_runs_out_for_outcomes_loses_no_world(
     monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
     """The device works ahead of the host. Outcomes of some worlds are not made yet when further jobs get these rows."""
-    has_joined, add, make = threading.Event(), WorldTable.add, slice_result.outcomes
+    has_joined, add, make = threading.Event(), WorldTable.add, time_slices.outcomes
 
     def watched(self: WorldTable, *args: Any) -> Any:
         rows = add(self, *args)
@@ -227,8 +227,8 @@ def test_memory_that_runs_out_for_outcomes_loses_no_world(
 
     failed: list[bool] = []
     monkeypatch.setattr(WorldTable, "add", watched)
-    monkeypatch.setattr(slice_result, "outcomes", late)
-    monkeypatch.setattr(slice_result, "MOST_AHEAD", 1 << 20)
+    monkeypatch.setattr(time_slices, "outcomes", late)
+    monkeypatch.setattr(time_slices, "MOST_AHEAD", 1 << 20)
     scenes = tiny_scenes()
     outcomes = run_all(engine(most_rows=4, slice_ns=SOME_NS), [Job(scene) for scene in scenes.values()] * 2, SHORT)
     assert failed == [True]

@@ -27,9 +27,8 @@ from petmjx.engines.warp.continued_worlds import ContinuedWorlds
 from petmjx.engines.warp.free_bodies import paths
 from petmjx.engines.warp.kernel_features import KernelFeatures, queue_of, size_of
 from petmjx.engines.warp.open_worlds import WarpWorlds
-from petmjx.engines.warp.slice_result import SliceResult, outcomes_of
 from petmjx.engines.warp.table_jobs import TableJobs
-from petmjx.engines.warp.time_slices import Rollout, TableSlices
+from petmjx.engines.warp.time_slices import Rollout, SliceResult, TableSlices, outcomes_of
 from petmjx.engines.warp.world_table import TableRun, WorldTable
 from petmjx.options.simulation import Simulation
 from petmjx.world.free_bodies import FreeBodies

@@ -1,8 +1,8 @@
 """Open worlds (to which boxes can be added) on the engine mjx-warp. The states of open worlds stay on the device
 between calls.
 
-petmjx/engines/warp/open_world_functions.py has the pure functions that change these worlds. ``WarpWorlds`` offers the same
-operations to ordinary Python code.
+petmjx/engines/warp/open_world_functions.py has the pure functions that change these worlds. ``WarpWorlds`` offers the
+same operations to ordinary Python code.
 """
 
 from __future__ import annotations

@@ -15,8 +15,8 @@ from support.outcomes import make_outcome
 from petmjx.engines.mjx.readback import Readback
 from petmjx.engines.protocol import Progress
 from petmjx.engines.verdict import Outcome, Verdict
-from petmjx.engines.warp import slice_result
-from petmjx.engines.warp.slice_result import SliceResult, outcomes_of
+from petmjx.engines.warp import time_slices
+from petmjx.engines.warp.time_slices import SliceResult, outcomes_of
 from petmjx.options.simulation import Simulation
 
 WAIT_S = 30
@@ -49,7 +49,7 @@ def test_a_slice_in_which_no_world_has_ended_has_no_outcome_at_hand(
         rows = [row for batch in picked for row in batch.rows.tolist()]
         yield from (make_outcome(1, Verdict.STABLE, job=row) for row in rows)
 
-    monkeypatch.setattr(slice_result, "outcomes", made)
+    monkeypatch.setattr(time_slices, "outcomes", made)
     progress, at_hand = Progress(), list[int | None]()
     for outcome in outcomes_of(slices(), Simulation(), progress, waits=False):
         assert outcome.job == len(at_hand)
