@@ -76,7 +76,7 @@ class Flag(IntFlag):
     """The world is stable, but a box leans or lies lower than planned (petmjx.engines.outcome_checks)."""
     NOT_PLACED = 65536
     """A hand (the force that carries a box to its place) found no room for a box: it released the box farther than
-    ``MISSED_M`` from its place (petmjx.world.approach_paths), before any box had crossed a threshold."""
+    ``MISSED_M`` from its place (petmjx.world.hand), before any box had crossed a threshold."""
 
 
 @dataclass(eq=False)

@@ -16,18 +16,8 @@ from petmjx.engines.mjx.world_constants import NEVER, Worlds
 from petmjx.engines.mjx.world_state import State
 from petmjx.engines.verdict import Flag
 from petmjx.options.simulation import Simulation
-from petmjx.world.approach_paths import (
-    AT_PLACE_M,
-    CLEARANCE_M,
-    FREE_M,
-    LOWERING_STEPS,
-    MISSED_M,
-    MOST_SIDESTEPS,
-    MOST_WAY_S,
-    lowering_rate_1_s,
-    rate_1_s,
-    stuck_steps,
-)
+from petmjx.world.approach_paths import CLEARANCE_M, FREE_M, MOST_SIDESTEPS, MOST_WAY_S
+from petmjx.world.hand import AT_PLACE_M, LOWERING_STEPS, MISSED_M, lowering_rate_1_s, rate_1_s, stuck_steps
 
 Vector = Float[Array, "world 3"]
 

@@ -16,7 +16,8 @@ from jaxtyping import Float64, Int32
 
 from petmjx.common.units import seconds_to_steps
 from petmjx.options.simulation import Check, Simulation
-from petmjx.world.approach_paths import MOST_STUCK_S, MOST_WAY_S
+from petmjx.world.approach_paths import MOST_WAY_S
+from petmjx.world.hand import MOST_STUCK_S
 
 KEPT: Final = 8
 """Number of timetables in the cache. Each timetable takes up to 20 bytes per step: 25 MB for 250 boxes."""

@@ -11,15 +11,8 @@ import numpy as np
 
 from petmjx.common.units import FloatArray
 from petmjx.engines.mujoco.timetable import NEVER
-from petmjx.world.approach_paths import (
-    AT_PLACE_M,
-    LOWERING_STEPS,
-    MISSED_M,
-    lowering_rate_1_s,
-    progress,
-    rate_1_s,
-    stuck_steps,
-)
+from petmjx.world.approach_paths import progress
+from petmjx.world.hand import AT_PLACE_M, LOWERING_STEPS, MISSED_M, lowering_rate_1_s, rate_1_s, stuck_steps
 from petmjx.world.rotation import rotated_vectors
 from petmjx.world.scene import Scene
 

@@ -28,10 +28,10 @@ from petmjx.engines.warp.small_world_blocks import small_world_queues
 from petmjx.engines.warp.tail_blocks import tail_queues
 from petmjx.options.physics import Cone, Physics
 from petmjx.options.simulation import SOFT_START_STEPS, Check, Schedule, Simulation
-from petmjx.world.approach_paths import lowering_rate_1_s, rate_1_s, stuck_steps
 from petmjx.world.carrier_boards import has_walls
 from petmjx.world.contact_laws import MOST_IMPEDANCE, kinetic_share, lasts_steps, slack_m_s2
 from petmjx.world.film import spring_rate_1_s
+from petmjx.world.hand import lowering_rate_1_s, rate_1_s, stuck_steps
 
 TOLERANCE = 1e-8
 """Tolerance of the solver: MuJoCo's default. The solver can reach this tolerance, since forces and residuals have

@@ -23,16 +23,16 @@ from petmjx.engines.warp.kernels.motion import (
 )
 from petmjx.engines.warp.kernels.samples import speed_of
 from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Workspace, Worlds
-from petmjx.world import approach_paths
+from petmjx.world import approach_paths, hand
 
 NEVER = wp.constant(int(world_constants.NEVER))
 FREE = wp.constant(approach_paths.FREE_M)
 CLEARANCE = wp.constant(approach_paths.CLEARANCE_M)
-MISSED = wp.constant(approach_paths.MISSED_M)
-AT_PLACE = wp.constant(approach_paths.AT_PLACE_M)
+MISSED = wp.constant(hand.MISSED_M)
+AT_PLACE = wp.constant(hand.AT_PLACE_M)
 MOST_SIDESTEPS = wp.constant(approach_paths.MOST_SIDESTEPS)
 MOST_WAY_S = wp.constant(approach_paths.MOST_WAY_S)
-LOWERING_STEPS = wp.constant(approach_paths.LOWERING_STEPS)
+LOWERING_STEPS = wp.constant(hand.LOWERING_STEPS)
 
 
 @wp.func
