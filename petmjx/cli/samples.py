@@ -18,9 +18,10 @@ from petmjx.common.text import count_text, printable, printable_name
 from petmjx.options.run_options import OF_ORDERS, Confidence
 from petmjx.packers.item_stream import MOST_LOOK_AHEAD
 from petmjx.packers.learned_packer import LEARNED
+from petmjx.packers.left_out_items import LeftOutItems
 from petmjx.packers.pack_options import PHYSICAL, PhysicalOptions
 from petmjx.packers.packer_registry import BASELINE, PACKERS
-from petmjx.packers.sample_plans import DEFAULT_LOOSE_SHARE, LeftOutItems
+from petmjx.packers.sample_plans import DEFAULT_LOOSE_SHARE
 
 if TYPE_CHECKING:
     from petmjx.plans.item_orders import OrderReading

@@ -9,15 +9,13 @@ from typing import Any
 import numpy as np
 
 from petmjx.packers.finalists import Evaluation, Finalist, choose, decisive_evaluations
+from petmjx.packers.left_out_items import LeftOutItems, left_out_of, why_left_out
 from petmjx.packers.pack_options import PhysicalOptions
-from petmjx.packers.sample_plans import LeftOutItems, as_placements, left_out_of
+from petmjx.packers.sample_plans import as_placements
 from petmjx.plans.json_writer import Placement
 from petmjx.plans.order_generator import Order
 from petmjx.plans.plan import Plan
 from petmjx.results.share_intervals import wilson_interval
-
-NO_PLACE = "no packing has room for more"
-FALLS = "packings with more boxes do not stand often enough"
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,8 +63,8 @@ class PackedOrder:
         tried = decisive_evaluations(judged, options)
         packing = choose(tried, options) if tried else None
         left_out = left_out_of(order_id, order, packing.finalist.placed if packing else ())
-        fuller = packing is not None and max(finalist.volume_m3 for finalist in finalists) > packing.finalist.volume_m3
-        why = "" if left_out is None else FALLS if fuller else NO_PLACE
+        chosen_m3 = packing.finalist.volume_m3 if packing else None
+        why = "" if left_out is None else why_left_out(chosen_m3, (finalist.volume_m3 for finalist in finalists))
         good = packing is not None and packing.is_good(options)
         simulated = sum(candidate.n_simulated for candidate in judged)
         return cls(order_id, len(order.items), packing, len(tried), simulated, good, left_out, why)

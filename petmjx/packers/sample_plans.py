@@ -12,9 +12,7 @@ plans are the first ten plans of ``n = 1000``.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,9 +22,9 @@ import numpy as np
 from petmjx.common.argument_checks import integer_of, number_of, path_of
 from petmjx.common.errors import InputError
 from petmjx.common.parallel_map import ordered_results
-from petmjx.common.text import count_text, printable_name
 from petmjx.options.run_options import MOST_WORKERS
 from petmjx.packers.baseline_packer import PackRules, PlacedBox
+from petmjx.packers.left_out_items import LeftOutItems, left_out_of
 from petmjx.packers.packer_registry import BASELINE, WHY, packer_named
 from petmjx.plans.json_writer import Placement, write_plans
 from petmjx.plans.order_generator import PACKER_STREAM, Item, Order, draw_order, stream, target_extent_mm
@@ -47,34 +45,6 @@ which is the largest size of a file that petmjx reads."""
 
 LOOSE_SUPPORT = (0.3, 0.6)
 """Range of the random ``min_support`` of loose plans. Strict plans have the default of ``PackRules``."""
-
-
-@dataclass(frozen=True)
-class LeftOutItems:
-    """Items of one order for which the packer found no place.
-
-    Attributes:
-        order_id: id of the order and of the plan.
-        n_items: number of items of the order.
-        numbers: keys of the left-out items in the order's ``item_sequence``, in ascending order. A generated order has
-            no keys; its items are numbered from 1.
-        why: the reason why items are left out. If the reason is that there is no place below 2 m for them, ``why`` is
-            "".
-    """
-
-    order_id: str
-    n_items: int
-    numbers: tuple[int, ...]
-    why: str = ""
-
-    def __str__(self) -> str:
-        """The left-out items as a text for messages, as in "order 00100408: 3 of 40 boxes are left out: items 3, 7,
-        8"."""
-        many, few = count_text(self.n_items, "box", "boxes"), len(self.numbers)
-        numbers = ", ".join(map(str, self.numbers))
-        verb, items = ("is", "item") if few == 1 else ("are", "items")
-        why = f": {self.why}" if self.why else ""
-        return f"order {printable_name(self.order_id)}: {few} of {many} {verb} left out: {items} {numbers}{why}"
 
 
 _Packed = tuple[str, list[Placement], LeftOutItems | None]
@@ -244,18 +214,6 @@ def _pack(
 ) -> _Packed:
     placed = packer_named(packer, look_ahead)(order.items, target_extent_mm(order.target), rules, rng)
     return order_id, as_placements(placed), left_out_of(order_id, order, placed, WHY.get(packer, ""))
-
-
-def left_out_of(order_id: str, order: Order, placed: Iterable[PlacedBox], why: str = "") -> LeftOutItems | None:
-    """The items of an order that a packing leaves out; None if it leaves out no item."""
-    counts = Counter(box.item for box in placed)
-    missing = []
-    # generated orders have no numbers, so their items are numbered from 1
-    for number, item in zip(order.numbers or range(1, len(order.items) + 1), order.items, strict=True):
-        counts[item] -= 1
-        if counts[item] < 0:
-            missing.append(number)
-    return LeftOutItems(order_id, len(order.items), tuple(missing), why) if missing else None
 
 
 def _plans(

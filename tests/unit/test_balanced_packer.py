@@ -20,8 +20,9 @@ from petmjx.common.errors import InputError
 from petmjx.common.parallel_map import ordered_results
 from petmjx.packers.balanced_packer import TASTES, pack_balanced
 from petmjx.packers.baseline_packer import PackRules, PlacedBox, pack_best
+from petmjx.packers.left_out_items import LeftOutItems
 from petmjx.packers.pile_balance import MARGIN_M, Balance, hull_planes
-from petmjx.packers.sample_plans import LeftOutItems, as_placements, generate, generate_one, pack_orders
+from petmjx.packers.sample_plans import as_placements, generate, generate_one, pack_orders
 from petmjx.plans.order_generator import TARGET_EXTENT_MM, Item, draw_order
 
 

@@ -16,7 +16,8 @@ from support.plan_files import order
 from petmjx.common.errors import InputError
 from petmjx.packers.baseline_packer import MAX_HEIGHT_MM, PackRules, in_hull_of_rectangles
 from petmjx.packers.bundled_plans import CARTON, HANDMADE, bundled_plans
-from petmjx.packers.sample_plans import LOOSE_SUPPORT, LeftOutItems, generate, generate_one, pack_orders, write_samples
+from petmjx.packers.left_out_items import LeftOutItems
+from petmjx.packers.sample_plans import LOOSE_SUPPORT, generate, generate_one, pack_orders, write_samples
 from petmjx.plans.bundled import bundled_path
 from petmjx.plans.json_writer import write_plans
 from petmjx.plans.order_generator import MAX_BOXES, MIN_BOXES, TARGET_EXTENT_MM, catalogue, draw_order
