@@ -12,8 +12,9 @@ import pandas as pd
 from petmjx.common.argument_checks import integer_of, path_of
 from petmjx.common.checked_records import shown_value
 from petmjx.common.errors import InputError
+from petmjx.common.machine import why_no_warp, why_no_warp_on_cpu
 from petmjx.common.text import count_text
-from petmjx.options.run_options import MOST_WORKERS, OF_ORDERS, Confidence, RunOptions, sorted_options
+from petmjx.options.run_options import AUTO, MOST_WORKERS, OF_ORDERS, Confidence, RunOptions, sorted_options
 from petmjx.options.simulation import Simulation
 from petmjx.packers.item_stream import MOST_LOOK_AHEAD
 from petmjx.packers.learned_packer import LEARNED
@@ -196,9 +197,22 @@ def pack_each(
         raise InputError(f"look_ahead needs the packer {LEARNED}")
     ahead = integer_of(1 if look_ahead is None else look_ahead, "look_ahead", 1, MOST_LOOK_AHEAD)
     sees = ahead if packer == LEARNED else None
+    if simulation_options.get("engine", AUTO) == AUTO:
+        simulation_options["engine"] = fastest()
     return pack_physical(
         orders, packer_options, simulation_options, integer_of(workers, "workers", 1, MOST_WORKERS), sees
     )
+
+
+def fastest() -> str:
+    """The name of the engine that is fastest on this machine if there are many worlds.
+
+    The engine ``auto`` is not used, because the engine that it chooses depends on the number of orders, but an order's
+    plan must not depend on other orders.
+    """
+    if why_no_warp() is None:
+        return "mjx-warp"
+    return "mjx-warp-cpu" if why_no_warp_on_cpu() is None else "mujoco"
 
 
 def orders_of(

@@ -13,10 +13,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
 from typing import Any
 
-from petmjx.common.machine import why_no_warp, why_no_warp_on_cpu
 from petmjx.common.parallel_map import UnorderedResults
 from petmjx.engines.run_engine import engine_for
-from petmjx.options.run_options import AUTO
 from petmjx.packers.finalists import finalists, learned_finalists
 from petmjx.packers.pack_flow import CPU, GPU, Flow, Searched, WorldsOfPlans
 from petmjx.packers.pack_options import PhysicalOptions
@@ -36,7 +34,7 @@ def pack_physical(
     Args:
         orders: pairs of an id and an order.
         options: options of the packer.
-        how: options of ``petmjx.score`` for the simulations.
+        how: options of ``petmjx.score`` for the simulations, with the name of an engine that is not ``auto``.
         workers: number of processes for the search, which does not affect the plans.
         look_ahead: if given, the packer ``learned`` makes the packing that is simulated, and sees this number of boxes
             at a time. If ``look_ahead`` is None, the search makes the packings.
@@ -45,27 +43,13 @@ def pack_physical(
         InputError: the options are unusable.
         EngineUnavailable: the requested engine cannot run on this machine.
     """
-    engine = how.get("engine", AUTO)
-    if engine == AUTO:
-        engine = fastest()
-    worlds = WorldsOfPlans(options.worlds, {**how, "engine": engine})
+    worlds = WorldsOfPlans(options.worlds, how)
     searching = partial(_order_search, options=options, look_ahead=look_ahead)
     with (
         UnorderedResults(searching, orders, workers) as searched,
         engine_for(worlds.run, worlds.work) as (simulator, _),
     ):
-        yield from Flow(searched, options, worlds, GPU if engine == "mjx-warp" else CPU).packed(simulator)
-
-
-def fastest() -> str:
-    """The name of the engine that is fastest on this machine if there are many worlds.
-
-    The engine ``auto`` is not used, because the engine that it chooses depends on the number of orders, but an order's
-    plan must not depend on other orders.
-    """
-    if why_no_warp() is None:
-        return "mjx-warp"
-    return "mjx-warp-cpu" if why_no_warp_on_cpu() is None else "mujoco"
+        yield from Flow(searched, options, worlds, GPU if how["engine"] == "mjx-warp" else CPU).packed(simulator)
 
 
 def _order_search(numbered: tuple[str, Order], options: PhysicalOptions, look_ahead: int | None) -> Searched:

@@ -24,6 +24,7 @@ from petmjx.engines.protocol import takes_stream
 from petmjx.engines.verdict import Outcome, Reason, Verdict
 from petmjx.options.simulation import Simulation
 from petmjx.packers import beam_search as beam_module
+from petmjx.packers import pack as pack_module
 from petmjx.packers import physical_packer as physical_module
 from petmjx.packers.balanced_packer import TASTES, pack_balanced
 from petmjx.packers.beam_search import search
@@ -415,6 +416,6 @@ def test_the_command_says_what_it_made(
 def test_one_engine_judges_all_orders(
     monkeypatch: pytest.MonkeyPatch, gpu: str | None, kernel: str | None, engine: str
 ) -> None:
-    monkeypatch.setattr(physical_module, "why_no_warp", lambda: gpu)
-    monkeypatch.setattr(physical_module, "why_no_warp_on_cpu", lambda: kernel)
-    assert physical_module.fastest() == engine
+    monkeypatch.setattr(pack_module, "why_no_warp", lambda: gpu)
+    monkeypatch.setattr(pack_module, "why_no_warp_on_cpu", lambda: kernel)
+    assert pack_module.fastest() == engine
