@@ -8,8 +8,8 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from petmjx.plans.box_fields import flattened
 from petmjx.plans.column_names import CONTAINER_WORDS, column_meanings, names_deck, word_set, words_of
+from petmjx.plans.nested_fields import flattened
 from petmjx.plans.raw_cells import cell_number, cell_text
 
 LAYERS: Final = word_set("layer layers level levels tier tiers lage lagen schicht schichten row rows couches")

@@ -17,7 +17,6 @@ import numpy as np
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable_name
-from petmjx.plans.box_fields import LEAST_NUMBERS, flattened, rows_by_column, rows_of_numbers
 from petmjx.plans.column_names import column_meanings, names_unplaced, word_set, words_of
 from petmjx.plans.header_and_total_rows import geometric_columns, geometric_names
 from petmjx.plans.json_reader import DuplicateFieldObject, any_integer, json_fault, json_object
@@ -32,6 +31,7 @@ from petmjx.plans.nested_containers import (
     fields_of_part,
     plan_names_of,
 )
+from petmjx.plans.nested_fields import LEAST_NUMBERS, flattened, rows_by_column, rows_of_numbers
 from petmjx.plans.raw_cells import cell_number, decimal_of
 from petmjx.plans.raw_tables import MOST_ROWS, BoxList, RawTable, flags_unplaced, not_placed, united
 

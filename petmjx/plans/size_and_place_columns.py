@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
-from petmjx.plans.box_fields import CORNER_NOISE
 from petmjx.plans.column_extraction import HALF_EXTENTS, LAST_CELLS, SIZE_WORDS, XYZ, ColumnExtraction, role_of
 from petmjx.plans.column_names import BASE_WORDS, CENTRE_WORDS, LENGTH_UNITS, split_unit, word_set, words_of
+from petmjx.plans.nested_fields import CORNER_NOISE
 from petmjx.plans.turn_columns import Turns
 
 _ON_AXES: Final = {"0": "x", "1": "y", "2": "z", "length": "x", "width": "y", "height": "z", "depth": "z"}
