@@ -7,5 +7,5 @@ from pathlib import Path
 
 
 def bundled_path() -> Path:
-    """The file of the bundled plans. :mod:`petmjx.packers.bundled_plans` selects these plans and writes the file."""
+    """The file of the bundled plans. :mod:`petmjx.packers.handmade_plans` selects these plans and writes the file."""
     return Path(str(files(__package__) / "bundled.json"))

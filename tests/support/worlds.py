@@ -11,7 +11,7 @@ from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.protocol import Engine
 from petmjx.engines.verdict import Outcome
 from petmjx.options.simulation import Simulation
-from petmjx.packers.bundled_plans import HANDMADE
+from petmjx.packers.handmade_plans import HANDMADE
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 from support.plans import Box, make_scene, stack

@@ -24,7 +24,7 @@ from petmjx.common.errors import InputError
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.verdict import Flag, Reason, Verdict
 from petmjx.options.simulation import Simulation
-from petmjx.packers.bundled_plans import HANDMADE
+from petmjx.packers.handmade_plans import HANDMADE
 from petmjx.plans.bundled import bundled_path
 from petmjx.plans.plan_reader import load_plans
 from petmjx.results.run_writer import RunWriter

@@ -15,7 +15,7 @@ from support.plan_files import order
 
 from petmjx.common.errors import InputError
 from petmjx.packers.baseline_packer import MAX_HEIGHT_MM, PackRules, in_hull_of_rectangles
-from petmjx.packers.bundled_plans import CARTON, HANDMADE, bundled_plans
+from petmjx.packers.handmade_plans import CARTON, HANDMADE, bundled_plans
 from petmjx.packers.left_out_items import LeftOutItems
 from petmjx.packers.sample_plans import LOOSE_SUPPORT, generate, generate_one, pack_orders, write_samples
 from petmjx.plans.bundled import bundled_path

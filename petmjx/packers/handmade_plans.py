@@ -1,6 +1,6 @@
-"""The plans that come with petmjx: hand-made plans (``HANDMADE``) and generated plans.
+"""Hand-made plans (``HANDMADE``), and the numbers of the generated plans that come with petmjx, too.
 
-``python -m petmjx.packers.bundled_plans`` writes the file with these plans.
+``python -m petmjx.packers.handmade_plans`` writes the file with all these plans.
 
 Statics determines whether the hand-made plans stand, if boxes are placed one by one on the carrier ``footprint``, which
 is as large as the plan's bounding box. The simulation makes boxes smaller by 0.1 mm. This reduction changes no verdict,
