@@ -32,7 +32,8 @@ from petmjx.options.simulation import Check, Simulation, Thresholds
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_sources import PlanSource, find_plan, usable_plans
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, gaps_mm
-from petmjx.results.history_tables import Recording, read_history
+from petmjx.results.history_tables import read_history
+from petmjx.results.recording import Recording
 from petmjx.results.run_folder import RUN_FILE
 from petmjx.results.run_reader import RunResults, load_run, read_outcome, world_row
 from petmjx.runs.rerun import worlds_of_run

@@ -25,7 +25,7 @@ from petmjx.options.simulation import Simulation
 from petmjx.plans.loose_boxes import statics_of
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import Skipped
-from petmjx.results.history_tables import Recording
+from petmjx.results.recording import Recording
 from petmjx.results.resume import CompletedWorlds
 from petmjx.results.run_writer import RunWriter
 from petmjx.results.schema import Param

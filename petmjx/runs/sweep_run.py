@@ -24,7 +24,7 @@ from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.engines.world_results import AnyWorld, WorldResult
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
-from petmjx.results.history_tables import NO_RECORDING, Recording
+from petmjx.results.recording import NO_RECORDING, Recording
 from petmjx.results.resume import CompletedWorlds
 from petmjx.runs.chain_legs import PLACING, after, with_sustained_force
 from petmjx.runs.forked_worlds import DriveWorld, LegStart, LegWorld, PlacementWorld, SettledPlacement, Test

@@ -10,7 +10,7 @@ from typing import Any
 from petmjx.engines.protocol import Engine, Progress
 from petmjx.options.run_options import RunOptions
 from petmjx.plans.plan import Plan
-from petmjx.results.history_tables import Recording
+from petmjx.results.recording import Recording
 from petmjx.results.resume import CompletedWorlds
 from petmjx.results.run_writer import RunWriter
 from petmjx.results.schema import summary_table

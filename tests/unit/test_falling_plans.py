@@ -30,7 +30,7 @@ from petmjx.packers.sample_plans import generate_one
 from petmjx.plans.loose_boxes import MOST_LOOKED_AT, loose_and_ties, statics_of
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_validation import parse_plan
-from petmjx.results.history_tables import Recording
+from petmjx.results.recording import Recording
 from petmjx.results.resume import CompletedWorlds
 from petmjx.runs.study import Nominal
 from petmjx.runs.sweep_file import find_sweep, load_sweep
