@@ -17,12 +17,11 @@ from petmjx.engines.contact_penetration import stiffened_physics
 from petmjx.engines.mjx.timetable import build_timetable
 from petmjx.engines.warp import block_pools
 from petmjx.engines.warp.block_launch import SIZES
-from petmjx.engines.warp.block_pool import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX
-from petmjx.engines.warp.block_pools import BlockPools, most_room
+from petmjx.engines.warp.block_pools import BlockPools
+from petmjx.engines.warp.contact_buffers import CONTACTS_PER_BOX, MAX_GROWTH, MORE_BOXES, PAIRS_PER_BOX, most_room
 from petmjx.engines.warp.kernel_features import KernelFeatures
 from petmjx.engines.warp.kernel_launcher import KernelLauncher
 from petmjx.engines.warp.programs import constants
-from petmjx.engines.warp.world_table import MAX_GROWTH
 from petmjx.options.simulation import Simulation
 
 USUAL = Simulation()
@@ -89,27 +88,27 @@ def test_larger_buffers_are_of_the_size_that_needs_them_and_end_blocks_for_few_b
     both = group(widths={SMALL: 40, LARGE: 120})
     mine = BlockPools(None, lambda launch: 3)
     usual = {pool.n_boxes: pool for pool in mine.of(both)}
-    assert mine.grow(both.run, LARGE) == 2
+    assert mine.buffers.grow(both.run, LARGE) == 2
     assert kinds(mine.of(both)) == ["last", "few", "120", "40"], "the others are of the usual size"
-    assert mine.grow(both.run, SMALL) == 2
+    assert mine.buffers.grow(both.run, SMALL) == 2
     grown = mine.of(both)
     assert kinds(grown) == ["last", "120", "40"]
     for pool in grown:
         assert (pool.npairmax, pool.nconmax) == (
             2 * usual[pool.n_boxes].npairmax, 2 * usual[pool.n_boxes].nconmax
         )  # fmt: skip
-    assert mine.grow(group(STIFF, widths={SMALL: 40}).run, SMALL) == 4, "for the same cones"
+    assert mine.buffers.grow(group(STIFF, widths={SMALL: 40}).run, SMALL) == 4, "for the same cones"
     pyramids = USUAL.changed(physics=USUAL.physics.changed(cone="pyramidal"))
     assert kinds(mine.of(group(pyramids))) == ["last", "few", "40"]
 
 
 def test_buffers_grow_until_a_world_of_the_largest_size_would_have_enough() -> None:
     mine, run = BlockPools(None, lambda launch: 3), group(widths={SMALL: SMALL}).run
-    growths = [mine.grow(run, SMALL) for _ in range(4)]
+    growths = [mine.buffers.grow(run, SMALL) for _ in range(4)]
     assert growths == [2, 4, MAX_GROWTH, None]
     narrow = group(widths={SMALL: 2}).run
     mine = BlockPools(None, lambda launch: 3)
-    while mine.grow(narrow, SMALL):
+    while mine.buffers.grow(narrow, SMALL):
         pass
     (pool,) = mine.of(group(widths={SMALL: 2}))[-1:]
     assert pool.npairmax == PAIRS_PER_BOX * most_room(SMALL)

@@ -34,10 +34,9 @@ from support.tiny_worlds import (
 )
 from support.worlds import simulate
 
-from petmjx.engines.warp import block_pool, block_pools
+from petmjx.engines.warp import contact_buffers
 from petmjx.engines.warp.block_launch import SIZES
-from petmjx.engines.warp.block_pool import MORE_BOXES
-from petmjx.engines.warp.block_pools import most_room
+from petmjx.engines.warp.contact_buffers import MORE_BOXES, most_room
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.world_arrays import MAX_BOXES
 from petmjx.engines.warp.world_table import WorldTable
@@ -54,8 +53,8 @@ def test_buffers_that_are_too_small_grow_and_give_the_same(
     # Buffers have room for 4 contacts or pairs a world. At least 5 pairs of the bricks touch, in 20 contacts.
     some = tiny_scenes(("hand-one-box", "brickwork"))
     expected = simulate(shared_engine(), some, SHORT)
-    monkeypatch.setattr(block_pool, buffer, 1)
-    monkeypatch.setattr(block_pools, "MORE_BOXES", 0)
+    monkeypatch.setattr(contact_buffers, buffer, 1)
+    monkeypatch.setattr(contact_buffers, "MORE_BOXES", 0)
     outcomes = simulate(engine(), some, SHORT)
     assert outcomes["brickwork"].flags & Flag.RERUN_AFTER_OVERFLOW
     for name, outcome in outcomes.items():
@@ -70,8 +69,8 @@ def test_buffers_grow_for_the_size_that_needs_it(monkeypatch: pytest.MonkeyPatch
     some = {**tiny_scenes(("hand-one-box", "brickwork")), "one more": tiny("hand-one-box")}
     expected = simulate(shared_engine(), some, SHORT)
     sizes_apart(monkeypatch, 1)
-    monkeypatch.setattr(block_pool, "CONTACTS_PER_BOX", 2)
-    monkeypatch.setattr(block_pools, "MORE_BOXES", 0)
+    monkeypatch.setattr(contact_buffers, "CONTACTS_PER_BOX", 2)
+    monkeypatch.setattr(contact_buffers, "MORE_BOXES", 0)
     made = watched_rollouts(monkeypatch, lambda *_: None)
     for name, outcome in simulate(engine(), some, SHORT).items():
         assert_same(outcome, expected[name])
@@ -82,11 +81,11 @@ def test_buffers_grow_for_the_size_that_needs_it(monkeypatch: pytest.MonkeyPatch
 
 @pytest.mark.slow
 def test_what_overflows_for_ever_is_invalid(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(block_pool, "CONTACTS_PER_BOX", 0)
+    monkeypatch.setattr(contact_buffers, "CONTACTS_PER_BOX", 0)
     small = engine()
     outcome = simulate(small, tiny_scenes(("hand-one-box",)), SHORT)["hand-one-box"]
     assert (outcome.verdict, outcome.reason) == (Verdict.INVALID, Reason.OVERFLOW)
-    (growth,) = small._pools._growth.values()
+    (growth,) = small._pools.buffers._growth.values()
     room, most = GRANULE + MORE_BOXES, most_room(SIZES[0].most_boxes)
     assert growth // 2 * room < most <= growth * room
 

@@ -41,7 +41,7 @@ from support.tiny_worlds import (
 )
 from support.worlds import simulate
 
-from petmjx.engines.warp import block_pool
+from petmjx.engines.warp import contact_buffers
 from petmjx.engines.warp import engine as mjx_warp
 from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.block_pool import BlockPool
@@ -119,7 +119,7 @@ def test_memory_that_runs_out_while_buffers_grow_ends_what_is_not_at_its_end(
     """One world has its outcome already, one world waits for its drive (motion of the carrier), and one world needs
     more contacts than fit into memory. If no more jobs may come, a slice is already running when that is seen, and the
     drive ends in that slice."""
-    monkeypatch.setattr(block_pool, "CONTACTS_PER_BOX", 2)
+    monkeypatch.setattr(contact_buffers, "CONTACTS_PER_BOX", 2)
     small_device(monkeypatch, lambda _, nconmax: nconmax <= 12)
     drive = Drive(Excitation("still", "force", np.zeros((5, 3))), rest_s=0.1)
     one_box = tiny("hand-one-box")
@@ -270,8 +270,8 @@ def test_a_device_whose_memory_runs_out_goes_on_with_fewer_blocks(monkeypatch: p
     alone = simulate(MjxWarpEngine(), some, SHORT)
     gc.collect()  # the first engine's memory, which would otherwise become free during the next run
     crowded = MjxWarpEngine()
-    blocks, room = Launch.here(120).blocks, 120 + block_pool.MORE_BOXES
-    sizes = axes(blocks, 120, 1, block_pool.PAIRS_PER_BOX * room, block_pool.CONTACTS_PER_BOX * room)
+    blocks, room = Launch.here(120).blocks, 120 + contact_buffers.MORE_BOXES
+    sizes = axes(blocks, 120, 1, contact_buffers.PAIRS_PER_BOX * room, contact_buffers.CONTACTS_PER_BOX * room)
     buffer_bytes = 4 * BUFFER_WORDS * buffer_rows(sizes)
     # The memory that should stay free is taken first, in one piece, and freed when all other memory is taken. JAX may
     # have reserved a piece that is up to 128 MB larger.

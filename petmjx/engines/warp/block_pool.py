@@ -8,16 +8,7 @@ from dataclasses import dataclass
 from petmjx.engines.mjx.world_constants import NEVER
 from petmjx.engines.warp import world_arrays
 from petmjx.engines.warp.block_launch import Launch
-
-PAIRS_PER_BOX = 10
-"""Number of pairs of near geoms for which memory is reserved, per box and per board of a carrier."""
-
-CONTACTS_PER_BOX = 8
-"""Number of contacts for which memory is reserved, per box. Full real pallets have 4.5 contacts per box. The largest
-number in 2,000 sample plans was 6.4 per box, in a collapse."""
-
-MORE_BOXES = 2
-"""Number of additional boxes for which buffers have room: one for the carrier, and one that small plans need."""
+from petmjx.engines.warp.contact_buffers import pairs_and_contacts
 
 
 @dataclass(frozen=True)
@@ -50,8 +41,7 @@ class BlockPool:
     @classmethod
     def of(cls, launch: Launch, blocks: int, n_boxes: int, boards: int, room: int) -> BlockPool:
         """A pool whose buffers have room for the contacts and pairs of ``room`` boxes in each world."""
-        shapes = room + boards - 1
-        return cls(launch, blocks, n_boxes, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)
+        return cls(launch, blocks, n_boxes, boards, *pairs_and_contacts(room + boards - 1))
 
     @property
     def is_extra(self) -> bool:

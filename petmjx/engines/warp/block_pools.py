@@ -1,4 +1,4 @@
-"""Block pools: the thread blocks for the worlds of a table, and the sizes of their buffers."""
+"""Block pools: the thread blocks for the worlds of a table."""
 
 from __future__ import annotations
 
@@ -7,35 +7,29 @@ from collections.abc import Callable
 import numpy as np
 
 from petmjx.engines.warp.block_launch import FEW_BOXES, Features, Launch
-from petmjx.engines.warp.block_pool import MORE_BOXES, BlockPool
+from petmjx.engines.warp.block_pool import BlockPool
+from petmjx.engines.warp.contact_buffers import ContactBuffers
 from petmjx.engines.warp.small_world_blocks import small_world_pool
 from petmjx.engines.warp.tail_blocks import stiff_pool, tail_pool
-from petmjx.engines.warp.world_table import MAX_GROWTH, TableRun, WorldTable
-from petmjx.options.physics import Cone
+from petmjx.engines.warp.world_table import TableRun, WorldTable
 from petmjx.world.contact_laws import is_stiff
 
 
-def most_room(size: int) -> int:
-    """Upper limit for the growth of buffers: the buffers of a world of this size get room for the contacts and pairs of
-    at most this number of boxes.
-
-    The limit is the same in all runs, so the largest plan of a run has no influence on whether a world is given up."""
-    return MAX_GROWTH * (size + MORE_BOXES)
-
-
 class BlockPools:
-    """Makes the block pools for an engine's tables, and enlarges buffers that overflow. Enlarged buffers stay large.
+    """Makes the block pools for an engine's tables.
 
     Args:
         lanes: largest number of worlds of one size that are simulated at the same time. If ``lanes`` is None, the limit
             is the number for which the device has room.
         blocks: function that returns the number of blocks of a launch.
+
+    Attributes:
+        buffers: the sizes of the worlds' buffers.
     """
 
     def __init__(self, lanes: int | None, blocks: Callable[[Launch], int]) -> None:
         self._lanes, self._blocks = lanes, blocks
-        self._growth: dict[tuple[Cone, int], int] = {}
-        """(Friction cone, size of worlds) → factor by which buffers are larger than the default."""
+        self.buffers = ContactBuffers()
 
     def of(self, table: WorldTable) -> tuple[BlockPool, ...]:
         """The block pools of a table. Pools for the last worlds and for small worlds, if there are any, come first.
@@ -47,7 +41,7 @@ class BlockPools:
             of_size[size] if stiff is None else stiff_pool(of_size[size], stiff, self._lanes)
             for stiff, size in run.needs.queues
         )
-        usual = self._growth_of(run, run.needs.sizes[-1]) == 1
+        usual = self.buffers.growth(run, run.needs.sizes[-1]) == 1
         # There is no pool for small worlds if buffers are enlarged: each of the pool's many lanes would need an
         # enlarged buffer. There is no pool for small worlds with stiff contacts either. With stiff contacts, a step
         # takes five times as many iterations, and in some worlds many more, for which the other worlds of the block
@@ -59,22 +53,6 @@ class BlockPools:
         last = tail_pool(pools[-1], self._lanes)
         return (last, *pools) if last else pools
 
-    def grow(self, run: TableRun, size: int) -> int | None:
-        """Double the buffers for worlds of a size. Returns the factor by which the buffers are now larger than the
-        default, or None if they already have their largest size."""
-        if self._boxes_of_room(run, size) == most_room(size):
-            return None
-        growth = 2 * self._growth_of(run, size)
-        self._growth[run.sim.physics.cone, size] = growth
-        return growth
-
-    def _growth_of(self, run: TableRun, size: int) -> int:
-        return self._growth.get((run.sim.physics.cone, size), 1)
-
-    def _boxes_of_room(self, run: TableRun, size: int) -> int:
-        """Largest number of boxes whose contacts and pairs fit into the current buffers for a world of this size."""
-        return min(self._growth_of(run, size) * (run.needs.widths[size] + MORE_BOXES), most_room(size))
-
     def _of_size(self, run: TableRun, size: int, boards: int) -> BlockPool:
         """The block pool for worlds of a size, with the largest number of blocks. ``boards``: number of shapes of the
         carriers.
@@ -82,4 +60,4 @@ class BlockPools:
         needs = run.needs
         n_boxes = needs.widths[size]
         launch = Launch.here(n_boxes, Features(needs.hands, needs.gives, needs.wraps, run.sim.physics.has_landings))
-        return BlockPool.of(launch, self._blocks(launch), n_boxes, boards, self._boxes_of_room(run, size))
+        return BlockPool.of(launch, self._blocks(launch), n_boxes, boards, self.buffers.room(run, size))

@@ -18,7 +18,8 @@ from petmjx.engines.mjx.world_constants import NEVER, Worlds
 from petmjx.engines.mjx.world_state import State, Status, fresh_state, of_flat, put_rows, take_rows
 from petmjx.engines.warp import world_arrays
 from petmjx.engines.warp.block_launch import Features, Launch
-from petmjx.engines.warp.block_pool import MORE_BOXES, BlockPool
+from petmjx.engines.warp.block_pool import BlockPool
+from petmjx.engines.warp.contact_buffers import MORE_BOXES
 from petmjx.engines.warp.kernel_launcher import SLICE_NS, KernelLauncher
 from petmjx.engines.warp.next_boxes import NewBox, with_new_box
 from petmjx.engines.warp.programs import constants

@@ -25,10 +25,11 @@ from petmjx.engines.open_worlds import OpenWorlds, Readings
 from petmjx.engines.verdict import Flag, Outcome
 from petmjx.engines.warp import world_arrays
 from petmjx.engines.warp.block_launch import Features
+from petmjx.engines.warp.contact_buffers import MAX_GROWTH
 from petmjx.engines.warp.kernel_features import needs_of
 from petmjx.engines.warp.next_boxes import NewBox, new_box, reading_inputs, readings_of
 from petmjx.engines.warp.open_world_functions import OpenState, Simulator
-from petmjx.engines.warp.world_table import MAX_GROWTH, OVERFLOW_BITS
+from petmjx.engines.warp.world_table import OVERFLOW_BITS
 from petmjx.options.simulation import Simulation
 from petmjx.world.growing_scenes import NextBoxes, Stacks
 from petmjx.world.job import Drive, Job

@@ -241,7 +241,7 @@ class TableSlices:
         sizes = np.array([size_of(table.jobs[row]) for row in rows.tolist()])
         for size in np.unique(sizes).tolist():
             some = rows[sizes == size]
-            growth = self._pools.grow(table.run, size)
+            growth = self._pools.buffers.grow(table.run, size)
             if growth is None:
                 table.give_up(some, Flag.NONE)
                 continue

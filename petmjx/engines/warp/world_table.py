@@ -23,10 +23,6 @@ from petmjx.engines.warp.kernel_features import KernelFeatures, size_of
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import Excitation, Job
 
-MAX_GROWTH = 8
-"""Largest factor by which buffers grow. Buffers are doubled at each overflow. A world for which buffers of this size
-are still too small becomes invalid."""
-
 OVERFLOW_BITS = int(Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW | Flag.OTHER_OVERFLOW)
 
 Table = TypeVar("Table", State, Worlds)
