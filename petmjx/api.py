@@ -26,7 +26,7 @@ from petmjx.runs.simulate import RunStart, Watcher, simulate
 from petmjx.runs.study import Nominal, Study
 
 if TYPE_CHECKING:
-    from petmjx.runs.sweep_run import Batching
+    from petmjx.runs.forked_worlds import Batching
 
 __all__ = ["RunStart", "Watcher", "score", "sweep"]
 
@@ -184,8 +184,8 @@ def sweep(
         InputError: the sweep file, the plans or the options are unusable.
         EngineUnavailable: the chosen engine cannot run on this machine.
     """
+    from petmjx.runs.forked_worlds import Batching
     from petmjx.runs.sweep_file import find_sweep, load_sweep
-    from petmjx.runs.sweep_run import Batching
     from petmjx.runs.sweep_study import SweepStudy
 
     if batching is not None:

@@ -1,11 +1,12 @@
 """Settled placements (simulations in which all boxes are placed and at rest), and the simulations that start from their
-states: drives (motions of the carrier), and the legs of a chain."""
+states: drives (motions of the carrier), and the legs of a chain. Also limits for their numbers in memory."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
+from petmjx.engines.attempt_stream import MOST_PENDING
 from petmjx.engines.verdict import Attempt, Flag, Outcome, Verdict, judge
 from petmjx.engines.world_results import World
 from petmjx.options.simulation import Thresholds
@@ -16,6 +17,30 @@ from petmjx.runs.sweep_worlds import PlacementGroup
 from petmjx.runs.transport_limits import load_height_m
 from petmjx.world.scene import Scene
 from petmjx.world.variants import LegSpec, Variant
+
+
+@dataclass(frozen=True)
+class Batching:
+    """Limits for the numbers of simulations and states of a sweep that are in memory and in the engine at the same
+    time. The results of a sweep do not depend on these limits.
+
+    Attributes:
+        undriven: largest number of simulations without a drive, whose states are not stored, in one call of the engine.
+        placements: largest number of stored settled states. A state with 43 boxes takes 10 to 20 KB.
+        worlds: largest number of variants that start from stored states at the same time. If a single placement has
+            more variants than this, all of them start together.
+        drives: for searches and chains, largest number of simulations that start from stored states in one call of the
+            engine. For this limit, a search counts the first tests for all its profiles and directions, and a chain
+            counts all worlds.
+        histories: largest number of settled states that are stored with their histories. A history with 43 boxes takes
+            1 MB.
+    """
+
+    undriven: int = MOST_PENDING
+    placements: int = 8192
+    worlds: int = 65_536
+    drives: int = 16_384
+    histories: int = 256
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 settled state, and searches for the largest levels survived.
 
 The engine gets the placements, drives and legs (parts of a chain) of many plans in one stream, since a GPU is efficient
-only with many simulations at a time. ``Batching`` limits the memory of a sweep, whatever its size.
+only with many simulations at a time. ``petmjx.runs.forked_worlds.Batching`` limits the memory of a sweep.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from petmjx.engines.attempt_stream import FIRST_WORLDS, MOST_PENDING, check_pool_for, score_worlds
+from petmjx.engines.attempt_stream import FIRST_WORLDS, check_pool_for, score_worlds
 from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.job_stream import JobBounds
 from petmjx.engines.protocol import Engine, Progress
@@ -27,37 +27,13 @@ from petmjx.plans.plan import Plan
 from petmjx.results.recording import NO_RECORDING, Recording
 from petmjx.results.resume import CompletedWorlds
 from petmjx.runs.chain_legs import PLACING, after, with_sustained_force
-from petmjx.runs.forked_worlds import DriveWorld, LegStart, LegWorld, PlacementWorld, SettledPlacement, Test
+from petmjx.runs.forked_worlds import Batching, DriveWorld, LegStart, LegWorld, PlacementWorld, SettledPlacement, Test
 from petmjx.runs.level_search import Bisection, Probe, SearchBracket
 from petmjx.runs.study import FinishedWorld, LegEnd
 from petmjx.runs.sweep_design import SearchItem
 from petmjx.runs.sweep_worlds import PlacementGroup, SweepPlan
 from petmjx.world.job import Job
 from petmjx.world.variants import LegSpec, Variant
-
-
-@dataclass(frozen=True)
-class Batching:
-    """Limits for the numbers of simulations and states of a sweep that are in memory and in the engine at the same
-    time. The results of a sweep do not depend on these limits.
-
-    Attributes:
-        undriven: largest number of simulations without a drive, whose states are not stored, in one call of the engine.
-        placements: largest number of stored settled states. A state with 43 boxes takes 10 to 20 KB.
-        worlds: largest number of variants that start from stored states at the same time. If a single placement has
-            more variants than this, all of them start together.
-        drives: for searches and chains, largest number of simulations that start from stored states in one call of the
-            engine. For this limit, a search counts the first tests for all its profiles and directions, and a chain
-            counts all worlds.
-        histories: largest number of settled states that are stored with their histories. A history with 43 boxes takes
-            1 MB.
-    """
-
-    undriven: int = MOST_PENDING
-    placements: int = 8192
-    worlds: int = 65_536
-    drives: int = 16_384
-    histories: int = 256
 
 
 @dataclass

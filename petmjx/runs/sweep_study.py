@@ -16,10 +16,11 @@ from petmjx.results.run_writer import RunWriter
 from petmjx.results.schema import summary_table
 from petmjx.runs.chain_summary import ChainColumns, write_chain
 from petmjx.runs.confidence import write_confidence
+from petmjx.runs.forked_worlds import Batching
 from petmjx.runs.study import FinishedWorld, Study
 from petmjx.runs.sweep_design import sweep_identity
 from petmjx.runs.sweep_file import Sweep
-from petmjx.runs.sweep_run import Batching, SweepRun, Tally
+from petmjx.runs.sweep_run import SweepRun, Tally
 from petmjx.runs.sweep_summary import (
     ShareColumns,
     SweepColumns,

@@ -26,7 +26,7 @@ import petmjx.runs.sweep_study
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.mujoco.world_run import WorldRun
 from petmjx.results.run_writer import RunWriter
-from petmjx.runs.sweep_run import Batching
+from petmjx.runs.forked_worlds import Batching
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.fake_engine import end_without_physics

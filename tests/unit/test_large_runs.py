@@ -20,7 +20,7 @@ from petmjx.engines.verdict import Outcome
 from petmjx.options.simulation import Simulation
 from petmjx.results import tables_in_progress
 from petmjx.results.run_writer import RunWriter
-from petmjx.runs import sweep_run
+from petmjx.runs import forked_worlds
 from petmjx.world.job import Job
 
 PLANS = [make_plan(f"p{(7 * k) % 9}", stack(1 + k % 3)) for k in range(9)]
@@ -47,9 +47,9 @@ class InTurn(LargestFirst):
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     assert RunWriter.__init__.__kwdefaults__ is not None
     monkeypatch.setitem(RunWriter.__init__.__kwdefaults__, "worlds_per_part", 10)
-    defaults = sweep_run.Batching.__init__.__defaults__
+    defaults = forked_worlds.Batching.__init__.__defaults__
     assert defaults is not None
-    monkeypatch.setattr(sweep_run.Batching.__init__, "__defaults__", (12, *defaults[1:]))
+    monkeypatch.setattr(forked_worlds.Batching.__init__, "__defaults__", (12, *defaults[1:]))
 
 
 @pytest.fixture

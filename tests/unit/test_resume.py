@@ -36,7 +36,7 @@ from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import load_run
 from petmjx.results.run_writer import RunWriter
 from petmjx.results.schema import schemas
-from petmjx.runs.sweep_run import Batching
+from petmjx.runs.forked_worlds import Batching
 from petmjx.world.job import Job
 
 SAMPLE = """
