@@ -10,12 +10,7 @@ import { add, looking, orthographic, product, scaled, unit } from "./vectors.js"
 export const BOX_NUMBERS = [3, 4, 3, 4, 4]; // centre, quaternion, half size, colour, edge (colour and pixels)
 export const ARROW_NUMBERS = [3, 3, 4]; // start, vector, colour and radius
 
-const SHADOW_PIXELS = 2048;
 const SUNWARD = unit(LOOK.sunward);
-const THEMES = {
-  light: { ground: [0.93, 0.935, 0.94], ruled: [0.78, 0.79, 0.81], shade: 0.3 },
-  dark: { ground: [0.135, 0.145, 0.165], ruled: [0.25, 0.27, 0.3], shade: 0.6 },
-};
 
 export class Painter {
   constructor(gl) {
@@ -24,7 +19,7 @@ export class Painter {
     this.depths = program(gl, shaders.BOX_VERTEX, shaders.DEPTH_FRAGMENT);
     this.arrows = program(gl, shaders.ARROW_VERTEX, shaders.ARROW_FRAGMENT);
     this.floor = program(gl, shaders.FLOOR_VERTEX, shaders.FLOOR_FRAGMENT);
-    this.map = depthMap(gl, SHADOW_PIXELS);
+    this.map = depthMap(gl, LOOK.shadowPixels);
     const boxes = () => new Instances(gl, cube(), [3, 3], BOX_NUMBERS);
     this.meshes = {
       solid: boxes(),
@@ -88,7 +83,7 @@ export class Painter {
   }
 
   drawFloor({ camera, dark, middle, reach, floorZ }, { clip, sun }) {
-    const { ground, ruled, shade } = dark ? THEMES.dark : THEMES.light;
+    const { ground, ruled, shade } = dark ? LOOK.themes.dark : LOOK.themes.light;
     if (camera.eye()[2] < floorZ) return; // seen from below, the floor would hide the boxes on it
     this.floor.set({ clip, sun, middle: [middle[0], middle[1], floorZ], reach: 2.2 * reach, ground, ruled, shade });
     this.meshes.floor.draw();
