@@ -49,7 +49,7 @@ def story_page(story: Story) -> str:
         f"{shortened_text(plan.plan_id)}: {outcome.verdict.value}",
         body,
         script="story.js",
-        styles=("story.css",),
+        styles=("story.css", "timeline.css"),
         info=info,
         blocks=story_blocks(story),
     )
