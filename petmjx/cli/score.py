@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from petmjx.cli import command_options as opt
-from petmjx.cli.console import results_console
-from petmjx.cli.run_command import brief, folder_of_run, run_and_show, run_watched
+from petmjx.cli.packer_scores import score_packers
+from petmjx.cli.run_command import run_and_show
 from petmjx.common.errors import InputError
-from petmjx.common.text import printable
 from petmjx.options.run_options import Confidence, Transport
-
-if TYPE_CHECKING:
-    from petmjx.results.run_reader import RunResults
 
 Names = Annotated[
     list[str] | None,
@@ -53,45 +46,6 @@ def score(plans: opt.PlanPaths = None, names: Names = None, as_json: opt.JsonOpt
         packers = opt.named_paths(texts, "--name")
         if len(packers) < len(texts):
             raise InputError("--name: must be NAME=PLANS, such as --name A=a.json B=b.json")
-        _score_packers(packers, options, as_json)
+        score_packers(packers, options, as_json)
         return
     run_and_show(partial(api.score, plans or None), options, as_json)
-
-
-def _score_packers(plans: Mapping[str, str], options: Mapping[str, Any], as_json: bool) -> None:
-    """Score the plans of each packer into a subfolder of ``out`` with the packer's name, then compare the packers.
-
-    Args:
-        plans: name of each packer → file or folder with the packer's plans.
-        options: options of ``petmjx.score``.
-    """
-    from petmjx import api
-    from petmjx.analysis.packer_comparison import compare_packers
-    from petmjx.analysis.packer_runs import check_names, with_engine_of
-    from petmjx.results.run_folder import check_run_folder
-    from petmjx.show.packer_tables import packer_tables
-    from petmjx.show.run_tables import run_tables
-    from petmjx.show.table_layout import line, print_renderables
-
-    check_names(plans)
-    for path in plans.values():
-        if not Path(path).exists():  # all paths are checked before any plan is simulated
-            raise InputError(f"{printable(path)}: no such file or folder")
-    console = results_console()
-    results: dict[str, RunResults] = {}
-    with folder_of_run(options) as parent:
-        for name in plans:
-            check_run_folder(parent / name, options.get("overwrite", False), options.get("resume", False))
-        for name, path in plans.items():
-            first = next(iter(results.values()), None)
-            of_packer = options if first is None else with_engine_of(first, options, parent / name)
-            results[name] = run_watched(partial(api.score, path), {**of_packer, "out": parent / name})
-            if not as_json:
-                print_renderables([line(f"packer {name}"), *run_tables(results[name]), ""], console)
-    compared = compare_packers(results, orders=options.get("orders")) if len(results) > 1 else None
-    if as_json:
-        runs = {name: brief(run) for name, run in results.items()}
-        tables = None if compared is None else compared.to_dict()
-        print(json.dumps({"runs": runs, "compared": tables}, indent=2, allow_nan=False))
-    elif compared is not None:
-        print_renderables(packer_tables(compared), console)
