@@ -5,11 +5,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from benchmarks.commands import referees, runs, studies, worlds
+from benchmarks.commands import referees, runs, speed, studies
 from benchmarks.commands.app import app
 from petmjx.cli.main import run_app
 
-COMMANDS = (runs, studies, worlds, referees)
+COMMANDS = (runs, studies, speed, referees)
 """The import of these modules adds their commands to ``app``."""
 
 

@@ -1,17 +1,18 @@
-"""Studies of plans: drift, sensitivity, criteria, statics."""
+"""Studies of results: drift, sensitivity, criteria, statics, soft boxes, packers, training, reality and repairs."""
 
 from __future__ import annotations
 
 import json
 import sys
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, cast
 
 import typer
 
 from benchmarks.commands.app import DEFAULT_OUT, Out, app, known, make_folder, usable
 from petmjx.cli import command_options as opt
 from petmjx.results.to_json import to_json
+from petmjx.runs.option_types import EngineName
 
 DATA: Final = Path(__file__).resolve().parents[3] / "shared" / "data" / "reality"
 """Where measurements are by default: beside the checkout."""
@@ -142,31 +143,31 @@ def balance(
     )
 
 
-@app.command("physical")
-@opt.takes("engine", "threads", "lanes")
-def physical_speed(
-    n: Annotated[int, typer.Option("-n", metavar="N", min=1, help="Drawn orders.")] = 8,
-    seed: Annotated[int, typer.Option("--seed", metavar="SEED", help="Of drawn orders.")] = 33,
-    searched: Annotated[int, typer.Option(metavar="N", help="Orders of which the search alone is measured.")] = 30,
-    workers: Annotated[int | None, typer.Option(metavar="N", help="Processes that search.")] = None,
-    out: Out = DEFAULT_OUT,
-    **options: Any,
-) -> None:
-    """How fast the packer physical is."""
-    from benchmarks.physical_speed import packing_speed, search_speed
-    from benchmarks.record import append_line, environment
-    from petmjx.common.machine import cpu_threads
-    from petmjx.packers.pack import orders_of
+@app.command()
+def flex(out: Out = DEFAULT_OUT) -> None:
+    """How deep a load sinks into a box that gives, by the contact law and as a flex body; stacks both ways."""
+    from itertools import chain
 
-    how = {name: value for name, value in options.items() if value is not None}
-    parts: dict[str, Any] = {}
-    if searched:
-        parts["search"] = search_speed(list(orders_of(None, searched, seed)))
-    parts["packing"] = packing_speed(list(orders_of(None, n, seed)), workers or cpu_threads(), how)
-    for name, part in parts.items():
-        print(f"{name}: {part}", flush=True)
-    case = {"case": "packer-physical", "engine": how.get("engine", "auto"), "seed": seed}
-    append_line(out, {**case, **parts, **environment()})
+    from benchmarks.flex import compared, piles, stacks
+    from benchmarks.record import append_line
+
+    for line in chain(compared(), stacks(), (piles() for _ in range(1))):
+        append_line(out, line)
+        print({name: value for name, value in line.items() if name not in ("cpu", "versions")}, flush=True)
+
+
+@app.command(name="soft-columns")
+def soft_columns(
+    engine: Annotated[str, typer.Option(metavar="NAME", help="Engine.")] = "mujoco",
+    count: Annotated[int, typer.Option(metavar="N", min=1, help="Columns.")] = 40,
+    seed: Annotated[int, typer.Option(metavar="N", help="Which columns are drawn.")] = 55,
+    threads: Annotated[int, typer.Option(metavar="N", help="CPU threads.")] = 1,
+) -> None:
+    """Columns of boxes that give, against the bed of springs: buckling, and the lean of standing columns."""
+    from benchmarks.soft_columns import compared
+
+    for line in compared(cast(EngineName, engine), count, seed, threads):
+        print(line, flush=True)
 
 
 @app.command("packers")

@@ -1,16 +1,15 @@
-"""The cost of kinds of worlds, and the agreement of engines."""
+"""Speed: the cost of kinds of worlds on each engine, of environments, of large sweeps and of a packer."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated, Any
 
 import typer
 
 from benchmarks.commands.app import DEFAULT_OUT, Out, app, known, usable
 from petmjx.cli import command_options as opt
 from petmjx.options.placing import Way
-from petmjx.runs.option_types import EngineName
 
 
 @app.command()
@@ -74,33 +73,6 @@ def cpu_engines(
     line = compared(plan_list, threads, group)
     append_line(out, line)
     print({name: value for name, value in line.items() if name not in ("cpu", "versions")})
-
-
-@app.command()
-def flex(out: Out = DEFAULT_OUT) -> None:
-    """How deep a load sinks into a box that gives, by the contact law and as a flex body; stacks both ways."""
-    from itertools import chain
-
-    from benchmarks.flex import compared, piles, stacks
-    from benchmarks.record import append_line
-
-    for line in chain(compared(), stacks(), (piles() for _ in range(1))):
-        append_line(out, line)
-        print({name: value for name, value in line.items() if name not in ("cpu", "versions")}, flush=True)
-
-
-@app.command(name="soft-columns")
-def soft_columns(
-    engine: Annotated[str, typer.Option(metavar="NAME", help="Engine.")] = "mujoco",
-    count: Annotated[int, typer.Option(metavar="N", min=1, help="Columns.")] = 40,
-    seed: Annotated[int, typer.Option(metavar="N", help="Which columns are drawn.")] = 55,
-    threads: Annotated[int, typer.Option(metavar="N", help="CPU threads.")] = 1,
-) -> None:
-    """Columns of boxes that give, against the bed of springs: buckling, and the lean of standing columns."""
-    from benchmarks.soft_columns import compared
-
-    for line in compared(cast(EngineName, engine), count, seed, threads):
-        print(line, flush=True)
 
 
 @app.command()
@@ -181,3 +153,30 @@ def million(
     for line in measured(case):
         append_line(out, {**line, **environment()})
         print(line, flush=True)
+
+
+@app.command("physical")
+@opt.takes("engine", "threads", "lanes")
+def physical_speed(
+    n: Annotated[int, typer.Option("-n", metavar="N", min=1, help="Drawn orders.")] = 8,
+    seed: Annotated[int, typer.Option("--seed", metavar="SEED", help="Of drawn orders.")] = 33,
+    searched: Annotated[int, typer.Option(metavar="N", help="Orders of which the search alone is measured.")] = 30,
+    workers: Annotated[int | None, typer.Option(metavar="N", help="Processes that search.")] = None,
+    out: Out = DEFAULT_OUT,
+    **options: Any,
+) -> None:
+    """How fast the packer physical is."""
+    from benchmarks.physical_speed import packing_speed, search_speed
+    from benchmarks.record import append_line, environment
+    from petmjx.common.machine import cpu_threads
+    from petmjx.packers.pack import orders_of
+
+    how = {name: value for name, value in options.items() if value is not None}
+    parts: dict[str, Any] = {}
+    if searched:
+        parts["search"] = search_speed(list(orders_of(None, searched, seed)))
+    parts["packing"] = packing_speed(list(orders_of(None, n, seed)), workers or cpu_threads(), how)
+    for name, part in parts.items():
+        print(f"{name}: {part}", flush=True)
+    case = {"case": "packer-physical", "engine": how.get("engine", "auto"), "seed": seed}
+    append_line(out, {**case, **parts, **environment()})
