@@ -180,7 +180,7 @@ def _rows_of_sliding(engine: str) -> Iterator[Row]:
         f"sliding distance of a pallet that starts at {SPEED_M_S:g} m/s",
         f"Coulomb's law with kinetic frictions of: {_SAE}",
         f"{expected[worst]:.3f} m", f"{expected[worst] * (1 + error[worst]):.3f} m", percent(abs(error[worst])), engine,
-        f"values of the floor, of {len(kinetic)} floors, with the largest error", bool(abs(error).max() < _WAY_WITHIN),
+        f"values of the floor with the largest error, of {len(kinetic)} floors", bool(abs(error).max() < _WAY_WITHIN),
     )  # fmt: skip
     lift = MM_PER_M * max(_lowest_corner(pos, quat) for pos, quat in zip(moved.pos_m, moved.quat_wxyz, strict=True))
     yield Row(

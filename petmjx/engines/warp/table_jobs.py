@@ -39,8 +39,9 @@ new jobs join while one in ``REFILL_SHARE`` rows is free. Jobs that follow from 
 from a settled placement, join at once."""
 
 JOIN_ROWS, FEEDBACK_ROWS = 256, 64
-"""Number of jobs that one call of a compiled program writes into a table: ``JOIN_ROWS`` in general, ``FEEDBACK_ROWS``
-for at most so many jobs that follow from outcomes. Four calls for 64 jobs take twice as long as one for 256."""
+"""Number of jobs that one call of a compiled program writes into a table: ``FEEDBACK_ROWS`` if the jobs follow from
+outcomes and are no more than this number, otherwise ``JOIN_ROWS``. Four calls for 64 jobs each take twice as long as
+one call for 256 jobs."""
 
 MOST_PROFILE_BYTES: Final = 1 << 30
 """Largest memory for the profiles (motions of the carrier) of the drives that follow from settled placements, bytes.
@@ -67,7 +68,7 @@ class TableJobs:
         alone: whether there is only one job in total.
         running: worlds of the previous table, which continue in the next table.
         in_flight: stream number → job, for jobs that have been taken and have no outcome yet.
-        left: stream numbers of those of ``in_flight`` whose worlds have left the device.
+        left: stream numbers of those jobs in ``in_flight`` whose worlds have left the device.
     """
 
     def __init__(
