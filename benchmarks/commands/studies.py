@@ -1,4 +1,4 @@
-"""Studies of plans: drift, sensitivity, criteria, statics."""
+"""Commands for studies of plans: drift, sensitivity, criteria, statics."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The cost of kinds of worlds, and the agreement of engines."""
+"""Commands that measure the cost of several kinds of worlds, and the agreement of engines."""
 
 from __future__ import annotations
 

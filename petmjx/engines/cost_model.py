@@ -496,7 +496,7 @@ class Costs:
         """(n,) for each job, the number of steps from which on its world counts as long (``LONG_PLACEMENT``,
         ``LONG_DRIVE``). The number depends neither on the machine nor on the other jobs."""
         steps = np.full(len(jobs), float(seconds_to_steps(sim.rest_window_s, sim.physics.timestep_s)))
-        for settles in (False, True):  # the work of jobs is that of placements before drives if one of them settles
+        for settles in (False, True):  # if any job settles, _expected_work takes all for placements before drives
             rows = [row for row, job in enumerate(jobs) if job.settles is settles]
             some = [jobs[row] for row in rows]
             work, drive_steps = _expected_work(some, sim)

@@ -164,7 +164,8 @@ def upload_worlds(
 
 
 def _rows_of_scenes(jobs: Sequence[Job], width: int, sim: Simulation, boards: int, spare: int) -> Rows:
-    """``rows_of`` the jobs' scenes. The place at which a box is released depends on the stiffness of contacts."""
+    """The rows of the jobs' scenes, as ``rows_of`` makes them. ``rows_of`` is called once for each stiffness of
+    contacts, because the place at which a box is released depends on the stiffness."""
     if all(job.stiff is None for job in jobs):
         return rows_of([job.scene for job in jobs], width, sim, boards, spare)
     boards = max(boards, *(more_shapes(job.scene) for job in jobs))

@@ -208,7 +208,7 @@ def answer_to(
             engines[task.engine] = engine
         with closing(engines[task.engine].run([task.job], task.sim, progress)) as answers:  # type: ignore[type-var]  # a generator
             for outcome in answers:
-                if outcome is not None or stops():  # None is not an outcome: the engine pauses
+                if outcome is not None or stops():  # None means that the engine pauses
                     break
     except EngineUnavailable as error:
         return AttemptAnswer(task.number, None, str(error))

@@ -20,8 +20,9 @@ SPARE_ROWS: Final = 4
 
 WAITING_ROWS: Final = 8
 """A table begins with this number of rows for each of its first jobs, if more jobs may follow, but none from outcomes.
-Thread blocks begin with the longest worlds of the table. So a run ends with shorter worlds if more worlds wait in the
-table. A GPU begins with 1,600 worlds, so all worlds of a run of 10,000 plans are in the table after some slices."""
+Thread blocks begin with the longest worlds of the table. So the more worlds wait in the table, the shorter are the
+worlds with which the run ends. A GPU begins with 1,600 worlds, so all worlds of a run of 10,000 plans are in the table
+after some slices."""
 
 MOST_FOLLOWING_ROWS: Final = 2048
 """Smallest number of rows of a table that further jobs may join later, such as the many drives that follow a single
