@@ -66,7 +66,7 @@ GPU_ROWS: Final = 4096
 """Number of rows of an engine's table: the number of worlds that are in the engine at the same time."""
 
 GPU_GRANULE: Final = 32
-"""The number of box columns of tables on a GPU is a multiple of this. Plans differ in their numbers of boxes, and each
+"""Tables on a GPU have columns for a multiple of this number of boxes. Plans differ in their numbers of boxes, and each
 size of a table takes seconds to compile."""
 
 SHEETS_MORE: Final = 2
