@@ -1,4 +1,5 @@
-"""The benchmarks' command line: ``python -m benchmarks list``, and other commands of ``benchmarks/commands``."""
+"""The command line of the benchmarks: ``python -m benchmarks list``, and the other commands in
+``benchmarks/commands``."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ _FLIP_FIELDS = ("verdict", "reason", "culprit", "first_sign_s", "n_dropped", "sh
 
 @dataclass(frozen=True, eq=False)
 class JointRun(RunResults):
-    """Runs of different plans with the same options, as one run. A world in several runs counts once."""
+    """Several runs with the same options, joined to one run. A world that is in several runs counts once."""
 
     runs: tuple[RunResults, ...] = ()
 
@@ -41,13 +41,14 @@ class JointRun(RunResults):
 
 
 def joint_run(folders: Sequence[Path]) -> JointRun:
-    """The runs in these folders as one, with the path and the options of the first one."""
+    """The runs in these folders, joined to one run that has the path and the options of the first run."""
     runs = tuple(load_run(folder) for folder in folders)
     return JointRun(runs[0].parts, runs[0].info, runs=runs)
 
 
 def agreement(oracle: Sequence[Path], run: Sequence[Path]) -> dict[str, Any]:
-    """Agreement of a run's verdicts and resting forces with the oracle's, over common worlds.
+    """How well the verdicts and the forces at rest of a run agree with those of its oracle, in the worlds that both
+    runs have.
 
     Returns:
         The fields that benchmarks/README.md lists ("How to read a result"); ``shares``: :func:`compare_shares`.
@@ -84,7 +85,8 @@ def agreement(oracle: Sequence[Path], run: Sequence[Path]) -> dict[str, Any]:
 
 
 def rest_force_differences(oracle: RunResults, run: RunResults) -> dict[str, Any]:
-    """|here − there| / there of ``rest_top_force_n``, over boxes with more than ``LOADED_N`` in plans that stand."""
+    """Relative differences of ``rest_top_force_n`` between the two runs, |here − there| / there, for boxes with a force
+    of more than ``LOADED_N`` in plans that stand."""
     stands = [results.worlds.loc[results.worlds["verdict"] == Verdict.STABLE.value, KEY] for results in (oracle, run)]
     worlds = stands[0].merge(stands[1], on=KEY)
     columns = [*BOX_KEY, "rest_top_force_n"]
@@ -99,7 +101,7 @@ def rest_force_differences(oracle: RunResults, run: RunResults) -> dict[str, Any
 
 
 def compare_shares(oracle: RunResults, run: RunResults) -> dict[str, Any]:
-    """The shares of standing worlds of each plan in both runs, as shares of their worlds that are not invalid.
+    """Compare, for each plan, the share of standing worlds in both runs. Invalid worlds do not count.
 
     Returns:
         ``plans``; ``agree``: plans whose share in each run is in the Wilson 95 % interval of the other run;

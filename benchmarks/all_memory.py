@@ -1,4 +1,4 @@
-"""The memory of a process with all its descendants, such as workers: on Linux only."""
+"""Measures the memory of a process and all its descendants, such as workers. Works only on Linux."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _KIB = 1024
 
 @dataclass
 class Memory:
-    """Largest memory so far, bytes; None where the system does not tell."""
+    """Largest memory so far, bytes; None if the system does not report it."""
 
     peak_bytes: int | None = None
 
@@ -31,8 +31,8 @@ class Memory:
 
 @contextmanager
 def looked_at() -> Iterator[Memory]:
-    """Look at the memory of this process and its descendants from time to time, in a thread, and at the end. A peak
-    between two looks is missed."""
+    """A context that measures the memory of this process and its descendants: from time to time, in a thread, and at
+    the end. A peak between two measurements is missed."""
     memory, ended = Memory(), threading.Event()
 
     def watch() -> None:
@@ -67,7 +67,8 @@ def memory_of_all(root: int) -> int | None:
 
 
 def _field(path: Path, name: str) -> int | None:
-    """The number after a name in a file of /proc; None if there is none, as of a process that has ended."""
+    """The number after a name in a file of /proc; None if there is no such number, for example because the process has
+    ended."""
     try:
         lines = path.read_text().splitlines()
     except OSError:

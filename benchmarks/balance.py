@@ -1,4 +1,5 @@
-"""Whether the worlds that a run calls stable balance at their places of rest: by statics, without a simulation."""
+"""Checks by statics, without a simulation, whether the boxes of stable worlds are in balance where they came to
+rest."""
 
 from __future__ import annotations
 
@@ -28,9 +29,9 @@ _EDGES: Final = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
 
 
 def left_over(scene: Scene, physics: Physics, pos: FloatArray, quat: FloatArray) -> float:
-    """The least unbalanced rest of forces at the contact points: the largest share of a box's weight.
-
-    Forces press, and friction is within the cone. Moments count as forces at half the box's shorter side.
+    """How far the boxes are from balance. Of all forces at the contact points that press and whose friction is within
+    the cone, those are taken that balance the boxes best. The result is the largest force that remains on a box, as a
+    share of the box's weight. Moments count as forces at half the box's shorter side.
 
     Args:
         pos, quat: (n, 3) centres, m, and (n, 4) orientations (w, x, y, z).
@@ -80,7 +81,8 @@ def _rows(
 
 
 def summary(table: pd.DataFrame) -> dict[str, Any]:
-    """The number of worlds in balance, and the worlds that are neither in balance nor moving."""
+    """The number of worlds in balance, and the worlds that are not in balance although they do not have the flag
+    *moving*."""
     balanced = table["left_over"] <= BALANCED
     wrong = table[~balanced & ~table["moving"]]
     return {

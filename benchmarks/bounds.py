@@ -1,4 +1,5 @@
-"""Placements that stand or fall beyond doubt, against their simulation: no bound may contradict physics."""
+"""Simulates placements for which closed-form bounds decide that they stand or fall: no bound may contradict the
+simulation."""
 
 from __future__ import annotations
 
@@ -28,8 +29,8 @@ SIMULATED: Final = 128
 
 
 def bounds(engine: Engine, count: int, seed: int) -> Result:
-    """Simulate ``count`` decided placements on pallets that grow by random boxes, of four kinds of boxes: of all
-    shapes, of few sizes, of odd sizes, and slender ones; from 0.2 to 30 kg."""
+    """Simulate ``count`` placements that the bounds decide, on pallets onto which random boxes are placed. There are
+    four kinds of boxes: of all shapes, of few sizes, of odd sizes, and slender boxes. Boxes have 0.2 to 30 kg."""
     rng = np.random.default_rng(seed)
     pallets = petmjx.Pallets(PALLETS, engine=engine, most_boxes=MOST_BOXES)
     assert decidable(pallets.simulation)
@@ -74,7 +75,8 @@ def bounds(engine: Engine, count: int, seed: int) -> Result:
 
 
 def _grow(pallets: petmjx.Pallets, boxes: dict[str, Any], rng: np.random.Generator) -> None:
-    """Put a random box onto each pallet. Pallets that do not stand, are full, or have no place for it begin anew."""
+    """Put a random box onto each pallet. A pallet that does not stand, is full, or has no place for its box is
+    emptied."""
     order = rng.permutation(len(boxes["pallet"]))
     on, first = np.unique(boxes["pallet"][order], return_index=True)
     results = pallets.place(**{name: values[order[first]] for name, values in boxes.items()})

@@ -1,4 +1,4 @@
-"""The measurements, as data: a new case is one more entry in the list. Nothing here simulates."""
+"""The list of all cases (measurements). To add a case, add an entry to the list. This module simulates nothing."""
 
 from __future__ import annotations
 
@@ -26,11 +26,10 @@ PLAIN_LOOP = "plain-loop"
 
 
 class Way(StrEnum):
-    """Which code is timed.
-
-    ``files``: ``petmjx.score`` or ``petmjx.sweep``, from the plans' file to Parquet. ``engine``: only an engine, from
-    scenes to outcomes; engines that compile run once before. ``loop-air``, ``loop-floor``: the plain loop on one
-    thread; boxes that wait hang in the air, held by a force, or stand on the floor.
+    """The code whose time is measured. ``files``: ``petmjx.score`` or ``petmjx.sweep``, from the file of plans to
+    Parquet files. ``engine``: only an engine, from scenes to outcomes; an engine that compiles is run once before.
+    ``loop-air``, ``loop-floor``: the plain loop on one thread; boxes that wait for their placement hang in the air,
+    held by a force, or stand on the floor.
     """
 
     FILES = "files"
@@ -58,7 +57,7 @@ class Case:
 
     @property
     def sim(self) -> Simulation:
-        """The case's simulation, with defaults."""
+        """The simulation options of the case, with defaults for all others."""
         return Simulation(**self.simulation)
 
 
@@ -71,7 +70,7 @@ _PLACEMENT_SEEDS = str(Path(__file__).parent / "sweeps" / "placement-seeds.toml"
 
 
 def _w(name: str, text: str, **simulation: str) -> Case:
-    """A case with workload W, the first 2,000 sample plans."""
+    """A case with workload W: the first 2,000 plans of ``petmjx samples``."""
     return Case(name, "W", f"workload W, {text}", simulation=simulation)
 
 
@@ -127,10 +126,11 @@ GROUPS: dict[str, tuple[Case, ...]] = {
 
 
 def chosen_cases(names: Sequence[str]) -> list[Case]:
-    """Cases by name or group, each once, in the order of the names.
+    """The cases with these names, or in the groups with these names. Each case is listed once, in the order of the
+    names.
 
     Raises:
-        InputError: no such case.
+        InputError: there is no such case.
     """
     cases: dict[str, Case] = {}
     for name in names:
@@ -141,7 +141,8 @@ def chosen_cases(names: Sequence[str]) -> list[Case]:
 
 
 def oracle_case(case: Case, schedule: Schedule) -> Case:
-    """The case that engine ``mujoco`` runs for a comparison with ``case``: the same except for the schedule."""
+    """The case that the engine ``mujoco`` runs as the reference for ``case``. It is the same case except for the
+    schedule."""
     if case.sim.schedule is schedule:
         return case
     oracle = replace(case, name=f"{case.name}/{schedule.value}", simulation={**case.simulation, "schedule": schedule})

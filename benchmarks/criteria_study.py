@@ -18,7 +18,7 @@ BEGIN: Final = "<!-- study: begin (made by python -m benchmarks criteria) -->"
 END: Final = "<!-- study: end -->"
 
 CLEAREST: Final = 3
-"""Disagreements in a table for each criterion and kind."""
+"""Largest number of plans that a row of the table of disagreements names."""
 
 DISAGREEING: Final = ("support_75", "centre", "stacking_tree", "equilibrium", "force_balance_leaning")
 """Criteria with tables of disagreements: those used most by packers, and those nearest to physics."""
@@ -31,9 +31,12 @@ def study(results: CriteriaResults, run: RunResults) -> str:
     parts = [
         _introduction(results, run, both),
         _judged(results),
-        "Thresholds, each found on one half of the plans and judged on the other:",
+        "The next table has thresholds. Each threshold was found on one half of the plans and judged on the other "
+        "half. Distances are positive inside an edge and negative outside it:",
         _thresholds(results),
-        f"The clearest disagreements, up to {CLEAREST} of a kind: by the margin of physics, then by the slack.",
+        "The next table has the disagreements between the criteria and the simulation. A row names the "
+        f"{CLEAREST} plans whose disagreement is clearest: plans are sorted by the margin of the simulation, then by "
+        "the slack of the criterion.",
         _disagreements(both, [criterion for criterion in results.criteria if criterion.name in DISAGREEING]),
     ]
     return "\n\n".join(parts) + "\n"
@@ -46,8 +49,8 @@ def _introduction(results: CriteriaResults, run: RunResults, both: pd.DataFrame)
     return (
         f"**{count_text(len(both), 'plan')}** with {results.info['n_boxes']:,} boxes; engine `{engine}` of petmjx "
         f"{info['versions']['petmjx']}. {stands:,} stand, {len(both) - stands:,} fall.\n"
-        f"Friction {options['friction']:g}, at sides {options['side_friction']:g}; tolerance "
-        f"{options['tolerance_mm']:g} mm."
+        f"The friction coefficient is {options['friction']:g} ({options['side_friction']:g} at sides), and the "
+        f"tolerance {options['tolerance_mm']:g} mm."
     )
 
 

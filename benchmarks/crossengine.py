@@ -54,7 +54,7 @@ class Trial:
 
     @property
     def verdicts(self) -> set[str]:
-        """All that was said."""
+        """All verdicts on the plan, of petmjx and of the referees."""
         return {self.ours, *chain.from_iterable(self.said.values())}
 
     @property
@@ -63,8 +63,8 @@ class Trial:
 
 
 def sieve(ours: str, names: Sequence[str], ask: Ask) -> Trial:
-    """Run the first referee; if it differs, run others while enough of them may overrule petmjx. Differing referees run
-    again with fine settings."""
+    """Run the first referee. If its verdict differs from petmjx's, run the other referees, as long as enough of them
+    may still overrule petmjx. A referee that differs also runs with fine settings."""
     trial = Trial(ours, {})
     for number, name in enumerate(names, start=1):
         verdict = ask(name, False)
@@ -89,9 +89,9 @@ class Judged:
 
     @property
     def edge_mm(self) -> float:
-        """Distance from a knife's edge: of the distances of boxes' loads from the edges of their supports, by statics
-        (petmjx.world.supports), the one nearest to 0, negative beyond the edge. One by one: after any placement. NaN if
-        there is none."""
+        """The distance, by statics (petmjx.world.supports), of a load from an edge of its supports, mm: the distance
+        nearest to 0, of all boxes. It is negative beyond the edge. If boxes are placed one by one, the distances after
+        each placement count. NaN if no load has an edge."""
         count, bearing = self.scene.n_boxes, bearing_of(self.scene)
         states = [count] if self.check is Check.STATIC else range(1, count + 1)
         edges = np.concatenate([bearing.edges_m(bearing.loads(placed)) for placed in states])
@@ -99,7 +99,7 @@ class Judged:
         return float(edges[np.abs(edges).argmin()]) * MM_PER_M if len(edges) else math.nan
 
     def record(self) -> dict[str, Any]:
-        """The entry in results for a plan that a referee disputes."""
+        """The entry in results for a plan on which a referee and petmjx differ."""
         return {
             "plan_id": self.plan_id,
             "boxes": self.scene.n_boxes,
@@ -114,7 +114,7 @@ class Judged:
 
 
 class Court:
-    """Petmjx's engine ``mujoco`` and the referees, with the CPU time of each."""
+    """The engine ``mujoco`` of petmjx, and the referees, with the CPU time of each referee."""
 
     def __init__(self, referees: Sequence[Referee], sim: Simulation) -> None:
         self.referees = {referee.name: referee for referee in referees}
@@ -122,7 +122,7 @@ class Court:
         self._sim = sim
 
     def judge(self, plans: Sequence[Plan], **options: Any) -> Iterator[Judged]:
-        """Every plan with its trial, in their order."""
+        """Yield each plan with its trial, in the order of the plans."""
         results = petmjx.score(list(plans), engine="mujoco", check=self._sim.check.value, **options)
         worlds = results.worlds.set_index("plan_id")
         for plan in plans:
@@ -153,7 +153,8 @@ class Court:
 
 
 def summaries(judged: Sequence[Judged], court: Court) -> Iterator[dict[str, Any]]:
-    """For each referee used, a result's fields: the numbers of judged and agreeing plans, and the differing plans."""
+    """The fields of a result for each referee that judged plans: the numbers of judged plans and of equal verdicts, and
+    the plans on which it differs from petmjx."""
     for name, referee in court.referees.items():
         answered = [case for case in judged if name in case.trial.said]
         if not answered:
@@ -173,7 +174,8 @@ def summaries(judged: Sequence[Judged], court: Court) -> Iterator[dict[str, Any]
 
 
 def by_softness(judged: Sequence[Judged], plans: Sequence[Plan], check: Check, **options: Any) -> dict[str, Any]:
-    """Physics ``reference``: plans that it alone calls unstable, against petmjx and all referees used."""
+    """The plans that are unstable only with the physics ``reference``: petmjx and all referees that judged them call
+    them stable."""
     results = petmjx.score(list(plans), engine="mujoco", check=check.value, physics="reference", **options)
     fallen = set(results.worlds.loc[results.worlds["verdict"] == "unstable", "plan_id"])
     stand_all = [case for case in judged if case.trial.verdicts == {"stable"}]

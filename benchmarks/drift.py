@@ -77,7 +77,7 @@ VARIANTS: dict[str, Simulation] = {
 
 @dataclass(frozen=True)
 class Window:
-    """When drift is measured: from ``begin_s`` to ``end_s`` after the pallet has settled, s."""
+    """The time in which drift is measured: from ``begin_s`` to ``end_s`` after the pallet has settled, s."""
 
     begin_s: float = 10.0
     end_s: float = 60.0
@@ -151,7 +151,7 @@ def _of_plan(plan: Plan, sim: Simulation, window: Window) -> list[dict[str, Any]
 
 
 def cause(seen: Mapping[str, Any]) -> str:
-    """Cause of a box's motion, by its symptoms; the first that fits."""
+    """The cause of a box's motion: the first cause of the list that fits the measured values."""
     if seen["drift_um_s"] < MOVES_UM_S:
         return "rests"
     if seen["vertical_um_s"] > 0.5 * seen["drift_um_s"]:
@@ -197,14 +197,14 @@ def _loads(live: LiveWorld, sim: Simulation) -> tuple[FloatArray, FloatArray]:
 def summaries(
     plans: Sequence[Plan], names: Sequence[str], window: Window, threads: int
 ) -> Iterator[tuple[str, Check, pd.DataFrame]]:
-    """Tables of variants by name, standing from the start and placed one by one."""
+    """Yield the table of each variant, for each check: boxes stand from the start, or are placed one by one."""
     for name in names:
         for check in Check:
             yield name, check, drift_table(plans, VARIANTS[name].changed(check=check), window, threads)
 
 
 def describe(table: pd.DataFrame) -> str:
-    """One line about a table."""
+    """One line that summarises a table."""
     if table.empty:
         return "no plan stands"
     drift = table.drift_um_s

@@ -1,4 +1,4 @@
-"""Random episodes of the environments: does each end correctly, without disturbing others?"""
+"""Plays random episodes of the environments, and checks that each ends correctly and disturbs no other episode."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ SETTINGS: Final[tuple[dict[str, Any], ...]] = (
 
 @dataclass
 class _Seen:
-    """Results of episodes."""
+    """What was seen in the episodes: counts, and faults."""
 
     ended: int = 0
     placements: int = 0
@@ -120,7 +120,7 @@ def _play(engine: Engine, settings: dict[str, Any], mode: str, count: int, seed:
 
 
 def _last(info: dict[str, Any], over: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
-    """The information on each episode, for ended ones at their ends."""
+    """The information on each episode; for an ended episode, the information at its end."""
     final = info.get("final_info")
     names = ("placed", "verdict", "reason")
     return {name: info[name] if final is None else np.where(over, final[name], info[name]) for name in names}

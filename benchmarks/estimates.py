@@ -1,6 +1,6 @@
-"""Estimates of time against real times: scores, scores with errors, static checks, drives, searches, chains.
-
-A line has the slowness of the machine during the run (petmjx/engines/machine_speed.py), and the estimate for it.
+"""Compares estimates of time with real times, for scores, scores with errors, static checks, drives, searches and
+chains. A line of results has the slowness of the machine during the run (petmjx/engines/machine_speed.py), and the
+estimate for this slowness.
 """
 
 from __future__ import annotations
@@ -66,7 +66,8 @@ SWEEPS: Final[tuple[tuple[str, dict[str, Any], tuple[str, ...]], ...]] = (
 
 
 def cases() -> Iterator[tuple[str, str, Simulation, Ask]]:
-    """Kind of run, plans, simulation, and the function that makes the study."""
+    """Yield, for each case, the kind of the run, the name of the plans, the simulation options, and the function that
+    makes the study."""
     for kind, options, names in SCORES:
         sim = Simulation(**options)
         for name in names:
@@ -83,7 +84,7 @@ def cases() -> Iterator[tuple[str, str, Simulation, Ask]]:
 
 
 def sizes(given: Sequence[Plan] = ()) -> dict[str, list[Plan]]:
-    """Generated plans by size and kind, and the ones ``given``."""
+    """Name of a size or kind → generated plans; also the plans ``given``."""
     drawn = [plan_of(index) for index in range(60)]
     by_size = sorted(drawn, key=lambda plan: plan.n_boxes)
     columns = grid((3, 2, 6), (400.0, 400.0, 200.0))
@@ -113,14 +114,15 @@ def grid(counts: tuple[int, int, int], size_mm: tuple[float, float, float]) -> P
 
 
 def plan_of(index: int, loose_share: float | None = None) -> Plan:
-    """A plan of the packer ``balanced``; with ``loose_share``, of a mixed set."""
+    """A generated plan of the packer ``balanced``. With ``loose_share``, the plan is from a mixed set."""
     how: dict[str, Any] = {"packer": "balanced"} if loose_share is None else {"loose_share": loose_share}
     plan_id, placements = generate_one(index, SEED, **how)
     return parse_plan(plan_id, "estimates", placements, len(placements), {})
 
 
 def shelf_plan(number: int) -> Plan:
-    """Boxes in rows, by falling height, each layer on top of the tallest box below: most of them stand on little."""
+    """A plan whose boxes stand in rows, from the highest box to the lowest. Each layer begins at the height of the
+    tallest box below, so most boxes have little support."""
     x = y = z = row = layer = 0.0
     size_mm, corner_mm, mass_kg = [], [], []
     for item in sorted(draw_order(3, number).items, key=lambda item: -item.height_mm)[:24]:
@@ -185,7 +187,7 @@ def compared(
 
 
 def described(work: Work) -> dict[str, Any]:
-    """Work as plain values, from which a test makes it again."""
+    """The work of a run as plain values, from which a test can make the work again."""
     return {
         "sim": work.sim.model_dump(mode="json", exclude_defaults=True),
         "boxes": list(work.boxes),
@@ -200,5 +202,5 @@ def described(work: Work) -> dict[str, Any]:
 
 
 def start_s(engine: str) -> float:
-    """The start time of an engine in the cost model: it is listed separately."""
+    """The start time of an engine in the cost model, s. Results list it separately."""
     return MEASURED.seconds(Work(Simulation(), []), 1)[engine]

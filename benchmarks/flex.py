@@ -1,4 +1,4 @@
-"""Boxes that give against MuJoCo's soft bodies: how deep loads sink into cartons, and which stacks stand.
+"""Compares boxes that give with MuJoCo's soft bodies: how deep loads sink into cartons, and which stacks stand.
 
 ``compared``: a load on one carton, by closed form, by the contact law, as a soft box of petmjx (``--soft``: edges held
 by equality), and as a bare flex of 3 × 3 × 3 points with linear elasticity, which petmjx does not use (Young's modulus
@@ -35,12 +35,12 @@ SECONDS: Final = 2.0
 
 
 class Stack(NamedTuple):
-    """Boxes of ``SIZE_MM`` on one another.
+    """A stack of boxes of the size ``SIZE_MM``.
 
     Attributes:
-        mass_kg: from below.
-        aside_mm: how far each is from the lowest along x.
-        stiffness_n_mm: stiffness of each box; NaN: rigid.
+        mass_kg: masses of the boxes, from the lowest box up.
+        aside_mm: distance of each box from the lowest box along x.
+        stiffness_n_mm: stiffness of each box; NaN for rigid boxes.
         stands: whether the stack stands if its boxes are rigid.
     """
 
@@ -107,7 +107,8 @@ SEED: Final = 7
 
 
 def piles() -> dict[str, Any]:
-    """A line about random piles of two to four boxes, each up to 35 % of its length aside: how many agree."""
+    """A line about random piles of two to four boxes, in which each box is shifted by up to 35 % of its length: in how
+    many piles both methods have the same verdict."""
     rng = np.random.default_rng(SEED)
     seconds = np.zeros(2)
     verdicts: list[list[Verdict]] = []
@@ -141,7 +142,7 @@ def _simulated(plan: Plan, soft: bool) -> tuple[Outcome, float]:
 
 
 def compared() -> Iterator[dict[str, Any]]:
-    """A line for each case: depth of the load, mm."""
+    """Yield a line for each case: the depth by which the load sinks in, mm."""
     for stiffness, load in CASES:
         spring = (load + MASS_KG / 2) * STANDARD_GRAVITY / stiffness
         plan = Stack((MASS_KG, load), (0, 0), (stiffness, RIGID)).plan

@@ -1,4 +1,5 @@
-"""An engine that answers at once, here or in workers, for measuring the host's work on worlds."""
+"""An engine without physics, which yields outcomes at once, in this process or in workers. With this engine, the time
+of a run is that of the host's work on worlds."""
 
 from __future__ import annotations
 
@@ -26,7 +27,8 @@ INVALID_EVERY = 500
 
 
 class Instant:
-    """Simulates nothing: most worlds stand at their planned places. As engines do, it begins with the largest.
+    """An engine that simulates nothing: in most outcomes, boxes stand at their planned places. Like other engines, it
+    begins with the largest world.
 
     Args:
         repeats: whether some worlds are invalid at the first attempt.
@@ -60,13 +62,14 @@ IN_WORKERS = "mjx-warp-cpu"
 
 
 def instant_workers() -> dict[str, Any]:
-    """Names of ``worker_pool`` and their values for workers that answer at once and get jobs as if they had a GPU."""
+    """Name in the module ``worker_pool`` → its value with which workers answer at once, and get jobs as if they had a
+    GPU."""
     return {"Worker": InstantWorker, "LEAST": {IN_WORKERS: worker_pool.LEAST["mjx-warp"]}}
 
 
 @contextmanager
 def answering_in_workers() -> Iterator[None]:
-    """Workers that this process starts meanwhile answer at once."""
+    """A context in which workers that this process starts answer at once."""
     instant = instant_workers()
     before = {name: vars(worker_pool)[name] for name in instant}
     vars(worker_pool).update(instant)
@@ -77,7 +80,8 @@ def answering_in_workers() -> Iterator[None]:
 
 
 class InstantWorker(Worker):
-    """A worker whose engine is started as any, and then answers at once. C MuJoCo would make further attempts."""
+    """A worker that starts its engine like any worker, and then replaces it by an engine that answers at once. No world
+    needs a further attempt, because C MuJoCo would make it."""
 
     def hello(self) -> bytes:
         greeting = super().hello()

@@ -1,4 +1,4 @@
-"""Landings: depth, bounce and force of a box that falls on another, by timestep.
+"""Measures landings of a box that falls on another box: the depth, the bounce and the force, for several timesteps.
 
 ``python -m benchmarks.landings [ENGINE]`` prints the rows.
 """
@@ -29,8 +29,8 @@ CARDBOARD = (0.1, 0.3)
 
 
 class Landed(NamedTuple):
-    """Result of a landing: depth below the place of rest, mm; restitution by the rebound's height; the largest force on
-    the box below, N."""
+    """The result of a landing: the largest depth of the box below its place of rest, mm; the restitution, from the
+    height of the rebound; and the largest force on the box below, N."""
 
     depth_mm: float
     restitution: float
@@ -39,7 +39,7 @@ class Landed(NamedTuple):
 
 @cache
 def landed(engine: str, height_mm: float, timestep_s: float, landing_s: float, restitution: float) -> Landed:
-    """A box of 5 kg falls on an equal box."""
+    """Simulate a box of 5 kg that falls on an equal box."""
     size, corner = [[400, 300, 200]] * 2, [[400, 250, 0], [400, 250, 200]]
     plan = petmjx.Plan.from_boxes("two", size_mm=size, corner_mm=corner, mass_kg=[5.0, 5.0])
     physics = {"timestep_s": timestep_s, "landing_s": landing_s, "restitution": restitution}

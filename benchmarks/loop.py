@@ -1,4 +1,5 @@
-"""Physics in the loop: how many candidates a second on pallets that stand, and whether placing is scoring."""
+"""Measures physics in the loop: how many candidates per second are simulated on standing pallets, and whether
+placements have the same results as scores."""
 
 from __future__ import annotations
 
@@ -46,12 +47,12 @@ _TABLES: Final = ("worlds", "boxes")
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """The common parts of the cases.
+    """Settings and methods that the cases share.
 
     Attributes:
-        plans: plans whose first boxes are placed; None: generated plans, all packed well.
-        pallets, candidates: of the case ``candidates``; ``count``: plans of ``placed``, placements of
-            ``memory``, episodes.
+        plans: plans whose first boxes are placed; None for generated plans of the packer ``balanced``.
+        pallets, candidates: numbers of pallets and of candidates in the case ``candidates``; ``count``: number of plans
+            in ``placed``, of placements in ``memory``, or of episodes.
         options: fields of ``petmjx.Simulation``.
     """
 
@@ -79,7 +80,8 @@ class Loop:
         return plans
 
     def built(self, n: int) -> tuple[petmjx.Pallets, list[Plan]]:
-        """n pallets of ``boxes`` boxes, and the plan of each; those that have fallen are left out."""
+        """n standing pallets of ``boxes`` boxes, and the plan of each pallet. Copies of other pallets take the place of
+        pallets that have fallen."""
         distinct = self.usual(min(n, DISTINCT), self.boxes + 1)
         pallets = petmjx.Pallets(n, engine=self.engine)
         rows = np.arange(len(distinct))
@@ -93,7 +95,8 @@ class Loop:
         return pallets, plans
 
     def asked(self, pallets: petmjx.Pallets, plans: Sequence[Plan], per_pallet: int) -> dict[str, Any]:
-        """Candidates of each pallet: places of boxes that come later, the lowest ones with support."""
+        """Arguments for trials of candidates on each pallet: the lowest supported places for later boxes of the
+        pallet's plan."""
         rng = np.random.default_rng(self.seed)
         columns: dict[str, list[Any]] = {"size_mm": [], "corner_mm": [], "mass_kg": [], "pallet": []}
         per_plan: dict[str, list[tuple[Any, Any, Any]]] = {}
@@ -114,17 +117,17 @@ class Loop:
 
 
 def candidates(loop: Loop) -> Result:
-    """Pallets × candidates in one call."""
+    """Measure calls that try several candidates on each of many pallets."""
     return _many(loop, loop.pallets, loop.candidates)
 
 
 def one_pallet(loop: Loop) -> Result:
-    """One pallet × as many candidates."""
+    """Measure calls that try ``pallets`` candidates on a single pallet."""
     return _many(loop, 1, loop.pallets)
 
 
 def one_candidate(loop: Loop) -> Result:
-    """One candidate on one pallet, again and again."""
+    """Measure calls that try one candidate on one pallet."""
     pallets, plans = loop.built(1)
     batch = loop.asked(pallets, plans, REPEATS)
     calls = [{name: values[row : row + 1] for name, values in batch.items()} for row in range(REPEATS)]
@@ -138,7 +141,8 @@ def one_candidate(loop: Loop) -> Result:
 
 
 def placed(loop: Loop) -> Result:
-    """Plans placed box by box, and their score: in how many columns are they other bits?"""
+    """Place plans box by box, and count the columns in which the results differ, in any bit, from a score of the
+    plans."""
     plans = loop.usual(loop.count, 1)
     pallets = petmjx.Pallets(len(plans), engine=loop.engine)
     placements, most = 0, max(plan.n_boxes for plan in plans)
@@ -174,7 +178,7 @@ def placed(loop: Loop) -> Result:
 
 
 def memory(loop: Loop) -> Result:
-    """Placements and resets of pallets, the more the more placements: does memory grow, is anything compiled?
+    """Place boxes and reset pallets many times, and measure whether memory grows, and whether anything is compiled.
 
     Pallets are reset when they are full or have fallen, and some at random: the number of pallets changes from call to
     call.
@@ -204,7 +208,8 @@ def memory(loop: Loop) -> Result:
 
 
 def environment(loop: Loop) -> Result:
-    """The vector environment: pallets side by side, random legal actions, observations and masks counted."""
+    """Measure the vector environment, with random legal actions on many pallets. The time includes observations and
+    masks."""
     from petmjx.gym.vector_env import PalletizingVectorEnv
 
     env = PalletizingVectorEnv(loop.pallets, engine=loop.engine, autoreset_mode="SameStep")
@@ -238,14 +243,14 @@ def environment(loop: Loop) -> Result:
 
 
 def bounds(loop: Loop) -> Result:
-    """Decisions of bounds compared with simulations: ``count`` of them."""
+    """Compare ``count`` decisions of bounds with simulations."""
     from benchmarks.bounds import bounds as compare
 
     return compare(loop.engine, loop.count, loop.seed)
 
 
 def episodes(loop: Loop) -> Result:
-    """Random episodes of small orders, in all kinds of settings: ``count`` of them."""
+    """Play ``count`` random episodes of small orders, with all kinds of settings."""
     from benchmarks.episodes import episodes as play  # needs the extra gym
 
     return play(loop.engine, loop.count, loop.seed)
@@ -264,7 +269,8 @@ CASES: Final[dict[str, Callable[[Loop], Result]]] = {
 
 
 def measured(loop: Loop, names: Sequence[str]) -> Iterator[Result]:
-    """One result per case, with the load of the machine: other work makes wall times longer, not CPU times."""
+    """One result per case. It includes the load of the machine, because other work makes wall times longer, but not CPU
+    times."""
     for name in names:
         head = {"case": f"loop-{name}", "group": "loop", "engine": loop.engine.name, "device": loop.engine.device}
         figures = CASES[name](loop)
@@ -290,7 +296,8 @@ def _many(loop: Loop, n: int, per_pallet: int) -> Result:
 
 
 def _place(pallets: petmjx.Pallets, rows: Any, plans: Sequence[Plan], number: Any) -> petmjx.PlacementResults:
-    """Place box ``number`` of the plans of some pallets; one number for all, or one for each."""
+    """Place the next box of some pallets: box ``number`` of each pallet's plan. ``number``: one number for all pallets,
+    or one for each."""
     which = list(zip(np.asarray(rows).tolist(), np.broadcast_to(number, len(rows)).tolist(), strict=True))
     return pallets.place(
         size_mm=np.array([plans[row].size_mm[box] for row, box in which]).reshape(-1, 3),
@@ -309,7 +316,7 @@ def _clock(clock: Any) -> Result:
 
 
 def _resident_bytes() -> int:
-    """Present memory of this process."""
+    """The present memory of this process, bytes."""
     return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * resource.getpagesize()
 
 

@@ -53,14 +53,14 @@ BLOCK_PLANS = 8
 
 
 class _TimeIsUp(KeyboardInterrupt):
-    """Ends a run as Ctrl-C does: finished worlds are written."""
+    """An exception that ends a run in the way of Ctrl-C: finished worlds are written."""
 
 
 class _Watch:
     """Keeps a run's progress, and ends the run after some time.
 
     Args:
-        max_seconds: time from now; None: never.
+        max_seconds: time after which the run ends, from now on; None if it never ends early.
         between_blocks: whether the run ends only between blocks. An interrupted sweep does not report the time of its
             placements and drives.
     """
@@ -84,7 +84,7 @@ class _Watch:
 
 @dataclass
 class Bench:
-    """Measures cases in order. Later cases use engines, and their compiled programs, again."""
+    """Measures cases in order. Engines and their compiled programs are reused for later cases."""
 
     work: Path  # folder for the files of timed runs
     plans: Path | None = None  # file of plans instead of the cases' own
@@ -103,8 +103,8 @@ class Bench:
     _folders: dict[tuple[str, str], list[Path]] = field(default_factory=dict, init=False)
 
     def run(self, cases: Sequence[Case], engines: Sequence[str]) -> Iterator[Result]:
-        """Results of cases on engines, as they finish. An oracle's result comes before the first one compared with
-        it."""
+        """Yield the results of cases on engines, as soon as they are known. The result of an oracle comes before the
+        first result that is compared with it."""
         pairs = ((case, case.only or engine) for engine in engines for case in cases)
         turns = {(case.name, engine): (case, engine) for case, engine in pairs}
         ways = {Way.FILES: self._compared, Way.ENGINE: self._engine_alone}
@@ -114,7 +114,8 @@ class Bench:
                     yield {**result, "repetition": repetition}
 
     def _compared(self, case: Case, engine: str) -> Iterator[Result]:
-        """A run from file to Parquet, after the oracles with which it is compared."""
+        """Measure a run from the file of plans to Parquet files. The oracles with which it is compared run before
+        it."""
         references = dict(self.against)
         for schedule in self.oracles:
             oracle = oracle_case(case, schedule)
@@ -130,7 +131,7 @@ class Bench:
     # ------------------------------------------------------------------ the ways
 
     def _files(self, case: Case, engine_name: str, references: Mapping[str, Sequence[Path]]) -> Result:
-        """From the plans' file to Parquet, through ``petmjx.score`` or ``petmjx.sweep``."""
+        """Measure a run from the file of plans to Parquet files, through ``petmjx.score`` or ``petmjx.sweep``."""
         engine, start_s = self._engine(case, engine_name)
         path, count = self._plans_file(case)
         base = self._new_folder(f"{case.name.replace('/', '-')}-{engine_name}-{self.skip}+{count}")
@@ -181,7 +182,8 @@ class Bench:
         )
 
     def _engine_alone(self, case: Case, engine_name: str) -> Iterator[Result]:
-        """From scenes to outcomes. MJX engines run once before, so that nothing compiles in the measured time."""
+        """Measure an engine from scenes to outcomes. MJX engines are run once before, so that nothing is compiled in
+        the measured time."""
         engine, start_s = self._engine(case, engine_name)
         threads, sim = _threads(engine), case.sim
         if case.boxes:
@@ -210,7 +212,8 @@ class Bench:
         )
 
     def _plain_loop(self, case: Case, engine_name: str) -> Iterator[Result]:
-        """Plans evenly spread over their sizes, one after the other, until the time is over."""
+        """Measure the plain loop on one plan after the other until the time is over. The plans are evenly spread over
+        the sizes of all plans."""
         plans, physics = self._plans(case), case.sim.physics
         max_seconds = self.max_seconds or LOOP_SECONDS
         sizes: list[int] = []
@@ -285,7 +288,7 @@ class Bench:
         }
 
     def _engine(self, case: Case, name: str) -> tuple[Engine, float]:
-        """The engine, and the seconds it took to import and build it."""
+        """The engine, and the time of its import and construction, s."""
         begin, threads = time.perf_counter(), case.threads or self.threads
         if (name, threads) not in self._engines:
             limits = {"threads": threads} if name == MUJOCO else {"lanes": self.lanes}
@@ -293,7 +296,7 @@ class Bench:
         return self._engines[name, threads], time.perf_counter() - begin
 
     def _plans_file(self, case: Case) -> tuple[Path, int]:
-        """A file with a case's plans, and how many of them are used after the skipped ones."""
+        """A file with the plans of a case, and the number of plans that are used after the skipped plans."""
         count = min(case.count, self.limit or case.count)
         if self.plans or case.source:
             return self.plans or Path(case.source), count
@@ -307,7 +310,8 @@ class Bench:
         return path, count
 
     def _stack(self, n_boxes: int) -> Plan:
-        """The first boxes of the plan from which stacks are cut; bricks, if it has fewer boxes."""
+        """A stack of ``n_boxes`` boxes: the first boxes of the plan ``STACK_PLAN``, or bricks if this plan has fewer
+        boxes."""
         plan_id, placements = generate_one(STACK_PLAN, SEED, loose_share=0.0)
         if len(placements) < n_boxes:
             return bricks(n_boxes)
@@ -321,7 +325,8 @@ class Bench:
         return load_plans(path, limit=self.skip + count).plans[self.skip :]
 
     def _blocks(self, case: Case, plans: list[Plan]) -> list[list[Plan]]:
-        """All plans in one block; for a sweep with limited time, small blocks that are evenly spread over the sizes."""
+        """The plans in blocks. A sweep with limited time has small blocks that are evenly spread over the sizes; any
+        other case has one block."""
         if case.sweep and self.max_seconds is not None:
             order = spread_over_sizes(plans)
             return [order[first : first + BLOCK_PLANS] for first in range(0, len(order), BLOCK_PLANS)]
@@ -340,8 +345,8 @@ BRICK_MM, BRICKS_ACROSS = np.array([240.0, 160.0, 120.0]), 5
 
 
 def bricks(n_boxes: int) -> Plan:
-    """A stack of bricks of 4 kg, layer by layer. Every other layer is a quarter of a brick to the side, so that most
-    bricks rest on four."""
+    """A stack of bricks of 4 kg, layer by layer. Every other layer is shifted by a quarter of a brick, so that most
+    bricks rest on four bricks."""
     number = np.arange(n_boxes)
     layer, place = np.divmod(number, BRICKS_ACROSS**2)
     across = np.stack([place % BRICKS_ACROSS, place // BRICKS_ACROSS, layer], axis=-1)
@@ -375,7 +380,8 @@ def _threads(engine: Engine) -> int | None:
 
 
 def spread_over_sizes(plans: Sequence[Plan]) -> list[Plan]:
-    """The plans in an order in which the first n are evenly spread over the sizes, for any n (van der Corput)."""
+    """The plans in an order (van der Corput's) whose first n plans are evenly spread over the sizes of all plans, for
+    any n."""
     by_size = sorted(plans, key=lambda plan: plan.n_boxes)
     bits = max(len(plans) - 1, 1).bit_length()
     numbers = np.arange(1 << bits)

@@ -46,13 +46,14 @@ TOLD_EVERY_S: Final = 5.0
 
 @dataclass(frozen=True)
 class Million:
-    """What is run.
+    """The settings of the run.
 
     Attributes:
-        variants: worlds of each plan.
-        engine: by name; ``instant`` answers at once, in workers if the options ask for some.
+        variants: number of worlds of each plan.
+        engine: name of the engine. The engine ``instant`` yields outcomes at once, in workers if the options request
+            workers.
         kill_at: share of worlds after which the run is killed; 0: never.
-        placing: way of placing. Usually a hand sets boxes with errors down, which takes more steps.
+        placing: how boxes are placed. By default, a hand sets down boxes with errors, which takes more steps.
         options: further options of the run.
     """
 
@@ -70,7 +71,7 @@ class Million:
 
 
 def measured(case: Million) -> Iterator[Result]:
-    """Run, kill, continue and read: a line of results after each step."""
+    """Run, kill and continue the sweep, and read its results. Yields a line of results after each step."""
     check(case)
     about = {"engine": case.engine, "plans": case.plans, "variants": case.variants, "boxes": [FEWEST, MOST]}
     about |= {"placing": case.placing, "options": dict(case.options)}
@@ -82,8 +83,8 @@ def measured(case: Million) -> Iterator[Result]:
 
 
 def _in_process(step: Callable[[Million], Result], case: Million) -> Result:
-    """The result of a step in a process of its own, with its largest memory. If that process dies, this raises; a
-    ``multiprocessing.Pool`` would wait for ever."""
+    """Run a step in a separate process. Returns its result with its largest memory. If the process dies, an error is
+    raised; a ``multiprocessing.Pool`` would wait for ever."""
     with process_pool(1) as pool:
         return pool.submit(_measured_step, step, case).result()
 
@@ -96,7 +97,7 @@ def _measured_step(step: Callable[[Million], Result], case: Million) -> Result:
 
 
 def _killed(case: Million) -> Result:
-    """Run until a share of the worlds is on disk, and then no further."""
+    """Start the run, and kill it when the share ``kill_at`` of the worlds is on disk."""
     process = multiprocessing.get_context("spawn").Process(target=run, args=(case,), daemon=True)
     begin = time.perf_counter()
     process.start()
@@ -142,7 +143,7 @@ class Watch:
 
 
 def check(case: Million) -> None:
-    """Look at the options before a run is begun, and killed.
+    """Check the options before a run is begun.
 
     Raises:
         InputError: one of them is unusable.
@@ -194,7 +195,7 @@ def run(case: Million) -> Result:
 
 
 def load(case: Million) -> Result:
-    """Open the run and read its worlds and summary, as a notebook does."""
+    """Open the run, and read its worlds and its summary, as users do in notebooks."""
     import petmjx
 
     begin = time.perf_counter()
@@ -215,7 +216,7 @@ def report_of(case: Million) -> Result:
 
 
 def made(n: int) -> list[Plan]:
-    """So many generated plans, cut to 10 to 14 boxes."""
+    """Generated plans, each cut to 10 to 14 boxes."""
     plans: list[Plan] = []
     index = 0
     while len(plans) < n:
@@ -228,7 +229,7 @@ def made(n: int) -> list[Plan]:
 
 
 def tables(folder: Path) -> dict[str, dict[str, int]]:
-    """Table → its parts and bytes."""
+    """Table → number of its parts and of its bytes."""
     totals = {}
     for table in sorted(path for path in folder.iterdir() if path.is_dir()):
         sizes = [file.stat().st_size for file in table.glob("*.parquet")]

@@ -1,8 +1,7 @@
-"""Packers on the same orders: how dense, how sure and how firm their plans are.
-
-Packing is measured on all orders, physics on the first ones. Worlds with errors are drawn
-from another seed than those by which ``physical`` chooses and from which ``learned`` learned: a packing that was chosen
-since it stood in 16 worlds must stand in others, too.
+"""Compares packers on the same orders: how dense their plans are, how often they stand with errors, and how much
+shaking they survive. The density is measured on all orders, the results of simulations on the first orders. The errors
+have another seed than the errors with which ``physical`` chooses packings and the training of ``learned``. So a packing
+that was chosen because it stands in 16 worlds must stand in other worlds, too.
 """
 
 from __future__ import annotations
@@ -59,9 +58,9 @@ class Asked(NamedTuple):
         shaken: number of first orders of each set whose plans are shaken.
         only: names of packers; None: all.
         others: name → file of plans of another packer, of orders of any set.
-        policy: of ``learned``; None: the published one.
-        workers: processes that pack.
-        engine, threads: of simulations.
+        policy: policy of the packer ``learned``; None for the published policy.
+        workers: number of processes that pack.
+        engine, threads: engine and threads of the simulations.
     """
 
     judged: int
@@ -82,9 +81,9 @@ class Asked(NamedTuple):
 
 
 def study(sets: Mapping[str, Sequence[Numbered]], settings: Asked) -> list[dict[str, Any]]:
-    """A line of results for each set of orders: each packer's plans, and differences on the same orders.
-
-    All plans are simulated in one run, and shaken in another: many worlds of a run cost little more than one world.
+    """One line of results for each set of orders: values for the plans of each packer, and differences between packers
+    on the same orders. All plans are scored in one run and shaken in another run, because a run of many worlds costs
+    little more than a run of one world.
     """
     packings_by_set = {name: _packed(name, orders, settings) for name, orders in sets.items()}
     judged = _judged(_plans(sets, packings_by_set, settings.judged), settings)
@@ -146,7 +145,7 @@ _Key = tuple[str, str, str]
 def _plans(
     sets: Mapping[str, Sequence[Numbered]], packings_by_set: Mapping[str, Mapping[str, Packings]], most: int
 ) -> dict[_Key, Plan | None]:
-    """The plans of the first orders of each set; None without a placed box."""
+    """The plans for the first orders of each set. If no box of an order is placed, its plan is None."""
     plans: dict[_Key, Plan | None] = {}
     for name, orders in sets.items():
         for packer, packings in packings_by_set[name].items():
@@ -161,7 +160,8 @@ def _plans(
 
 
 def _judged(plans: Mapping[_Key, Plan | None], settings: Asked) -> pd.DataFrame:
-    """Whether plans stand, placed exactly and with errors. An order without a plan does not stand."""
+    """Whether plans stand when placed exactly, and the share of worlds with errors in which they stand. An order
+    without a plan counts as one whose plan falls."""
     some = [plan for plan in plans.values() if plan is not None]
     if not some:
         return pd.DataFrame()
@@ -183,7 +183,7 @@ def _judged(plans: Mapping[_Key, Plan | None], settings: Asked) -> pd.DataFrame:
 
 
 def _shaken(plans: Mapping[_Key, Plan | None], settings: Asked) -> pd.DataFrame:
-    """The share of directions in which plans survive each level."""
+    """For each plan and level, the share of directions in which the plan survives the level."""
     some = [plan for plan in plans.values() if plan is not None]
     if not some:
         return pd.DataFrame()
@@ -240,7 +240,8 @@ def _interval(values: FloatArray) -> list[float]:
 
 
 def _differences(table: pd.DataFrame, other: pd.DataFrame) -> dict[str, list[float]]:
-    """Column → mean difference on the same orders and its interval; for shares that stand also McNemar's p."""
+    """Column → mean difference between two packers on the same orders, with its interval. For shares of standing plans,
+    also the p of McNemar's test."""
     differences = {}
     for name in ("utilisation", "placed", *JUDGED[:-1]):
         if name not in table or name not in other:
@@ -257,7 +258,7 @@ def _differences(table: pd.DataFrame, other: pd.DataFrame) -> dict[str, list[flo
 
 
 def _ranks(tables: Mapping[str, pd.DataFrame]) -> dict[str, list[str]]:
-    """The packers from the best to the worst, by the measure of a goal."""
+    """For each of two measures, the packers from the best to the worst."""
     ranks = {}
     for name in ("utilisation", "share"):
         means = {packer: table[name].mean() for packer, table in tables.items() if name in table}
@@ -266,7 +267,7 @@ def _ranks(tables: Mapping[str, pd.DataFrame]) -> dict[str, list[str]]:
 
 
 def _as_many(tables: Mapping[str, pd.DataFrame]) -> dict[str, float]:
-    """Number of orders of which a packer places as many boxes as ``balanced``."""
+    """For each packer, the share of orders of which it places at least as many boxes as ``balanced``."""
     if BALANCED not in tables:
         return {}
     reference = tables[BALANCED].placed

@@ -1,4 +1,4 @@
-"""The packers of the study, by name: with the whole order in view, and with the next boxes only."""
+"""The packers of the study, by name. Some see the whole order, others see only the next boxes."""
 
 from __future__ import annotations
 
@@ -39,7 +39,8 @@ def _named(order: Order, *, name: str) -> Placements:
 
 
 def _apart(order: Order) -> Placements:
-    """``balanced`` with free space: the effect of physical's clearances alone."""
+    """The packer ``balanced`` with free space between boxes. It shows the effect of the clearances of the packer
+    ``physical`` alone."""
     best: Placements = ()
     for taste in TASTES:
         packing = Packing(order.items, TARGET_EXTENT_MM[order.target], taste, CLEARANCE_MM)
@@ -60,7 +61,8 @@ def _balanced_online(order: Order, *, clearance_mm: float = 0.0, look_ahead: int
 
 
 def _lowest_online(order: Order) -> Placements:
-    """The rule with which the search of ``learned`` shares its candidates: their result without learning."""
+    """A simple rule that chooses among the same candidates as ``learned``. It shows the effect of the candidates
+    without learning."""
     stream = FourSidedStream(order.items, TARGET_EXTENT_MM[order.target], LEARNED_CLEARANCE_MM)
     return pack_stream(stream, lowest_first)
 
@@ -70,7 +72,7 @@ def _learned(order: Order, *, look_ahead: int, policy: Policy | None = None) -> 
 
 
 def packers(policy: Policy | None = None) -> dict[str, Callable[[Order], Placements]]:
-    """Name → packer, without ``physical``, which asks an engine.
+    """Name → packer, for all packers except ``physical``, which needs an engine.
 
     Args:
         policy: of ``learned``; None: the published one.
@@ -95,7 +97,7 @@ RULES_ONLINE: Final = ("baseline, online", "balanced, online", f"balanced, {CLEA
 
 
 class Packings(dict[str, Placements]):
-    """Order id → boxes; and ``cpu_s``, CPU time an order."""
+    """Order id → packed boxes. ``cpu_s``: CPU time per order, s."""
 
     cpu_s: float = float("nan")
 
@@ -117,7 +119,7 @@ def packed(
 
 
 def packed_already(path: Path) -> Packings:
-    """The plans of a file of BED-BPP's JSON, by another packer."""
+    """The packings of another packer, read from a file of plans in BED-BPP's JSON."""
     packings = Packings()
     for order_id, placements in json.loads(path.read_text(encoding="utf-8")).items():
         boxes = []

@@ -78,7 +78,7 @@ def _load(path: Path, name: str, *changes: tuple[str, str]) -> Any:
 
 
 def pack(order: Order, policy: Any, space_of: Any) -> list[PlacedBox]:
-    """One order, box by box."""
+    """Pack an order, box by box, with the policy PCT."""
     import torch
 
     length, width = (side // CELL_MM for side in TARGET_EXTENT_MM[order.target])
@@ -124,7 +124,7 @@ def _cells(*sides_mm: float) -> tuple[int, int, int]:
 
 
 def _shuffled(points: Any, number: int) -> Any:
-    """Leaf nodes in an order drawn for each box, as its environment does it."""
+    """The leaf nodes in random order, with other random numbers for each box, as in PCT's environment."""
     if not len(points):
         return points
     points = points[np.lexsort(points.T[::-1])]
@@ -132,7 +132,7 @@ def _shuffled(points: Any, number: int) -> Any:
 
 
 def _let_down(boxes: list[tuple[Any, int, float, float]]) -> list[PlacedBox]:
-    """Boxes at the heights at which their own sizes rest, which are lower than those of cells."""
+    """The packed boxes, lowered until they rest. Boxes are smaller than their cells, so they rest lower."""
     placed: list[PlacedBox] = []
     for item, turned, x, y in boxes:
         length, width = (item.width_mm, item.length_mm) if turned else (item.length_mm, item.width_mm)

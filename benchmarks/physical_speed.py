@@ -1,4 +1,4 @@
-"""How fast the packer ``physical`` is: its search, and orders from search to verdict."""
+"""Measures how fast the packer ``physical`` is: its search alone, and whole orders, from the search to the verdict."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ Numbered = tuple[str, Order]
 
 
 def search_speed(orders: Sequence[Numbered]) -> Result:
-    """CPU seconds an order of the search alone, in this process. The first order of ``physical`` is not measured, since
-    it compiles machine code."""
+    """CPU time of the search alone per order, s, in this process. The first order of ``physical`` is not measured,
+    since it compiles machine code."""
     finalists(orders[0][1], PhysicalOptions())
     times_s = []
     for _, order in orders:
@@ -27,7 +27,7 @@ def search_speed(orders: Sequence[Numbered]) -> Result:
 
 
 def packing_speed(orders: Sequence[Numbered], workers: int, how: Mapping[str, Any]) -> Result:
-    """Orders packed, with all that it takes from the call to the last plan.
+    """Pack orders, and measure the whole time from the call to the last plan.
 
     Args:
         how: options of ``petmjx.pack``.

@@ -1,4 +1,5 @@
-"""Cost and effect of placing: worlds with errors whose boxes appear at their places, or are carried."""
+"""Measures the cost and the effect of placing, in worlds with errors: boxes appear at their places, or are carried by a
+hand."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ WAYS = (Way.EXACT, Way.HAND)
 def placings(
     plans: Sequence[Plan], worlds: int, ways: Sequence[Way], **options: Any
 ) -> Iterator[tuple[str, pd.Series]]:
-    """Name of each way, and the result of a score with confidence.
+    """Yield, for each way of placing, its name and the result of a score with confidence.
 
     Args:
         worlds: number of worlds with errors of each plan, in addition to the nominal world.

@@ -18,7 +18,7 @@ INTERVAL_S = 0.7
 
 
 def fixed_steps(n_boxes: int, timestep_s: float) -> int:
-    """Steps of the fixed schedule after the soft start."""
+    """Number of steps of the fixed schedule after the soft start."""
     return int((n_boxes + 1) * INTERVAL_S / timestep_s)
 
 

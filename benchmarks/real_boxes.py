@@ -1,5 +1,5 @@
-"""Real boxes on a real pallet: plans on boards, set down by tines, of three materials. Does an engine agree with C
-MuJoCo, and at which cost per plan?"""
+"""Compares an engine with C MuJoCo on plans like real ones: boxes of three materials, set down by tines on a carrier
+made of boards. Measures the cost per plan."""
 
 from __future__ import annotations
 
@@ -34,7 +34,8 @@ SETTINGS: Final[dict[str, Any]] = {"carrier": "epal-1", "placing": "tines", "fri
 
 
 def of_three_materials(plan: Plan, *, gives: bool) -> Plan:
-    """The plan with a material for each article, the same in all runs; ``gives``: and its stiffness."""
+    """The plan with a material for each article; an article has the same material in all runs. ``gives``: whether boxes
+    also have the stiffness of their materials."""
     chosen = tuple(MATERIALS[zlib.crc32(article.encode()) % len(MATERIALS)] for article in plan.articles)
     changes: dict[str, Any] = {"materials": chosen}
     if gives:

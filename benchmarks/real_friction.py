@@ -37,7 +37,8 @@ def rows(engine: str) -> Iterator[Row]:
 
 
 class Carton(NamedTuple):
-    """A tossed box: m, kg, and the ranges of four identifications."""
+    """A box of published tosses: its size, m, its mass, kg, and the ranges of the values that four methods
+    identified."""
 
     size_m: tuple[float, float, float]
     mass_kg: float
@@ -65,7 +66,7 @@ SEED: Final = 21
 
 
 def _outside(value: float, low: float, high: float) -> float:
-    """How far a value is from a range."""
+    """The distance of a value from a range; 0 inside the range."""
     return max(low - value, value - high, 0.0)
 
 
@@ -80,7 +81,8 @@ def _row_of_friction(carton: Carton) -> Row:
 
 
 def restitution(carton: Carton, engine: str) -> float:
-    """Restitution by the bounce of a box dropped flat from ``DROP_M``: the root of the share of the height."""
+    """The restitution of a box that falls flat from ``DROP_M``: the square root of (height of the rebound / height of
+    the fall)."""
     times = Physics().timestep_s * np.arange(1, round(1.0 / Physics().timestep_s))
     moved = release(
         [MM_PER_M * side_m for side_m in carton.size_m], carton.mass_kg, [(0.0, 0.0, carton.size_m[2] / 2 + DROP_M)],
@@ -102,7 +104,7 @@ def _row_of_restitution(carton: Carton, engine: str) -> Row:
 
 
 def _row_of_spread(engine: str) -> Row:
-    """Spread of the ends of one toss with friction drawn from the identified range of its box."""
+    """The spread of the final places of one toss, if friction is drawn from the identified range of the box."""
     rng = np.random.default_rng(SEED)
     spreads = []
     for carton in CARTONS:
@@ -165,7 +167,8 @@ _LIFT_MM: Final = 0.5
 
 
 def _rows_of_sliding(engine: str) -> Iterator[Row]:
-    """A loaded pallet that slides on each trailer's floor: its way, and whether it leaves the floor."""
+    """Rows about a loaded pallet that slides on the floor of each trailer: its sliding distance, and how far it lifts
+    off the floor."""
     kinetic = np.array([coefficient for _, coefficient in TRAILER.values()])
     height = LOAD_MM[2] / 2 / MM_PER_M
     times = np.arange(0.0, 1.6, 0.004)
@@ -180,7 +183,7 @@ def _rows_of_sliding(engine: str) -> Iterator[Row]:
         f"sliding distance of a pallet that starts at {SPEED_M_S:g} m/s",
         f"Coulomb's law with kinetic frictions of: {_SAE}",
         f"{expected[worst]:.3f} m", f"{expected[worst] * (1 + error[worst]):.3f} m", percent(abs(error[worst])), engine,
-        f"values of the floor, of {len(kinetic)} floors, with the largest error", bool(abs(error).max() < _WAY_WITHIN),
+        f"values of the floor with the largest error, of {len(kinetic)} floors", bool(abs(error).max() < _WAY_WITHIN),
     )  # fmt: skip
     lift = MM_PER_M * max(_lowest_corner(pos, quat) for pos, quat in zip(moved.pos_m, moved.quat_wxyz, strict=True))
     yield Row(

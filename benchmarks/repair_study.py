@@ -33,14 +33,14 @@ MOVES_MM: Final = (40.0, 200.0)
 
 
 def falling(plans: Sequence[Plan], **how: Any) -> list[Plan]:
-    """The plans that do not stand."""
+    """Those of the given plans that do not stand."""
     verdicts = petmjx.score(list(plans), **how).worlds
     return [plan for plan, verdict in zip(plans, verdicts.verdict, strict=True) if verdict != "stable"]
 
 
 def generated(n: int, seed: int, boxes: tuple[int, int], **how: Any) -> tuple[list[Plan], list[Plan]]:
-    """The first ``n`` plans of the mixed set of a seed that fall, of those with so many boxes; and their neighbours: up
-    to as many of those that stand."""
+    """From the mixed set of a seed, and only with a number of boxes in the range ``boxes``: the first ``n`` plans that
+    fall, and up to the same number of plans that stand."""
     drawn = (parse_plan(name, f"seed {seed}", placed, len(placed), {}) for name, placed in generate(MOST_SAMPLES, seed))
     fitting = (plan for plan in drawn if boxes[0] <= plan.n_boxes <= boxes[1])
     plans: list[Plan] = []
@@ -54,7 +54,7 @@ def generated(n: int, seed: int, boxes: tuple[int, int], **how: Any) -> tuple[li
 
 
 def share_of(plans: Sequence[Plan], worlds: int, **how: Any) -> str:
-    """In how many worlds with errors plans stand."""
+    """A text with the number and the share of worlds with errors in which plans stand."""
     summary = petmjx.score(list(plans), confidence=worlds, **how).summary
     assert summary is not None
     standing, n = summary.n_standing.sum(), (summary.n_worlds - summary.n_invalid).sum()
@@ -96,7 +96,7 @@ def repaired_rows(plans: Sequence[Plan], **options: Any) -> Iterator[tuple[dict[
 
 
 def describe(rows: Sequence[dict[str, Any]]) -> str:
-    """The rows in a few numbers."""
+    """A summary of the rows."""
     table = pd.DataFrame(rows)
     good = table[table["stands"]]
     whole = good[good["left_out"] == 0]

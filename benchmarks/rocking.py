@@ -1,4 +1,4 @@
-"""Blocks that rock, slide, are tilted and wrapped: values by mechanics and measurements, and by petmjx.
+"""Blocks that rock, slide, are tilted, or are wrapped: values from mechanics and measurements, and petmjx's values.
 
 The equations of motion are those of Housner 1963 ("The behavior of inverted pendulum structures during earthquakes",
 Bulletin of the Seismological Society of America 53): a rigid block that rocks about its lower edges and does not slip.
@@ -40,7 +40,7 @@ MOST_TILT_RAD: Final = math.radians(petmjx.Thresholds().tilt_deg)
 
 
 class Row(NamedTuple):
-    """One row of the gallery: a quantity with its unit, its source's value, and petmjx's value."""
+    """One row of the gallery: a quantity with its unit, the value of its source, and petmjx's value."""
 
     quantity: str
     source: str
@@ -50,8 +50,8 @@ class Row(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """The result for a block: the largest tilt, rad (infinite if it fell); the largest friction that not slipping took;
-    and when it hit the ground, s."""
+    """The computed motion of a block: its largest tilt, rad (infinite if it fell); the smallest coefficient of friction
+    with which it does not slip; and the times of its impacts on the ground, s."""
 
     max_tilt_rad: float
     friction: float
@@ -59,12 +59,13 @@ class Motion(NamedTuple):
 
     @property
     def fell(self) -> bool:
-        """Whether it fell over."""
+        """Whether the block fell over."""
         return not math.isfinite(self.max_tilt_rad)
 
     @property
     def lost(self) -> bool:
-        """Whether the block fell over, or tilted so far that petmjx calls a box lost (squat blocks may come back)."""
+        """Whether the block fell over, or tilted so far that petmjx calls it lost. (A squat block that is lost may
+        still come back.)"""
         return self.max_tilt_rad > MOST_TILT_RAD
 
 
@@ -73,7 +74,8 @@ class RockingBlock:
     """A rigid block on the ground, width_m × height_m in the plane of its motion.
 
     Attributes:
-        kept: share of its angular speed that it has after an impact; None: 1 − 1.5 sin² α, by Housner.
+        kept: angular speed of the block after an impact, as a share of that before; None for Housner's value, 1 − 1.5
+            sin² α.
     """
 
     width_m: float
@@ -82,12 +84,12 @@ class RockingBlock:
 
     @cached_property
     def slenderness_rad(self) -> float:
-        """α, the tilt beyond which it falls by itself."""
+        """α, the tilt beyond which the block falls without a further push, rad."""
         return math.atan2(self.width_m, self.height_m)
 
     @cached_property
     def radius_m(self) -> float:
-        """R, from an edge to the centre."""
+        """R, the distance from an edge to the centre, m."""
         return math.hypot(self.width_m, self.height_m) / 2
 
     @cached_property
@@ -97,17 +99,17 @@ class RockingBlock:
 
     @cached_property
     def speed_kept(self) -> float:
-        """Angular speed after an impact over that before."""
+        """The angular speed after an impact, as a share of that before."""
         return 1 - 1.5 * math.sin(self.slenderness_rad) ** 2 if self.kept is None else self.kept
 
     def rock(
         self, ground: Acceleration, seconds: float, quiet_from_s: float, start: Sequence[float] = (0, 0)
     ) -> Motion:
-        """The motion of a block on ground that accelerates; tilts are positive towards +x.
+        """The motion of the block on a ground with the given acceleration. Tilts are positive towards +x.
 
         Args:
             seconds: length of the computation.
-            quiet_from_s: from when on the ground rests, so that a block at rest stays so.
+            quiet_from_s: time from which on the ground does not accelerate, so that a block at rest remains at rest.
             start: its tilt, rad, and angular speed, rad/s.
         """
         tilt, speed = map(float, start)
@@ -157,20 +159,23 @@ class RockingBlock:
         )
 
     def _friction(self, tilt: float, speed: float, side: float, ground_m_s2: float) -> float:
-        """Horizontal over vertical force at the edge: the least friction that keeps it from slipping."""
+        """The ratio of the horizontal to the vertical force at the edge. It is the smallest coefficient of friction
+        with which the block does not slip."""
         lean, turn = self.slenderness_rad * side - tilt, self._angular(tilt, side, ground_m_s2)
         across = self.radius_m * (math.cos(lean) * turn + math.sin(lean) * speed**2)
         upward = self.radius_m * (math.sin(lean) * turn - math.cos(lean) * speed**2)
         return abs(ground_m_s2 + across) / max(GRAVITY + upward, 1e-9)
 
     def energy_kept(self, before_rad: float, after_rad: float) -> float:
-        """Share of energy that an impact leaves, from the largest tilts before and after it (without a drive)."""
+        """The share of the energy that remains after an impact, computed from the largest tilts before and after the
+        impact (without a drive)."""
         rest = math.cos(self.slenderness_rad)
         before, after = (math.cos(self.slenderness_rad - tilt) - rest for tilt in (before_rad, after_rad))
         return after / before
 
     def late_deg(self, rate_deg_s: float, shift_m: float) -> float:
-        """By how much a slow tilt has gone on until it has tipped so far that its centre is shifted by ``shift_m``.
+        """The angle by which a slow tilt goes on, from the moment when the block begins to tip until its centre is
+        shifted by ``shift_m``, degrees.
 
         θ'' = p² (θ + ωt), so θ = ω / p · (sinh pt − pt).
         """
@@ -185,7 +190,8 @@ class RockingBlock:
 
 
 def trapezoid(level_g: float, ramp_s: float = 0.05, hold_s: float = 0.3) -> Acceleration:
-    """The test of EUMOS 40509: up within 50 ms, held for 0.3 s, down."""
+    """The acceleration of EUMOS 40509's test: it grows to its level within 50 ms, stays there for 0.3 s, and falls to 0
+    within 50 ms."""
     peak, end = level_g * LEVEL_M_S2, 2 * ramp_s + hold_s
 
     def ground(time_s: float) -> float:
@@ -195,7 +201,7 @@ def trapezoid(level_g: float, ramp_s: float = 0.05, hold_s: float = 0.3) -> Acce
 
 
 def half_sine(level_g: float, duration_s: float) -> Acceleration:
-    """A pulse of half a period."""
+    """The acceleration of a half-sine pulse."""
 
     def ground(time_s: float) -> float:
         return level_g * LEVEL_M_S2 * math.sin(math.pi * time_s / duration_s) if time_s < duration_s else 0.0
@@ -210,7 +216,7 @@ SETTLES_S: Final = 30.0
 
 
 def slide_m(level_g: float, friction: float, step_s: float = 1e-4) -> float:
-    """How far a block slides on its ground in EUMOS's test, by Coulomb's law, m."""
+    """The distance that a block slides in EUMOS's test, by Coulomb's law, m."""
     ground, grip = trapezoid(level_g), friction * GRAVITY
     speed = way = time_s = 0.0
     while time_s < EUMOS_S or speed > 0:
@@ -226,17 +232,18 @@ THRESHOLD_M: Final = petmjx.Thresholds().shift_m
 
 
 def slide_level_g(friction: float) -> float:
-    """The largest level of EUMOS's test, in hundredths, in which a block slides no farther than the threshold."""
+    """The largest level of EUMOS's test, in hundredths of 1 g, at which a block slides no farther than the
+    threshold."""
     return _largest(lambda level: slide_m(level, friction) <= THRESHOLD_M)
 
 
 def largest_level_g(block: RockingBlock, friction: float) -> float:
-    """The largest level of EUMOS's test, in hundredths, that a block survives.
+    """The largest level of EUMOS's test, in hundredths of 1 g, that a block survives.
 
-    A block that rocks before it slides, and whose rocking never takes more than the friction there is, does not slide.
-    So such a block is lost at Housner's level, even where that is beyond the level at which a block that stands flat
-    would slide too far. Where friction is width / height or a few hundredths more, a block slides and rocks at once,
-    for which this is no closed form.
+    If a block rocks before it slides, and rocking never needs more than the available friction, the block does not
+    slide. So it is lost at Housner's level, even if a block that stands flat would slide too far at a smaller level. If
+    the friction is equal to width / height, or larger by a few hundredths, a block slides and rocks at the same time,
+    and the result is not exact.
     """
     slides = slide_level_g(friction)
     if friction <= math.tan(block.slenderness_rad):
@@ -247,7 +254,7 @@ def largest_level_g(block: RockingBlock, friction: float) -> float:
 
 
 def _largest(survives: Callable[[float], bool], steps: int = LEVEL_STEPS) -> float:
-    """The largest level up to 3 g that is survived. ``steps``: levels looked at in 1 g."""
+    """The largest level up to 3 g that is survived, g. ``steps``: number of levels per 1 g."""
     low, high = 0, 3 * steps
     while high - low > 1:
         middle = (low + high) // 2
@@ -286,7 +293,7 @@ def swept(plans: Sequence[petmjx.Plan], engine: EngineName, sweep: str, **option
 
 
 def rows(engine: EngineName = "mujoco") -> Iterator[Row]:
-    """All rows of this module, as soon as simulated."""
+    """Yield all rows of this module, each as soon as it is simulated."""
     yield from free_rocking(engine)
     yield from overturning(engine)
     yield from overturning_limits(engine)
@@ -305,7 +312,8 @@ SHORTEST_TILT_RAD: Final = math.radians(0.5)
 
 
 def free_rocking(engine: EngineName) -> Iterator[Row]:
-    """Impacts of a block that rocks after a pulse: the share of energy each leaves, and how long half a swing takes."""
+    """Rows about a block that rocks after a pulse: the share of the energy that remains after each impact, and the
+    duration of half a swing."""
     for block in FREE_BLOCKS:
         level = _rocking_level_g(block)
         width, height = 1000 * block.width_m, 1000 * block.height_m
@@ -351,15 +359,15 @@ def _rocking_level_g(block: RockingBlock) -> float:
 
 
 def _free_swing(histories: pd.DataFrame, world: pd.Series) -> tuple[np.ndarray, np.ndarray]:
-    """Time, s, and tilt towards +x, rad, from the end of EUMOS's pulse on."""
+    """The times, s, and the tilts towards +x, rad, of all frames after the end of EUMOS's pulse."""
     begin_s = world.sim_time_s - world.n_steps * 0.002
     frames = histories[histories.time_s > begin_s + EUMOS_S]
     return frames.time_s.to_numpy(float), 2 * np.arctan2(frames.quat_y, frames.quat_w).to_numpy(float)
 
 
 def _swings(time_s: np.ndarray, tilt: np.ndarray) -> tuple[list[float], list[float]]:
-    """Largest tilts of swings that are large enough, rad, and the times of the impacts that begin them, s. The first
-    swing may have begun in the pulse."""
+    """The largest tilts of those swings that are large enough, rad, and the times of the impacts with which these
+    swings begin, s. The first swing may have begun in the pulse."""
     impacts = np.flatnonzero(np.diff(np.sign(tilt)))
     peaks = [float(np.abs(part).max()) for part in np.split(tilt, impacts + 1)]
     count = next((k for k, peak in enumerate(peaks) if peak < SHORTEST_TILT_RAD), len(peaks))
@@ -377,14 +385,15 @@ nearly those of Housner's."""
 
 
 def _contacts(physics: str) -> str:
-    """Note of a row about other than the default contacts."""
+    """The note of a row whose contacts are not the default contacts."""
     return f", {physics}" if physics else ""
 
 
 def overturning(
     engine: EngineName, blocks: Sequence[RockingBlock] = (FREE_BLOCKS[1], FREE_BLOCKS[3]), physics: str = ""
 ) -> Iterator[Row]:
-    """Number of 8 × 12 half-sine pulses with the same outcome for a block as by Housner.
+    """Rows with the number of half-sine pulses, of 8 × 12, that have the same outcome for a block as in Housner's
+    equations.
 
     Args:
         physics: a line of a sweep's table of physics.
@@ -417,18 +426,18 @@ LIMIT_STEPS: Final = 1000
 
 @cache
 def pulse_limit_g(block: RockingBlock, pulse_s: float) -> float:
-    """The largest half-sine pulse that a block survives, in thousandths of 1 g."""
+    """The largest peak of a half-sine pulse that a block survives, by Housner's equations, in thousandths of 1 g."""
     return _largest(lambda level: not block.rock(half_sine(level, pulse_s), SETTLES_S, pulse_s).fell, LIMIT_STEPS)
 
 
 def overturning_limits(
     engine: EngineName, pulses_s: Sequence[float] = LIMITS_S, physics: str = "", within: float = 0.03
 ) -> Iterator[Row]:
-    """The largest half-sine pulses that a block survives, in thousandths of 1 g.
+    """Rows with the largest peaks of half-sine pulses that a block survives, in thousandths of 1 g.
 
     Args:
         physics: a line of a sweep's table of physics.
-        within: how far from the block's own limit is looked, as a share.
+        within: largest distance of the simulated levels from Housner's limit, as a share of this limit.
     """
     block = FREE_BLOCKS[1]
     width, height = 1000 * block.width_m, 1000 * block.height_m
@@ -461,7 +470,8 @@ def tilting(
     frictions: Sequence[float] = (0.3, 0.5, 0.7),
     blocks: Sequence[RockingBlock] = TILTED_BLOCKS,
 ) -> Iterator[Row]:
-    """At which angles boxes on a carrier that is tilted fail, and their delay against closed forms."""
+    """Rows with the angles at which boxes on a tilted carrier fail, and the delay of the failure, compared with closed
+    forms."""
     for profile, rate in TILT_RATES.items():
         for friction in frictions:
             angle = math.degrees(math.atan(friction))
@@ -488,8 +498,8 @@ def tilting(
 
 
 def slide_late_deg(angle_rad: float, rate_deg_s: float) -> float:
-    """By how much a tilt has gone on until a box has slid by the threshold: its acceleration grows by g ω / cos θ each
-    second, so it has slid g ω t³ / (6 cos θ)."""
+    """The angle by which a tilt goes on, from the moment when a box begins to slide until it has slid by the threshold,
+    degrees. The acceleration of the box grows by g ω / cos θ each second, so the box slides by g ω t³ / (6 cos θ)."""
     return rate_deg_s * math.cbrt(6 * THRESHOLD_M * math.cos(angle_rad) / (GRAVITY * math.radians(rate_deg_s)))
 
 

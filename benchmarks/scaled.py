@@ -53,13 +53,13 @@ class Pile:
     mass: FloatArray
 
     def plan(self, name: str, factor: float) -> Plan:
-        """The pile with all lengths multiplied; masses stay."""
+        """The pile as a plan, with all lengths multiplied by a factor. Masses do not change."""
         return Plan.from_boxes(name, size_mm=factor * self.size, corner_mm=factor * self.corner, mass_kg=self.mass)
 
 
 def pile(rng: np.random.Generator) -> Pile:
-    """Each box somewhere above the floor's rectangle, let down onto the highest box below it; mostly at that of some
-    places where most of its base bears."""
+    """A random pile. Each box is let down from above, at a random place over a rectangle of the floor. For most boxes,
+    some places are tried, and the place with the largest supported share of the base is taken."""
     n = int(rng.integers(BOXES[0], BOXES[1] + 1))
     size = rng.integers(SIDES_MM[0], SIDES_MM[1] + 1, (n, 3)).astype(float)
     size[rng.random(n) < FLAT_SHARE, 2] = size[0, 2]
@@ -76,7 +76,7 @@ def pile(rng: np.random.Generator) -> Pile:
 
 
 def _let_down(low: FloatArray, size: FloatArray, corners: FloatArray, sizes: FloatArray) -> tuple[float, float]:
-    """Height of rest of a box above (k, 3) others, mm, and the share of its base that bears."""
+    """The height at which a box comes to rest on k other boxes, mm, and the supported share of its base."""
     common = np.minimum(low + size[:2], corners[:, :2] + sizes[:, :2]) - np.maximum(low, corners[:, :2])
     area = np.maximum(common, 0.0).prod(axis=1)
     tops = corners[:, 2] + sizes[:, 2]
@@ -85,7 +85,7 @@ def _let_down(low: FloatArray, size: FloatArray, corners: FloatArray, sizes: Flo
 
 
 def thresholds(factor: float) -> Thresholds:
-    """The default thresholds, with lengths multiplied."""
+    """The default thresholds, with the thresholds that are lengths multiplied by a factor."""
     usual = Thresholds()
     lengths = ("shift_m", "shift_floor_m", "drop_hull_z_m")
     return usual.model_copy(update={name: factor * getattr(usual, name) for name in lengths})
@@ -94,7 +94,7 @@ def thresholds(factor: float) -> Thresholds:
 def scaled(
     seed: int, piles: int, engine: EngineName, factors: Sequence[float] = FACTORS, threads: int = 1
 ) -> pd.DataFrame:
-    """Worlds of all piles in all sizes: columns of ``worlds``, with ``factor``; one row a pile and factor.
+    """The worlds of all piles in all sizes: one row per pile and factor, with the columns of ``worlds`` and ``factor``.
 
     Args:
         seed: of the piles.
@@ -114,7 +114,8 @@ def scaled(
 
 
 def changes(worlds: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame, bool]]:
-    """Piles whose verdict is not the same in all sizes: id, their worlds, and whether a flag says so in one of them."""
+    """Yield the piles whose verdicts differ between sizes: the id, the worlds, and whether one of these worlds has a
+    flag for doubtful verdicts."""
     for plan_id, rows in worlds.groupby("plan_id", observed=True):
         if rows["verdict"].nunique() > 1:
             yield str(plan_id), rows, bool((rows["flags"] & int(SAYS_WHY)).any())

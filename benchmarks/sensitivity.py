@@ -21,12 +21,12 @@ def _same(plan: Plan, rng: np.random.Generator) -> Plan:
 
 
 def _other_masses(plan: Plan, rng: np.random.Generator) -> Plan:
-    """Each mass up to 2 % larger or smaller."""
+    """The plan with masses that are up to 2 % larger or smaller."""
     return replace(plan, mass_kg=plan.mass_kg * rng.uniform(0.98, 1.02, plan.n_boxes))
 
 
 def _shuffled(plan: Plan, rng: np.random.Generator) -> Plan:
-    """The boxes in another order: in memory, and so in every sum."""
+    """The plan with its boxes in another order in memory. So every sum has another order."""
     order = rng.permutation(plan.n_boxes)
     return replace(
         plan,
@@ -41,12 +41,12 @@ def _shuffled(plan: Plan, rng: np.random.Generator) -> Plan:
 
 @dataclass(frozen=True)
 class Change:
-    """One change.
+    """One change of plans or options.
 
     Attributes:
         options: fields of ``petmjx.Simulation``.
-        against: options of the run that it is compared with.
-        plans: table of the effect on each plan.
+        against: options of the run with which the changed run is compared.
+        plans: function that changes a plan.
     """
 
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -87,7 +87,8 @@ CHANGES: dict[str, Change] = {
 def sensitivity(
     plans: Sequence[Plan], names: Sequence[str], **run_options: Any
 ) -> Iterator[tuple[str, pd.DataFrame, pd.DataFrame]]:
-    """Name, and the tables ``worlds`` before and after, by plan id; the compared run is simulated once.
+    """Yield, for each change, its name and the tables ``worlds`` before and after the change, with plan ids as index.
+    Runs before a change are simulated only once.
 
     Args:
         run_options: fields of ``petmjx.RunOptions``.
@@ -109,7 +110,8 @@ def sensitivity(
 
 
 def describe(before: pd.DataFrame, after: pd.DataFrame) -> str:
-    """Number of changed verdicts, and of those with a margin beyond a tenth in both."""
+    """A text with the number of changed verdicts, the number of verdicts that change to stable, and the number of
+    changed verdicts whose margins are beyond a tenth in both runs."""
     changed = before.verdict != after.verdict
     to_stable = int((changed & (after.verdict == "stable")).sum())
     far = changed & (before.margin.abs() > 0.1) & (after.margin.abs() > 0.1)

@@ -25,18 +25,18 @@ _CHILD = "import time; at = time.time(); from benchmarks.shell import score; sco
 
 
 class Stages:
-    """When stages ended, in s since the shell's start, and the CPU time of this process until then."""
+    """The times at which stages ended, s since the shell's start, and the CPU time of this process until then."""
 
     def __init__(self, begin: float) -> None:
         self._begin = begin
         self.ended: dict[str, tuple[float, float]] = {}
 
     def end(self, name: str, at: float | None = None) -> None:
-        """Note that a stage has ended now, if it is the first time."""
+        """Record that a stage ends now, unless it has ended before."""
         self.ended.setdefault(name, ((at or time.time()) - self._begin, time.process_time()))
 
     def around(self, home: Any, name: str, before: str = "", after: str = "") -> None:
-        """Note when a function begins or ends for the first time."""
+        """Record when a function begins or ends for the first time."""
         inner: Callable[..., Any] = getattr(home, name)
 
         @functools.wraps(inner)
@@ -103,7 +103,7 @@ def score(at: float) -> None:
 
 
 def _note_workers(stages: Stages, engine: str) -> None:
-    """Record start and end of workers, and the times of their first jobs."""
+    """Record the start and the end of workers, and the times of their first jobs."""
     from petmjx.engines.remote import ray_cluster, worker_pool
 
     if engine == "instant":
@@ -120,7 +120,7 @@ def _note_workers(stages: Stages, engine: str) -> None:
 
 
 def _note_slices(stages: Stages) -> None:
-    """Note when the device has its first slice, and when it has ended its last one."""
+    """Record when the device begins its first slice, and when it has ended its last slice."""
     if not _has_gpu():
         return
     import threading
@@ -150,9 +150,8 @@ def _has_gpu() -> bool:
 
 
 def measured(plans: str, engine: str, workers: str = "") -> dict[str, Any]:
-    """One run, from shell to shell: stage → s since its start, and the CPU time of the process until then.
-
-    If the run fails, this process ends with its line and its exit code.
+    """Run the command from a shell. Returns stage → time since the start of the run, s, and the CPU time of the process
+    until then. If the run fails, this process ends with the error line and the exit code of the run.
     """
     with tempfile.TemporaryDirectory() as made:
         log = Path(made) / "stages.json"

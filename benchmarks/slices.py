@@ -25,7 +25,7 @@ from petmjx.world.scene import build_scene
 
 
 def main() -> None:
-    """Score plans without writing anything; a line a slice."""
+    """Score plans without writing files, and print one line per slice."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("plans")
     parser.add_argument("--limit", type=int)

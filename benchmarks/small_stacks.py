@@ -56,14 +56,15 @@ GROUND = -1
 
 @dataclass(frozen=True, eq=False)
 class Stack:
-    """n boxes along one axis; along the other all centres are the same.
+    """A stack of n boxes. Their centres differ along one horizontal axis; along the other axis, all centres are the
+    same.
 
     Attributes:
         centre, length: (n,) along the axis, mm.
         width: (n,) along the other axis, mm.
         bottom, height: (n,) mm.
         mass: (n,) kg.
-        supports: supports of each box: one box, two, or ``GROUND``. Placed earlier.
+        supports: supports of each box: one or two boxes that are placed earlier, or ``GROUND``.
     """
 
     kind: str
@@ -80,7 +81,7 @@ class Stack:
         return len(self.mass)
 
     def above(self, box: int, placed: int) -> list[int]:
-        """A box and all that rest on it."""
+        """A box and all boxes that rest on it, directly or through other boxes."""
         boxes = [box]
         for other in range(box + 1, placed):
             if set(self.supports[other]) & set(boxes):
@@ -96,7 +97,8 @@ class Stack:
         return max(low[box], min(low[under])), min(high[box], max(high[under]))
 
     def edges_mm(self, placed: int) -> FloatArray:
-        """(placed,) distance of each box's load inside the nearest edge of its supports; negative beyond it."""
+        """(placed,) distance from the load of each box to the nearest edge of the box's supports, mm: positive inside
+        the edge, negative beyond it."""
         edges = []
         for box in range(placed):
             load = self.above(box, placed)
@@ -106,7 +108,7 @@ class Stack:
         return np.array(edges)
 
     def plan(self, name: str, axis: int) -> Plan:
-        """As a plan, along x (0) or y (1)."""
+        """The stack as a plan. ``axis``: whether the centres differ along x (0) or y (1)."""
         size, corner = np.zeros((2, self.n_boxes, 3))
         size[:, axis], size[:, 1 - axis], size[:, 2] = self.length, self.width, self.height
         corner[:, axis], corner[:, 1 - axis], corner[:, 2] = self.centre, 0.0, self.bottom
@@ -117,7 +119,8 @@ class Stack:
 
 @dataclass(frozen=True)
 class Case:
-    """A stack as a plan, and whether it stands: placed one by one, and all at once."""
+    """A stack as a plan, and whether it stands: if boxes are placed one by one, and if all boxes are there from the
+    start."""
 
     plan: Plan
     kind: str
@@ -127,7 +130,7 @@ class Case:
 
 
 def cases(count: int, seed: int) -> Iterator[Case]:
-    """Random stacks of all kinds in turn."""
+    """Yield random stacks. The kinds take turns."""
     rng = np.random.default_rng(seed)
     kinds: dict[str, Callable[[np.random.Generator], Stack]] = {
         "tower": _tower,
@@ -143,7 +146,8 @@ def cases(count: int, seed: int) -> Iterator[Case]:
 
 
 def _case(stack: Stack, name: str, rng: np.random.Generator) -> Case | None:
-    """The stack as a case, its last box moved so that some box's load acts near an edge; None if impossible."""
+    """The stack as a case. Its last box is moved so that the load of one of the boxes acts near an edge. None if this
+    is impossible."""
     last = stack.n_boxes - 1
     below = [box for box in range(last + 1) if last in stack.above(box, last + 1)]
     box = int(rng.choice(below))
@@ -183,7 +187,7 @@ def _collides(stack: Stack) -> bool:
 
 
 def _touches_all(stack: Stack) -> bool:
-    """Whether each box lies on all that should bear it."""
+    """Whether each box lies on all of its supports."""
     low, high = stack.centre - stack.length / 2, stack.centre + stack.length / 2
     return all(
         min(high[box], high[k]) - max(low[box], low[k]) > 2 * LEAST_EDGE_MM
@@ -194,7 +198,7 @@ def _touches_all(stack: Stack) -> bool:
 
 
 def _tips_freely(stack: Stack, placed: int, box: int) -> bool:
-    """Whether a box and the boxes on it touch no other while they turn about their edge."""
+    """Whether a box and the boxes on it touch no other box while they tip over their edge."""
     moving = stack.above(box, placed)
     low, high = stack.base(box)
     point = np.average(stack.centre[moving], weights=stack.mass[moving])
@@ -220,7 +224,7 @@ def _rectangle(stack: Stack, box: int) -> FloatArray:
 
 
 def _overlap_mm(one: FloatArray, other: FloatArray) -> float:
-    """Depth of overlap of two rectangles, by separating axes; negative where they are apart."""
+    """Depth of the overlap of two rectangles, by separating axes; negative if they are apart."""
     sides = np.concatenate([np.diff(one[:3], axis=0), np.diff(other[:3], axis=0)])
     axes = sides / np.linalg.norm(sides, axis=1)[:, None]
     a, b = one @ axes.T, other @ axes.T
@@ -235,7 +239,7 @@ def _log_uniform(rng: np.random.Generator, low: float, high: float, size: int | 
 
 
 def _sizes(rng: np.random.Generator, n: int) -> FloatArray:
-    """n extents of boxes that belong to one stack."""
+    """n random extents for the boxes of one stack."""
     scale = _log_uniform(rng, 2 * SIZES_MM[0], SIZES_MM[1] / 2)
     sizes: FloatArray = np.clip(np.round(scale * _log_uniform(rng, 1 / 3, 3, n)), *SIZES_MM)
     return sizes
@@ -247,7 +251,7 @@ def _masses(rng: np.random.Generator, n: int) -> FloatArray:
 
 
 def _piled(height: FloatArray, supports: tuple[tuple[int, ...], ...]) -> FloatArray:
-    """(n,) bottoms of boxes on their supports."""
+    """(n,) heights of the boxes' bottoms, mm."""
     bottom = np.zeros(len(height))
     for box, (first, *_) in enumerate(supports):
         bottom[box] = 0.0 if first == GROUND else bottom[first] + height[first]
@@ -268,7 +272,7 @@ def _stack(
 
 
 def _tower(rng: np.random.Generator) -> Stack:
-    """Each box at a random place on the box before."""
+    """A random stack in which each box is at a random place on the box before."""
     n = int(rng.integers(2, 7))
     length = _sizes(rng, n)
     centre = np.cumsum(np.r_[0.0, rng.uniform(-0.5, 0.5, n - 1) * np.minimum(length[1:], length[:-1])])
@@ -276,7 +280,7 @@ def _tower(rng: np.random.Generator) -> Stack:
 
 
 def _overhang(rng: np.random.Generator) -> Stack:
-    """A plank over the edge of a box, and boxes side by side on the plank."""
+    """A random stack: a plank over the edge of a box, and boxes side by side on the plank."""
     n = int(rng.integers(3, 6))
     base, plank, *rest = _sizes(rng, n)
     plank = min(max(plank, 1.5 * base), SIZES_MM[1])
@@ -289,7 +293,8 @@ def _overhang(rng: np.random.Generator) -> Stack:
 
 
 def _counterweight(rng: np.random.Generator) -> Stack:
-    """A plank over the edge of a box, a weight on its inner end, then one on its outer end."""
+    """A random stack: a plank over the edge of a box, then a weight on its inner end, then a weight on its outer
+    end."""
     base, plank, inner, outer = _sizes(rng, 4)
     plank = min(max(plank, 1.5 * base), SIZES_MM[1])
     length = np.array([base, plank, min(inner, plank / 3), min(outer, plank / 3)])
@@ -299,7 +304,7 @@ def _counterweight(rng: np.random.Generator) -> Stack:
 
 
 def _bridge(rng: np.random.Generator) -> Stack:
-    """A plank across two boxes of one height, and one or two boxes on it."""
+    """A random stack: a plank across two boxes of equal height, and one or two boxes on the plank."""
     loads = int(rng.integers(1, 3))
     lengths = _sizes(rng, 3 + loads)
     gap = rng.uniform(0.1, 2.0) * lengths[:2].sum()
@@ -318,7 +323,8 @@ def _bridge(rng: np.random.Generator) -> Stack:
 
 
 def judge(stacks: list[Case], check: str, **options: Any) -> pd.DataFrame:
-    """A row for each case: its kind, statics' answer, the verdict, and whether the world moved at its end."""
+    """A row for each case: its kind, whether it stands by statics, the verdict, and whether boxes still moved at the
+    world's end."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", petmjx.PlanWarning)  # such masses and sizes look like mistakes of units
         results = petmjx.score([case.plan for case in stacks], carrier="footprint", **CHECKS[check], **options)
@@ -338,8 +344,8 @@ def judge(stacks: list[Case], check: str, **options: Any) -> pd.DataFrame:
 
 
 def summary(table: pd.DataFrame) -> dict[str, Any]:
-    """The results of a check for the stacks: agreements, worlds that say that they still move, and the plans that are
-    wrong without that flag."""
+    """The results of a check for the stacks: the number of verdicts that agree with statics, the number of worlds with
+    the flag *moving*, and the plans with a wrong verdict but without this flag."""
     answers = table["verdict"].map({"stable": True, "unstable": False})
     agrees = answers == table["stands"]
     wrong = table[~agrees & ~table["moving"]]

@@ -1,4 +1,4 @@
-"""Columns of boxes that give, against the bed of springs: which stand, and how far they lean.
+"""Compares columns of boxes that give with beds of springs: which columns stand, and how far they lean.
 
 The bed's answer is computed here, without petmjx: a chain of rigid boxes with a bed of springs (Winkler 1867) between
 each two, in which a face that lifts off does not pull. Heights are to the second order of the leans. The energy
@@ -41,13 +41,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Column:
-    """Boxes on top of each other on a Euro pallet, from the lowest up.
+    """A column of n boxes on a Euro pallet. Boxes are listed from the lowest up.
 
     Attributes:
         size_mm: (n, 3).
-        middle_mm: (n, 2) of each, in x and y.
+        middle_mm: (n, 2) middle of each box along x and y.
         mass_kg: (n,).
-        stiffness_n_mm: (n,); inf: rigid.
+        stiffness_n_mm: (n,) stiffness of each box; infinite for rigid boxes.
     """
 
     size_mm: Array
@@ -56,7 +56,7 @@ class Column:
     stiffness_n_mm: Array
 
     def plan(self, name: str) -> petmjx.Plan:
-        """The column as petmjx takes it."""
+        """The column as a plan."""
         bottom = np.concatenate([[0.0], np.cumsum(self.size_mm[:-1, 2])])
         low = self.middle_mm - self.size_mm[:, :2] / 2
         rows = []
@@ -73,9 +73,9 @@ class Answer(NamedTuple):
     """The bed's result for a column.
 
     Attributes:
-        multiple: multiple of gravity up to which the column stands; below 1 it buckles.
-        lean_rad: (n, 2) of each box towards x and y; NaN where it buckles.
-        shift_mm: (n, 2) of the middles.
+        multiple: multiple of gravity up to which the column stands. If it is below 1, the column buckles.
+        lean_rad: (n, 2) lean of each box towards x and y; NaN if the column buckles.
+        shift_mm: (n, 2) shift of the middle of each box along x and y.
     """
 
     multiple: float
@@ -141,7 +141,7 @@ class _Chain:
         return gradient, hessian
 
     def rest(self, x: Array, multiple: float) -> Array | None:
-        """Where the column stands, near x; None: nowhere."""
+        """The state near x in which the column stands; None if there is no such state."""
         for _ in range(60):
             gradient, hessian = self.slopes(x, multiple)
             try:
@@ -155,21 +155,22 @@ class _Chain:
         return None
 
     def start(self) -> Array:
-        """Depths of level boxes."""
+        """The state with which the search begins: all boxes are level, and each sinks as deep as its load presses
+        it."""
         total = self.stiffness * self.area * GRID**2
         return np.concatenate([self.load / total, np.zeros(2 * self.count)])
 
     def moved_m(self, x: Array) -> Array:
-        """(n, 2) by how much the tops of boxes have moved."""
+        """(n, 2) distances by which the tops of the boxes have moved."""
         moved: Array = np.cumsum(self.height[:, None] * x[self.count :].reshape(-1, 2), axis=0)
         return moved
 
 
 def bed_answer(column: Column, one_by_one: bool = False) -> Answer:
-    """The bed's result for a column that stands from the beginning.
+    """The result of the bed of springs for a column whose boxes stand from the beginning.
 
     Args:
-        one_by_one: boxes are set down at their planned places instead, once those below have come to rest.
+        one_by_one: whether each box is instead set down at its planned place when the boxes below have come to rest.
     """
     n = len(column.mass_kg)
     moved, nowhere = np.zeros((n, 2)), np.full((n, 2), np.nan)
@@ -235,7 +236,7 @@ def drawn(count: int, seed: int) -> list[Column]:
 
 
 def compared(engine: EngineName, count: int = 40, seed: int = 55, threads: int = 1) -> list[dict[str, Any]]:
-    """A line for each column: the results of the bed and of petmjx, in the static check."""
+    """Yield a line for each column: the result of the bed of springs, and petmjx's result in the static check."""
     columns = drawn(count, seed)
     results = petmjx.score(
         [column.plan(f"column-{number}") for number, column in enumerate(columns)],

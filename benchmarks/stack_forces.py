@@ -26,7 +26,7 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Pile:
-    """Boxes: size, mm; front-left-bottom corner, mm; mass, kg."""
+    """A pile: its boxes as (size, mm; front-left-bottom corner, mm; mass, kg)."""
 
     name: str
     boxes: tuple[tuple[Triple, Triple, float], ...]
@@ -92,7 +92,8 @@ PILES: Final = (
 
 
 def by_statics(scene: Scene, gravity_m_s2: float) -> FloatArray | None:
-    """(n,) forces on tops, N, if each box has one support; else None: balance leaves them open."""
+    """(n,) forces on the tops of boxes, N, by statics. None if a box has several supports, because balance then does
+    not determine the forces."""
     bearing = bearing_of(scene)
     if (np.bincount(bearing.upper, minlength=scene.n_boxes) != 1).any():
         return None
@@ -101,7 +102,8 @@ def by_statics(scene: Scene, gravity_m_s2: float) -> FloatArray | None:
 
 
 def forces(pile: Pile, referees: Mapping[str, Referee], sim: Simulation) -> dict[str, FloatArray]:
-    """Who → (n,) forces on tops at rest, N: ``petmjx``, each referee that comes to rest, and ``statics`` if it knows.
+    """Source → (n,) forces on the tops of boxes at rest, N. Sources are ``petmjx``, each referee in which the boxes
+    come to rest, and ``statics`` if balance determines the forces.
 
     Raises:
         RuntimeError: the pile does not stand in petmjx.
@@ -123,8 +125,8 @@ def forces(pile: Pile, referees: Mapping[str, Referee], sim: Simulation) -> dict
 
 
 def differences(referees: Mapping[str, Referee]) -> Iterator[dict[str, Any]]:
-    """For each pile and check a result's fields: all forces, N, and the largest difference of others' forces from
-    petmjx's, as a share of the pile's largest."""
+    """Yield the fields of a result for each pile and check: all forces, N, and the largest difference between petmjx's
+    force and another source's, as a share of the largest force of the pile."""
     for pile in PILES:
         for check in Check:
             forces_by_name = forces(pile, referees, Simulation(check=check))

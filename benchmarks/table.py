@@ -33,12 +33,12 @@ def tables(results: Sequence[Result]) -> str:
 
 
 def latest(results: Iterable[Result]) -> list[Result]:
-    """The last of all results that measure the same on the same device, in the order of the first ones."""
+    """For each measurement on each device, its last result, in the order of the first results."""
     return list({(*(result.get(name) for name in _IDENTITY), _device(result)): result for result in results}.values())
 
 
 def _quickest(rows: Sequence[Result], seconds: str) -> list[Result]:
-    """The fastest run of each case in a group that took turns, with its speed relative to other cases."""
+    """The fastest run of each case of a group whose cases ran in turns, with its speed relative to the other cases."""
     best: dict[tuple[str, str], Result] = {}
     for row in rows:
         key = (row["case"], _device(row))
@@ -157,7 +157,7 @@ def _device(result: Result) -> str:
 
 
 def write_between_markers(readme: Path, text: str, begin: str = BEGIN, end: str = END) -> None:
-    """Replace what stands between the two markers of a file.
+    """Replace the text between the two markers in a file.
 
     Raises:
         InputError: the file lacks a marker, or cannot be read or written.

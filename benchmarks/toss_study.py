@@ -1,4 +1,5 @@
-"""petmjx's results for the tosses of a cube: errors beside the spread of perturbed starts, friction, calibration."""
+"""Evaluates petmjx's results for the tosses of a cube: errors, the spread of runs with perturbed starts, friction, and
+calibration."""
 
 from __future__ import annotations
 
@@ -53,7 +54,7 @@ REGIONS: Final = (0.5, 0.9)
 
 
 def _ends(tosses: Tosses, runs: Sequence[Sequence[Path3]]) -> tuple[FloatArray, NDArray[np.int64]]:
-    """(run, n, 2) places on the ground at the last samples, m, and (run, n) faces that are up then."""
+    """(run, n, 2) places on the ground at the last samples, m, and (run, n) the faces that are up at these samples."""
     pos = np.array([[path.pos[-1, :2] for path in paths] for paths in runs])
     faces = np.array([[face_up(path.quat[-1]) for path in paths] for paths in runs])
     return pos, faces
@@ -64,8 +65,8 @@ def _measured(tosses: Tosses) -> list[Path3]:
 
 
 def compared(tosses: Tosses, engine: str, **how: Any) -> dict[str, Any]:
-    """Errors of each toss, and distributions that need not be met toss by toss: their medians, and the probability by
-    the Kolmogorov–Smirnov test of two samples that both come from one distribution."""
+    """A summary of the errors of all tosses, and a comparison of the distributions of whole-toss properties
+    (``Whole``): their medians, and the p value of the two-sample Kolmogorov–Smirnov test."""
     from scipy.stats import ks_2samp
 
     (paths,) = simulated(tosses, [measured_start(tosses)], engine, **how)
@@ -83,8 +84,9 @@ def compared(tosses: Tosses, engine: str, **how: Any) -> dict[str, Any]:
 
 
 def spread(tosses: Tosses, engine: str, **how: Any) -> dict[str, Any]:
-    """Runs from starts perturbed by the data's own errors: how far apart two of them end, beside their distance from
-    the measured ends. A perfect model of a perfect cube has equal numbers in both."""
+    """Simulate runs whose starts are perturbed by the errors of the data. Compares the distance between the ends of two
+    runs with the distance of the runs' ends from the measured ends. For a perfect model of a perfect cube, the two
+    distances would be equal."""
     rng, sigma, begin = np.random.default_rng(SEED), noise(tosses), measured_start(tosses)
     starts = [perturbed(begin, sigma, rng) for _ in range(RUNS)]
     paths = simulated(tosses, starts, engine, **how)
@@ -102,8 +104,9 @@ def spread(tosses: Tosses, engine: str, **how: Any) -> dict[str, Any]:
 
 
 def friction(tosses: Tosses, engine: str, **how: Any) -> dict[str, Any]:
-    """The friction at which the median error of the place at the end is least, from every second toss, and the errors
-    of the other tosses with that friction; then the other way round."""
+    """Fit the friction to every second toss: the coefficient with the smallest median error of the final place. Returns
+    the fit with the errors of the other tosses at this friction, and the same with the two halves of tosses
+    exchanged."""
     count = len(tosses)
     starts = [measured_start(tosses, coefficient) for coefficient in FRICTIONS]
     error_sets = [errors(tosses, paths) for paths in simulated(tosses, starts, engine, **how)]
@@ -123,12 +126,13 @@ def friction(tosses: Tosses, engine: str, **how: Any) -> dict[str, Any]:
 
 
 def calibration(tosses: Tosses, engine: str, **how: Any) -> dict[str, Any]:
-    """How many measured ends lie within the regions that an ensemble predicts, whose starts have the data's errors and
-    whose friction is drawn.
+    """The share of measured ends that lie within the regions that an ensemble of runs predicts. The runs have random
+    starts, with the errors of the data, and random friction.
 
-    Each end, of the ensemble and the measurement, has a mean distance to all others. The measured end is within
-    the region of 50 % if its own is among the least 50 %. If the measured end were a member of the ensemble, exactly 50
-    % would be, whatever the form of the distribution (conformal prediction).
+    For each end, of the ensemble and of the measurement, the mean distance to all other ends is computed. The measured
+    end is within the region of 50 % if its mean distance is among the smallest 50 %. If measured ends came from the
+    same distribution as the ensemble, exactly 50 % of them would be within this region, whatever the form of the
+    distribution (conformal prediction).
     """
     rng, sigma, begin = np.random.default_rng(SEED + 1), noise(tosses), measured_start(tosses)
     starts = []
@@ -155,12 +159,13 @@ def calibration(tosses: Tosses, engine: str, **how: Any) -> dict[str, Any]:
 
 
 def _rank(points: FloatArray) -> float:
-    """The share of points (m, 2) that are no farther from the others than the first one is, itself among them."""
+    """The share of the points (m, 2) whose mean distance to all points is at most that of the first point. The first
+    point counts, too."""
     distance = np.linalg.norm(points[:, None] - points, axis=-1).mean(axis=1)
     return float((distance <= distance[0]).mean())
 
 
 def _same(faces: NDArray[np.int64]) -> float:
-    """How likely two different members have the same face up."""
+    """The probability that two different runs of the ensemble have the same face up."""
     _, counts = np.unique(faces, return_counts=True)
     return float((counts * (counts - 1)).sum() / (len(faces) * (len(faces) - 1)))

@@ -1,9 +1,9 @@
-"""Real tosses of a cube (DAIRLab's ContactNets, CoRL 2020, BSD-3) against ``petmjx.release``.
+"""Compares real tosses of a cube (DAIRLab's ContactNets, CoRL 2020, BSD-3) with tosses simulated by ``petmjx.release``.
 
-A toss is simulated open loop: from its first sample on, with the cube's published numbers, and looked at when the
-camera looked. Tosses are chaotic after their first impacts: single ends cannot be met, so errors stand beside the
-spread of runs whose starts differ by as much as the data themselves are uncertain, and distributions are compared by a
-test.
+A toss is simulated from its first sample on, without later corrections, with the published numbers of the cube. The
+simulated poses are compared at the times of the camera's samples. After the first impacts, tosses are chaotic, so no
+simulation can predict the end of a single toss. So errors are compared with the spread of simulated runs whose starts
+differ by the errors of the data, and distributions are compared by a statistical test.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Tosses:
     """Measured tosses.
 
     Attributes:
-        rate_hz: of samples.
+        rate_hz: number of samples per second.
         n_samples: (n,) number of samples of each toss; ``first``: (n,) row of its first sample.
         pos: (N, 3) m; quat: (N, 4); velocity: (N, 6) m/s along the world's axes, and rad/s about the cube's.
     """
@@ -82,12 +82,12 @@ class Tosses:
         return len(self.n_samples)
 
     def rows(self, toss: int) -> slice:
-        """Of one toss."""
+        """The rows of one toss."""
         begin = int(self.first[toss])
         return slice(begin, begin + int(self.n_samples[toss]))
 
     def path(self, toss: int) -> Path3:
-        """One measured toss."""
+        """The measured path of one toss."""
         rows = self.rows(toss)
         return Path3(self.pos[rows], self.quat[rows])
 
@@ -100,7 +100,7 @@ class Path3(NamedTuple):
 
 
 def read_tosses(folder: Path, limit: int | None = None) -> Tosses:
-    """The tosses of a file, or of ``FILE`` in a folder; the first ones alone if there is a limit.
+    """The tosses in a file, or in the file ``FILE`` of a folder. With a limit, only the first tosses are returned.
 
     Raises:
         InputError: the file is missing, or has other content.
@@ -123,7 +123,7 @@ def read_tosses(folder: Path, limit: int | None = None) -> Tosses:
 
 
 class Start(NamedTuple):
-    """(n, …) how tosses begin: place, orientation, velocity as in ``Tosses``, and friction."""
+    """(n, …) the starts of n tosses: place, orientation, velocity (as in ``Tosses``), and friction."""
 
     pos: FloatArray
     quat: FloatArray
@@ -132,7 +132,7 @@ class Start(NamedTuple):
 
 
 def measured_start(tosses: Tosses, friction: float = FRICTION) -> Start:
-    """The start as in the first samples."""
+    """The starts of the tosses, from their first samples."""
     first = tosses.first
     return Start(tosses.pos[first], tosses.quat[first], tosses.velocity[first], np.full(len(tosses), friction))
 
@@ -144,7 +144,8 @@ def simulated(
     physics: str | Mapping[str, Any] | Physics = "pallet",
     restitution: float | None = None,
 ) -> list[list[Path3]]:
-    """Each toss from each of some starts, at the times of its samples: by start, then by toss."""
+    """Simulate each toss from each of the starts. Returns, for each start and toss, the path at the times of the toss's
+    samples."""
     paths_by_start: list[list[Path3]] = [[] for _ in starts]
     paths: dict[tuple[int, int], Path3] = {}
     order = np.argsort(tosses.n_samples, kind="stable")
@@ -181,8 +182,8 @@ def simulated(
 
 
 class Errors(NamedTuple):
-    """Of each toss: whether the right face is up at its last sample; how far the cube is then from its place, mm; means
-    along the path, mm and degrees."""
+    """Errors of each toss: whether the right face is up at the last sample; the distance of the cube from its measured
+    place at that time, mm; and the mean distance, mm, and mean angle, degrees, along the path."""
 
     right_face: NDArray[np.bool_]
     place_mm: FloatArray
@@ -191,7 +192,8 @@ class Errors(NamedTuple):
 
     @property
     def summary(self) -> dict[str, float]:
-        """The share of right faces, the median of places, means along the path."""
+        """The share of tosses with the right face up, the median error of the final place, and the mean errors along
+        the path."""
         return {
             "right_face": float(self.right_face.mean()),
             "place_median_mm": float(np.median(self.place_mm)),
@@ -200,12 +202,13 @@ class Errors(NamedTuple):
         }
 
     def of(self, tosses: NDArray[np.intp]) -> Errors:
-        """The starts of some tosses."""
+        """The errors of some of the tosses."""
         return Errors(self.right_face[tosses], self.place_mm[tosses], self.path_mm[tosses], self.turn_deg[tosses])
 
 
 def errors(tosses: Tosses, paths: Sequence[Path3]) -> Errors:
-    """Of simulated tosses. A toss that could not be simulated to its end has the wrong face and is infinitely far."""
+    """The errors of simulated tosses. A toss that could not be simulated to its end counts as having the wrong face up
+    and an infinite distance."""
     rows = []
     for toss, path in enumerate(paths):
         measured = tosses.path(toss)
@@ -218,7 +221,8 @@ def errors(tosses: Tosses, paths: Sequence[Path3]) -> Errors:
 
 
 def face_up(quat: FloatArray) -> int:
-    """Which of the six faces is up: the axis that is nearest to vertical, times two, and one more if it points down."""
+    """The number of the face that is up, from 0 to 5: the number of the cube's axis that is nearest to vertical, times
+    two, plus one if the axis points down. −1 if the orientation is not finite."""
     upward = rotations(quat[None])[0, 2]
     axis = int(abs(upward).argmax()) if np.isfinite(upward).all() else -1
     return 2 * axis + int(upward[axis] < 0) if axis >= 0 else -1
@@ -232,8 +236,8 @@ def angle_deg(one: FloatArray, two: FloatArray) -> FloatArray:
 
 
 class Whole(NamedTuple):
-    """(n,) properties of tosses, whatever their single paths: distance along the ground, mm; total turn until rest,
-    degrees; time until rest, s."""
+    """(n,) properties of n whole tosses: distance along the ground, mm; total turn until rest, degrees; time until
+    rest, s."""
 
     way_mm: FloatArray
     turn_deg: FloatArray
@@ -241,7 +245,7 @@ class Whole(NamedTuple):
 
 
 def wholes(paths: Sequence[Path3], rate_hz: float) -> Whole:
-    """Of these tosses."""
+    """The properties of these tosses."""
     rows = []
     for path in paths:
         off = np.linalg.norm(path.pos - path.pos[-1], axis=1) > STILL_M
@@ -254,7 +258,8 @@ def wholes(paths: Sequence[Path3], rate_hz: float) -> Whole:
 
 
 class Noise(NamedTuple):
-    """Errors of the data, standard deviations: place, m; orientation, rad; velocity, m/s; angular velocity, rad/s."""
+    """Standard deviations of the errors of the data: place, m; orientation, rad; velocity, m/s; angular velocity,
+    rad/s."""
 
     pos_m: float
     turn_rad: float
@@ -263,13 +268,14 @@ class Noise(NamedTuple):
 
 
 def noise(tosses: Tosses) -> Noise:
-    """How uncertain first samples are, from the tosses themselves.
+    """The errors of the first samples, estimated from the tosses.
 
-    At rest the cube's centre is as high as half a side, and its upper face level: the standard deviation of heights,
-    and the root mean square of tilts, of which an orientation has two, are errors of place and orientation. (From one
-    sample to the next they are a third of that.) While the cube flies its centre is on a parabola, and, since its
-    moments of inertia are equal, its angular velocity is constant: the first sample's velocity less that of the
-    parabola through the flight, and the first angular velocity less their mean, are errors of velocities.
+    At rest, the cube's centre should be at the height of half a side, and its upper face should be level. So the error
+    of places is the standard deviation of heights at rest, and the error of orientations is the root mean square of
+    tilts, of which an orientation has two. (Differences between successive samples are a third of these errors.) While
+    the cube flies, its centre should be on a parabola. Its angular velocity should be constant, because its moments of
+    inertia are equal. So the errors of velocities are the differences between the velocities of the first samples and
+    those of the fitted parabolas, and between the angular velocities of the first samples and the means of the flights.
     """
     heights, tilts, linear, angular = [], [], [], []
     for toss in range(len(tosses)):
@@ -298,7 +304,7 @@ def noise(tosses: Tosses) -> Noise:
 
 
 def perturbed(start: Start, errors: Noise, rng: np.random.Generator) -> Start:
-    """The same start with errors drawn from normal distributions."""
+    """The starts with additional errors, drawn from normal distributions."""
     n = len(start.pos)
     turn = rng.normal(0.0, errors.turn_rad, (n, 3))
     size = np.linalg.norm(turn, axis=1, keepdims=True)

@@ -1,4 +1,5 @@
-"""Curves of examples/train_in_jax.py: seeds trained side by side in one program, and their plans of other orders.
+"""Makes the learning curves of examples/train_in_jax.py. Several seeds are trained side by side in one program. Then
+the policies pack orders that were not used for training.
 
 ``python -m benchmarks packers --other NAME=PLANS`` then compares the plans with those of other packers.
 """
@@ -140,7 +141,7 @@ def _write_plans(of: Training, folder: Path, pack: Callable[[jax.Array], Any]) -
 
 
 def _placed_boxes(items: tuple[Item, ...], size: Any, corner: Any, mass: Any) -> list[PlacedBox]:
-    """The items on a pallet. They come in the sequence of the order, of which some are left out."""
+    """The items on a pallet. Boxes come in the sequence of the order, and some items of the order are left out."""
     left, boxes = iter(items), []
     for extents, place, weight in zip(size, corner, mass, strict=True):
         for item in left:

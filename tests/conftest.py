@@ -1,4 +1,5 @@
-"""Shared by all tests: JAX on the CPU, strict about ranks and shapes; GPU tests skip without CUDA."""
+"""Settings and fixtures of all tests. JAX runs on the CPU, and checks ranks and shapes strictly. Tests that need a GPU
+are skipped without CUDA."""
 
 from __future__ import annotations
 
@@ -90,7 +91,7 @@ def pytest_report_header() -> str:
 
 @functools.cache
 def why_no_cuda() -> str:
-    """Why GPU tests cannot run here; empty where they can."""
+    """Why GPU tests cannot run on this machine; empty if they can."""
     if os.environ.get("PETMJX_TEST_GPU") != "1":
         return "GPU tests run with PETMJX_TEST_GPU=1 on a machine with CUDA"
     if shutil.which("nvidia-smi") is None:
@@ -101,7 +102,8 @@ def why_no_cuda() -> str:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Generator[None, object, object]:
-    """What is imported stays: no garbage is looked for in it, now or later, which took a seventh of the collection."""
+    """Exclude all imported objects from garbage collection, now and later. To search them for garbage took a seventh of
+    the time in which pytest collects tests."""
     gc.disable()
     try:
         return (yield)
@@ -112,8 +114,8 @@ def pytest_collection() -> Generator[None, object, object]:
 
 @pytest.hookimpl(trylast=True)
 def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
-    """What a file of tests has left stays, too. Otherwise, Python looks for garbage among all programs of JAX that are
-    kept, and a single look takes up to ten seconds."""
+    """After each file of tests, exclude the remaining objects from garbage collection. JAX keeps its compiled programs,
+    and a single search among them for garbage takes up to ten seconds."""
     if nextitem is None or nextitem.path != item.path:
         gc.collect()
         gc.freeze()

@@ -31,8 +31,8 @@ TARGET = Path(__file__).resolve().parents[1] / "petmjx" / "runs" / "option_types
 HEAD = '''\
 """The options of ``petmjx.score`` and ``petmjx.sweep`` for type checkers: their names and types.
 
-Written by ``make options`` (tools/option_types.py) from the records in petmjx/options, which check the values and
-say what they mean. Do not edit.
+Written by ``make options`` (tools/option_types.py) from the records in petmjx/options. These records check the values
+of options and state their meanings. Do not edit.
 """
 
 from __future__ import annotations

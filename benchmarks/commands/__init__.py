@@ -1,1 +1,1 @@
-"""The benchmarks' commands, by the subject of measurement."""
+"""The commands of the benchmarks. Each module has the commands for one subject of measurement."""

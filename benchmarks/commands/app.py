@@ -1,4 +1,4 @@
-"""The command line itself, and the common parts of commands."""
+"""The command-line application, and code that several commands use."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ DEFAULT_OUT = Path("petmjx-results/bench.jsonl")
 
 
 def usable(files: Sequence[Path], options: RunOptions) -> list[Plan]:
-    """The plans of files; unusable ones are counted on standard error.
+    """The plans in the files. The number of unusable plans is printed to standard error.
 
     Raises:
-        InputError: no usable plan.
+        InputError: there is no usable plan.
     """
     from petmjx.options.simulation import Simulation
     from petmjx.plans.plan_sources import usable_plans
@@ -44,10 +44,10 @@ def usable(files: Sequence[Path], options: RunOptions) -> list[Plan]:
 
 
 def make_folder(folder: Path | None) -> None:
-    """Make a folder for tables, if there is to be one.
+    """Make a folder for tables, if a folder is requested.
 
     Raises:
-        InputError: it cannot be made.
+        InputError: the folder cannot be made.
     """
     if folder is None:
         return
@@ -58,10 +58,10 @@ def make_folder(folder: Path | None) -> None:
 
 
 def known(names: list[str], choices: Mapping[str, object], noun: str) -> list[str]:
-    """The names, which must be there.
+    """The names, after a check that each of them is available.
 
     Raises:
-        InputError: one is not.
+        InputError: one of the names is not available.
     """
     for name in names:
         if name not in choices:

@@ -1,4 +1,4 @@
-"""Other simulators."""
+"""Commands that compare petmjx with other simulators (referees)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The cases: run them, compare engines, make tables."""
+"""Commands that run cases, compare runs of engines, and make tables of the results."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Other simulators, which judge plans that petmjx judges: one module each, all with the protocol in ``referee``.
-
-Referees are no part of petmjx: ``pip install '.[referees]'``. A module imports its simulator on its own import.
+"""Referees: other simulators, which judge the same plans as petmjx. Each simulator has a module, which implements the
+protocol in ``referee``. Their packages are not installed with petmjx: ``pip install '.[referees]'``. A module imports
+its simulator when it is imported.
 """

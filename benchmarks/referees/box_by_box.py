@@ -1,7 +1,6 @@
-"""Lets the boxes of a scene stand in a referee's world, and judges them as petmjx judges its own worlds.
-
-Placing, waiting and thresholds are petmjx's (docs/rules.md, section 5), by its own rule for quiet and its own metrics,
-so that only the simulator differs. Times stand for the steps of petmjx's rules, whatever a referee's timestep is.
+"""Simulates the boxes of a scene in a referee's world, and judges them as petmjx judges its own worlds. Placing,
+waiting, the rule for quiet, metrics and thresholds are petmjx's (docs/rules.md, section 5), so only the simulator
+differs. Where petmjx's rules count steps, times are used here, because a referee may have another timestep.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ SETTLE_S = 0.2
 
 @dataclass(frozen=True, eq=False)
 class Stood:
-    """A referee's result for a world. ``moving``: it still moved when its time was up."""
+    """The result of a referee for a world. ``moving``: whether boxes still moved when the time was up."""
 
     verdict: Verdict
     reason: Reason
@@ -71,7 +70,7 @@ class _Run:
         return self._finite and not (self._sim.early_stop and self._metrics.any_dropped)
 
     def _wait(self, longest_s: float, to_rest: bool) -> bool:
-        """Step until the boxes are quiet, and before the end until they rest. Returns whether they still move."""
+        """Take steps until the boxes are quiet, or, at the end, until they rest. Returns whether they still move."""
         begin_s, failed_s = self._time_s, None
         self._quiet.restart()
         while self._goes_on and self._time_s - begin_s < longest_s:
@@ -87,7 +86,7 @@ class _Run:
         return True
 
     def _rests(self) -> bool:
-        """Step through a rest window; whether no point moved faster than petmjx's own limit in it."""
+        """Take the steps of a rest window. Returns whether no point moved faster than petmjx's limit in this window."""
         before = self._world.pose()
         window_s = self._sim.rest_window_s
         self._metrics.restart_rest()
@@ -105,7 +104,8 @@ class _Run:
         return self._polls * self._poll_s
 
     def _look(self) -> bool:
-        """Step to the next look, with a sample if due; returns whether it finds the boxes quiet."""
+        """Take the steps to the next look, with a sample if one is due. Returns whether the boxes are quiet at this
+        look."""
         world = self._world
         world.step(self._poll_steps)
         self._polls += 1
@@ -133,9 +133,9 @@ class _Run:
 
 
 def _velocity(before: FloatArray, after: FloatArray, seconds: float) -> FloatArray:
-    """(k, 6) mean velocities between two (k, 7) poses, m/s and rad/s, for small turns.
-
-    Velocities of a simulator are never quiet: iterative solvers leave some of gravity's in each step.
+    """(k, 6) mean velocities between two (k, 7) poses, m/s and rad/s, for small turns. They are used instead of a
+    simulator's own velocities, which are never small enough, since iterative solvers leave a part of gravity's velocity
+    in each step.
     """
     change = (after - before) / seconds
     turn = np.zeros((len(after), 3))

@@ -1,4 +1,5 @@
-"""Drake: contact by pressure fields (hydroelastic), friction with a stiction tolerance. Slow: for small piles."""
+"""The referee Drake. Its contacts are pressure fields (hydroelastic), and its friction has a stiction tolerance. It is
+slow, so it gets only small piles."""
 
 from __future__ import annotations
 
@@ -49,7 +50,8 @@ class DrakeReferee:
 
 
 class DrakeWorld:
-    """A plant has all its bodies from the start, so that each new box needs another plant."""
+    """A world in Drake. A plant (Drake's model) has all its bodies from the beginning, so each new box needs a new
+    plant."""
 
     def __init__(self, scene: Scene, physics: Physics, timestep_s: float, stiction_m_s: float) -> None:
         self.timestep_s = timestep_s
@@ -137,7 +139,7 @@ class DrakeWorld:
 
 
 def _matrix(quat: FloatArray) -> FloatArray:
-    """(3, 3) rotation of a quaternion (w, x, y, z)."""
+    """(3, 3) rotation matrix of a quaternion (w, x, y, z)."""
     w, x, y, z = quat / np.linalg.norm(quat)
     return np.array(
         [

@@ -1,4 +1,5 @@
-"""PhysX 5 by ``sapien``: projected Gauss-Seidel, as its other solver (TGS) lets resting piles creep."""
+"""The referee PhysX 5 (package ``sapien``). Its solver is projected Gauss-Seidel, because with its other solver (TGS)
+resting piles creep."""
 
 from __future__ import annotations
 
@@ -23,7 +24,7 @@ _PLANE_UP = (math.sqrt(0.5), 0.0, -math.sqrt(0.5), 0.0)
 
 
 class PhysxReferee:
-    """2 ms and 100 iterations; fine: half and twice of that."""
+    """The referee PhysX, with timesteps of 2 ms and 100 iterations. With fine settings: 1 ms and 200 iterations."""
 
     name = "physx"
     settings: dict[str, Any] = {"package": "sapien", "timestep_s": 0.002, "iterations": 100, "solver": "pgs"}  # noqa: RUF012

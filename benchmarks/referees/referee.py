@@ -16,7 +16,8 @@ from petmjx.world.scene import Scene
 
 
 class RefereeWorld(Protocol):
-    """One world: the floor, the carrier free on it, and the boxes that are placed."""
+    """One world of a referee: the floor, the carrier, which stands freely on the floor, and the boxes that are
+    placed."""
 
     timestep_s: float
 
@@ -30,20 +31,19 @@ class RefereeWorld(Protocol):
         """(k, 7) centres, m, and orientations (w, x, y, z) of the boxes placed so far."""
 
     def top_forces(self) -> FloatArray:
-        """(k,) the force on top of each, N, from the last step's contacts (docs/metrics.md)."""
+        """(k,) the force on top of each box, N, from the contacts of the last step (docs/metrics.md)."""
 
     def close(self) -> None:
-        """Give the simulator's memory back."""
+        """Free the memory of the simulator."""
 
 
 class Referee(Protocol):
-    """A simulator with settings of its own.
+    """A simulator with its settings.
 
     Attributes:
-        name: as results name it.
-        settings: the numbers it runs with, for the results; and ``fine``, the finer settings that must give the same
-            verdict.
-        most_boxes: larger worlds would take too long.
+        name: name of the referee in results.
+        settings: the numbers with which it runs, for the results.
+        most_boxes: largest number of boxes of a world; larger worlds would take too long.
     """
 
     name: str
@@ -51,7 +51,8 @@ class Referee(Protocol):
     most_boxes: int
 
     def world(self, scene: Scene, physics: Physics, fine: bool) -> RefereeWorld:
-        """The world of a scene before any box is placed."""
+        """The world of a scene before any box is placed. ``fine``: whether the settings are finer than usual; a
+        converged referee then gives the same verdict."""
 
 
 REFEREES: Final = {"physx": "sapien", "bullet": "pybullet", "drake": "drake"}
@@ -59,7 +60,7 @@ REFEREES: Final = {"physx": "sapien", "bullet": "pybullet", "drake": "drake"}
 
 
 def referee(name: str) -> Referee:
-    """A referee by name.
+    """The referee with this name.
 
     Raises:
         InputError: no referee has this name, or its simulator is not installed.

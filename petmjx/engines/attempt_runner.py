@@ -167,7 +167,8 @@ class AttemptRunner(Generic[AnyWorld]):
                 self.engines.note_failure(engine.name, self.attempt.number, n_here, self._message)
                 return unanswered
             if answer is None and tells:
-                # the outcome that was at hand may have become a long world (petmjx/engines/warp/continued_worlds.py)
+                # The engine pauses, although it had reported that another outcome is ready: that world may have turned
+                # out to be a long world, which leaves the GPU (petmjx/engines/warp/continued_worlds.py).
                 yield from self.checked_results(arrivals, engine_name, checked=checked, wait=False)
                 arrivals = []
                 self._follow(stream, arrivals)

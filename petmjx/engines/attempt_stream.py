@@ -36,8 +36,8 @@ MOST_PENDING: Final = 13 * GPU_WORLDS // 8
 also pauses when this number of worlds waits for a further attempt."""
 
 BESIDE_WAIT_S: Final = 0.02
-"""While only attempts beside the engine are running, a run from whose results worlds may follow looks for such worlds
-at intervals of this length, s."""
+"""Interval at which a run asks for worlds that follow from results, s, while the engine is idle and only further
+attempts run, in other processes or threads."""
 
 FIRST_WORLDS: Final = 1600
 """Number of worlds with which a GPU begins. This number of worlds is enough to keep all thread blocks for worlds of few
@@ -375,7 +375,7 @@ class _AttemptTasks(Generic[AnyWorld]):
         """
         if self._in_flight:
             for answer in self.engines.attempt_simulator.ended(wait=wait):
-                if answer.number not in self._in_flight:  # an answer to a task READY, which has no world
+                if answer.number not in self._in_flight:  # a task READY only prepares the process: it has no world
                     continue
                 runner, pending, engine = self._in_flight.pop(answer.number)
                 for answered in self._answered(runner, pending, engine, answer):

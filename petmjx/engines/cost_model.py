@@ -496,7 +496,7 @@ class Costs:
         """(n,) for each job, the number of steps from which on its world counts as long (``LONG_PLACEMENT``,
         ``LONG_DRIVE``). The number depends neither on the machine nor on the other jobs."""
         steps = np.full(len(jobs), float(seconds_to_steps(sim.rest_window_s, sim.physics.timestep_s)))
-        for settles in (False, True):  # the work of jobs is that of placements before drives if one of them settles
+        for settles in (False, True):  # if any job settles, _expected_work takes all for placements before drives
             rows = [row for row, job in enumerate(jobs) if job.settles is settles]
             some = [jobs[row] for row in rows]
             work, drive_steps = _expected_work(some, sim)
@@ -555,7 +555,7 @@ chains. The cost of film was fitted to drives of 8, 22 and 40 boxes, and the cos
 On C MuJoCo, the time of a single fall varies from a tenth of the mean to ten times the mean. So estimates for a few
 plans that fall are less exact. The estimates leave out the time for simulating worlds again with smaller timesteps.
 
-Devices: one H100; the times do not include start and compilation. The schedule is adaptive unless stated otherwise. The
-runs are 10,003 generated plans, 4,000 with the fixed schedule, 500 and 1,000 plans with confidence 16 (placed exactly),
-250 by hand, and 128,000 and a million worlds of 12 boxes with errors. ``mjx-warp`` compiles for 13 to 23 s (0.5 s with
-a kernel from an earlier run)."""
+Devices: the times were measured on one H100, and do not include start and compilation. The schedule is adaptive unless
+stated otherwise. The runs are 10,003 generated plans, 4,000 with the fixed schedule, 500 and 1,000 plans with
+confidence 16 (placed exactly), 250 by hand, and 128,000 and a million worlds of 12 boxes with errors. ``mjx-warp``
+compiles for 13 to 23 s (0.5 s with a kernel from an earlier run)."""

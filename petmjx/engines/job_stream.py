@@ -196,14 +196,14 @@ class JobStream(Generic[Tag]):
         return not self._unfollowed
 
     def wait_for_following(self, in_flight: Collection[int], left: Collection[int] = ()) -> bool:
-        """Wait briefly for a job that follows from an outcome, or comes from a source that may need an outcome first.
-        An engine without running worlds calls this method. Only if worlds have left its device, it may call this method
-        in the thread that takes its outcomes.
+        """Wait briefly for a job that follows from an outcome, or for a job of a source that may need an outcome first.
+        An engine without running worlds calls this method. The engine may call it in the thread that takes outcomes
+        only if worlds have left the engine's device.
 
         Args:
             in_flight: stream numbers of the engine's jobs whose outcomes have not been taken. The thread that takes
                 outcomes calls ``wake`` after each change of ``in_flight``.
-            left: those of ``in_flight`` whose worlds have left the device.
+            left: stream numbers of those jobs in ``in_flight`` whose worlds have left the device.
 
         Returns:
             Whether to wait again: no job is ready, and jobs may still come.
@@ -244,8 +244,8 @@ class JobStream(Generic[Tag]):
         return self._open and not self._paused
 
     def _may_follow(self, in_flight: Collection[int], left: Collection[int]) -> bool:
-        """Whether no job is ready, but jobs may follow from an outcome that has not come or has not been processed, or
-        come from a source that waits for the outcome of a world that has left the device."""
+        """Whether no job is ready, but a job may still come, in one of two ways: it follows from an outcome that has
+        not been processed, or the source puts it in after the outcome of a world that has left the device."""
         if self.ready:
             return False
         return (self.feedback and bool(in_flight or self._unfollowed)) or (self._comes and bool(left))

@@ -29,7 +29,8 @@ _ROUNDING_M: Final = 1e-9
 """Largest rounding error of distances near an edge in tables, which store them as float32, m."""
 
 _SAME_M: Final = 1e-6
-"""Largest difference of two distances that count as equal, m. Tables store the places of boxes as float32."""
+"""Two distances count as equal if they differ by at most this value, m. Small differences are rounding errors, since
+tables store the places of boxes as float32."""
 
 BY_PLAN: Final = "by the plan"
 AT_REST: Final = "at rest"

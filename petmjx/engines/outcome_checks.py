@@ -93,9 +93,9 @@ def _leaning(outcomes: Sequence[Outcome]) -> list[NDArray[np.bool_]]:
 
 def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> None:
     """Compute the distances of the boxes' loads from the edges of their supports: in the plan, at rest and while the
-    plan is built. Write these distances of all boxes, the smallest ones of each world, and two flags into the outcomes.
-    ``Flag.KNIFE_EDGE`` is set if any box is too near an edge. ``Flag.SINKING`` is set for worlds that may have tipped
-    over because contacts are soft.
+    plan is built. Write the distances of all boxes, the smallest distances of each world, and two flags into the
+    outcomes. ``Flag.KNIFE_EDGE`` is set if any box is too near an edge. ``Flag.SINKING`` is set for worlds that may
+    have tipped over because contacts are soft.
 
     Distances at rest are computed for worlds that stand and were not shaken, because their carriers are still at their
     places. Distances while the plan is built are computed for plans whose boxes are placed in order and without errors.
@@ -196,7 +196,8 @@ class _Joined:
     elsewhere: list[tuple[Scene, FloatArray, int, float]] = field(default_factory=list)
 
     def add(self, scene: Scene, pos: FloatArray, placed: int | None = None, most_gap_m: float = TOUCH_M) -> int:
-        """Add a scene, with all boxes or the first ``placed`` ones; returns its number among all scenes."""
+        """Add a scene with all of its boxes, or with only the first ``placed`` boxes. Returns the number of the scene
+        among all added scenes."""
         self.elsewhere.append((scene, pos, scene.n_boxes if placed is None else placed, most_gap_m))
         return len(self.planned) + len(self.elsewhere) - 1
 

@@ -113,7 +113,7 @@ def may_use_gpu(options: RunOptions, plans: object) -> bool:
 
 
 def _start_if_gpu(sim: Simulation) -> None:
-    if cuda_devices():  # this call asks the GPU's driver, which takes time, too
+    if cuda_devices():  # asking the GPU's driver takes time, too, so this thread does it
         builds = begin_builds(sim)
         start_gpu()
         # Another thread waits for the kernels and loads them, while worlds are made.

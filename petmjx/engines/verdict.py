@@ -148,8 +148,8 @@ class Signs(NamedTuple):
 
 
 def failures(boxes: Any, thresholds: Thresholds) -> Iterator[tuple[Reason, Any]]:
-    """Pairs of a reason and an array (…, n), which tells whether each box fails for this reason. The pairs have the
-    order in which the reasons are checked.
+    """Yield, for each reason, the reason and an array (…, n) that tells whether each box fails for this reason. Reasons
+    come in the order in which they are checked.
 
     Args:
         boxes: an object with the fields of ``Signs`` for (…, n) boxes, as arrays of NumPy or JAX.

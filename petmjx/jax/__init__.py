@@ -2,8 +2,8 @@
 of the pallets is a pytree.
 
     state = petmjx.jax.empty(64, engine="mujoco")
-    state, told = petmjx.jax.place(state, size_mm, corner_mm, mass_kg)
-    told = petmjx.jax.try_all(state, size_mm, corner_mm, mass_kg, pallet)
+    state, results = petmjx.jax.place(state, size_mm, corner_mm, mass_kg)
+    results = petmjx.jax.try_all(state, size_mm, corner_mm, mass_kg, pallet)
 
 With the engine ``mjx-warp``, the GPU kernel runs inside the jitted program, and states never leave the device. With the
 engine ``mujoco``, MuJoCo runs on the CPU, in a callback of the program. Lengths are in millimetres and masses in

@@ -104,7 +104,7 @@ class Candidates:
         return with_box(statics, row, contacts, mass_kg, least_m(size_mm[None], self._inside)[0])
 
     def view(self, pile: Pile, statics: Statics) -> View:
-        """Compute those values for ``ways`` that do not depend on the next box."""
+        """The values for ``ways`` that do not depend on the next box."""
         return View(self._points(pile), pile, statics)
 
     def _points(self, pile: Pile) -> Points:

@@ -81,7 +81,7 @@ class Cells:
         """The balance of the pile after one more box, which is None, because this class does not need the balance."""
 
     def view(self, pile: Pile, statics: None) -> Pile:
-        """Compute those values for ``ways`` that do not depend on the next box: only the pile."""
+        """The values for ``ways`` that do not depend on the next box: here, only the pile."""
         return pile
 
     def ways(self, pile: Pile, size_mm: Float[Array, " 3"], mass_kg: Float[Array, ""]) -> Ways:

@@ -72,8 +72,8 @@ def place(
             have fallen or are full never receive another box.
 
     Returns:
-        The new state, and the results of the pallets. A pallet that had already fallen has only the reason ``ended`` as
-        its result.
+        The new state, and the results of the pallets. If a pallet had already fallen, its result has the reason
+        ``ended``, and its numbers are 0 or -1.
     """
     n = _pallets(state)
     boxes = _boxes(size_mm, corner_mm, mass_kg, n)

@@ -90,7 +90,8 @@ class BoxTable:
         return points
 
     def box(self, pallets: NDArray[np.int64], number: int | NDArray[np.int64]) -> Placements:
-        """One box of each of these pallets. ``number`` is the number of the box, or (m,) its number on each pallet."""
+        """One box of each of these m pallets. ``number`` is the number of the box: one number for all pallets, or (m,)
+        a number for each pallet."""
         return Placements(
             self.size_mm[pallets, number], self.corner_mm[pallets, number], self.mass_kg[pallets, number], pallets
         )

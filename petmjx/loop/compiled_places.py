@@ -28,7 +28,7 @@ _WORTH_A_THREAD: Final = 32
 """Smallest number of boxes or pallets for which another thread is started."""
 
 _AT_ONCE: Final = 4096
-"""Largest number of new boxes that are lowered at a time, which bounds the memory of the results."""
+"""Largest number of new boxes that are lowered at a time. It limits the memory of the results."""
 
 
 def add_points(
@@ -46,8 +46,8 @@ def add_points(
     Args:
         pallet: (m,) pallets whose points are added, each pallet once.
         n_known: (n,) for each pallet, the number of boxes whose points are in the tables.
-        box_corner_mm, box_size_mm: (n, k, 3) corners and sizes of the boxes on the pallets; ``n_boxes``: (n,) their
-            numbers.
+        box_corner_mm, box_size_mm: (n, k, 3) corners and sizes of the boxes on the pallets; ``n_boxes``: (n,) number
+            of boxes on each pallet.
         gap_mm: free space behind each box along x and y.
         points: (n, p) points as x + iy, mm; ``n_points``: (n, c) number of points after the first 0, 1, … boxes. Both
             tables need room for the new points.
@@ -76,8 +76,8 @@ def lowered_boxes(
     Args:
         pallet: (m,) pallet of each of m ≥ 1 new boxes; ``size_mm``: (m, 3) sizes of the new boxes.
         points: (n, p) points of the pallets as x + iy, mm; ``n_points``: (n,) number of points of each pallet.
-        box_corner_mm, box_size_mm: (n, k, 3) corners and sizes of the boxes on the pallets; ``n_boxes``: (n,) their
-            numbers.
+        box_corner_mm, box_size_mm: (n, k, 3) corners and sizes of the boxes on the pallets; ``n_boxes``: (n,) number
+            of boxes on each pallet.
         extent_mm: largest x and y of the new boxes, including the free space behind them.
         max_height_mm: largest height of a top; ``least_support``: smallest supported share of a base; ``gap_mm``: free
             space between boxes along x and y.

@@ -47,7 +47,8 @@ class Points:
 
     @property
     def tables(self) -> tuple[NDArray[np.complex128], NDArray[np.int64]]:
-        """(n, p) the points of all pallets as x + iy, mm, and (n,) their numbers. Later values are meaningless."""
+        """(n, p) the points of all pallets as x + iy, mm, and (n,) the number of points of each pallet. Values after
+        the last point of a pallet have no meaning."""
         return self._at, self.count(np.arange(len(self.boxes)))
 
     def of(self, pallets: NDArray[np.int64]) -> NDArray[np.complex128]:
@@ -86,11 +87,11 @@ class Points:
         n_boxes: NDArray[np.int64],
         machine_code: ModuleType,
     ) -> None:
-        """Add the points of all boxes on these pallets, at least one, whose points are not included yet.
+        """Add the points of all boxes on these pallets whose points are not included yet.
 
         Args:
-            corner_mm, size_mm: (n, k, 3) corners and sizes of the boxes on all pallets; ``n_boxes``: (n,) their
-                numbers.
+            corner_mm, size_mm: (n, k, 3) corners and sizes of the boxes on all pallets; ``n_boxes``: (n,) number of
+                boxes on each pallet.
             machine_code: the module ``petmjx.loop.compiled_places``, loaded.
         """
         most = self.count(pallets) + _POINTS_PER_BOX * (n_boxes[pallets] - self.boxes[pallets])

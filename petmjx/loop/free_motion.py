@@ -135,8 +135,8 @@ def release(
         friction: (…) coefficient of sliding friction between a box and the ground. Between two boxes, the larger of
             their two coefficients is used. If ``friction`` is None, the coefficients in ``physics`` are used.
         restitution: (…) speed of a box after a bounce as a share of its speed before, up to 0.9. All boxes of a world
-            must have the same value. A landing box is stopped within ``physics.landing_s``, or within 3 ms if that is
-            0. If ``restitution`` is None, the value in ``physics`` is used.
+            must have the same value. A landing box is stopped within ``physics.landing_s`` or, if ``physics.landing_s``
+            is 0, within 3 ms. If ``restitution`` is None, the value in ``physics`` is used.
         ground: "plane" for an infinite plane, the name of a carrier of a fixed size, or a TOML file of boards. A
             carrier does not move. The front-left corner of the carrier is at the origin, and its top at z = 0.
         physics: the name of a preset, a mapping that changes a preset, or a ``petmjx.Physics``.

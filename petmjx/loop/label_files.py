@@ -159,8 +159,8 @@ def write_labels(
 
 
 def _finished(folder: Path, head: Mapping[str, Any], count: int) -> dict[str, Any]:
-    """The card of the finished labels in a folder. Raises InputError if these labels are not the requested ones, or if
-    a table is missing or damaged."""
+    """The card of the finished labels in a folder. Raises InputError if the folder has other labels than the requested
+    ones, or if a table is missing or damaged."""
     try:
         card: dict[str, Any] = json.loads(read_regular(folder / CARD, _MOST_CARD_BYTES))
         n_labels = {split: card["splits"][split]["labels"] for split in SPLITS}

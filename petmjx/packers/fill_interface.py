@@ -13,9 +13,9 @@ import numpy as np
 class End(IntEnum):
     """How the compiled code ended.
 
-    ``FILLED``: the packing is full. ``HIGHER``: filling up was aborted, because a top is too high. ``UNSURE``: because
-    of rounding, Python must fill up the packing. ``ASKS``: Python must decide whether the next box tips over, and the
-    compiled code is then called again.
+    ``FILLED``: the packing is full. ``HIGHER``: filling up was aborted, because a top is too high. ``UNSURE``: rounding
+    errors may have changed the result, so Python must fill up the packing. ``ASKS``: Python must decide whether the
+    next box tips over, and the compiled code is then called again.
     """
 
     FILLED, HIGHER, UNSURE, ASKS = range(4)

@@ -30,8 +30,8 @@ from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.packers.fill_interface import Count
 
 TOUCH_MM: Final = 1e-6
-"""Tolerance of lengths for rounding errors of float64 sums, mm. Tops whose heights differ by less than this count as
-equally high. Overlaps smaller than this are ignored."""
+"""Tolerance of lengths for rounding errors of float64 sums, mm. Tops whose heights differ by less than this tolerance
+count as equally high. Overlaps smaller than the tolerance are ignored."""
 
 SHARE_SLACK: Final = 1e-9
 """Tolerance for rounding errors of supported shares: a share that is lower than the smallest allowed share by no more
@@ -80,8 +80,10 @@ class Margins(NamedTuple):
 
     Attributes:
         rest: the effect of the box on the balance; None if the box has no support.
-        own_m: distance of the box's own weight from the nearest edge of its hull of supports, m; negative outside.
-        pile_m: smallest distance of an earlier box's load from the nearest edge of that box's hull of supports, m.
+        own_m: distance of the new box's own weight from the nearest edge of the hull of this box's supports, m;
+            negative outside the hull.
+        pile_m: smallest distance of any earlier box's load from the nearest edge of the hull of that earlier box's
+            supports, m.
     """
 
     rest: Rest | None

@@ -310,7 +310,7 @@ def _is_impossible(best: _Judged, columns: BoxColumns, wishes: Wishes) -> bool:
 
 
 def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> list[_Judged]:
-    """Candidates with their costs, cheapest first. Candidates that cannot win because of their priors are left out."""
+    """Candidates with their costs, cheapest first. Candidates whose prior costs are too high to win are left out."""
     ranked = sorted(candidates(columns, wishes), key=lambda candidate: candidate.prior)
     judged: list[_Judged] = []
     lowest = math.inf

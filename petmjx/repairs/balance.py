@@ -53,12 +53,13 @@ class Balance(NamedTuple):
         weight: (k,) weight of each load in ``trouble``: 1 to 2, times ``PERHAPS`` if the load may be inside.
         last_mm: (k,) distance of each load from the edge once all boxes are placed, positive inside.
         trouble: sum of the weights of the loads that are beyond an edge.
-        weakness: sum of the weights of what makes the plan fall only with errors. The weight of a load inside
-            the edge decreases from 1 on the edge to 0 at ``SAFE_MM`` inside. A box that is lowered between two
-            others adds 1 to the sum if it has no room, and less with more room: 0 with ``ROOM_MM`` of room.
+        weakness: a number for the risk that the plan falls with errors, as a sum over loads and boxes. A load inside
+            its edge adds 1 if it is on the edge, and less further inside: 0 at ``SAFE_MM`` inside. A box that is
+            lowered between two other boxes adds 1 if it has no room, and less with more room: 0 with ``ROOM_MM`` of
+            room.
         squeezed: numbers of the boxes that are lowered between two others with less room than ``ROOM_MM``.
         loads: the loads of all boxes. ``balances_with_last`` computes from them the loads of a draft with one more box.
-        missing_room: (n,) weight of each box in ``weakness`` because it is lowered between two others.
+        missing_room: (n,) part of ``weakness`` that each box contributes because it is lowered between two other boxes.
     """
 
     box: IntArray
@@ -100,9 +101,9 @@ def balances(drafts: Sequence[Draft], sim: Simulation, *, spare_mm: float = 0.0)
 
 
 def balances_with_last(drafts: Sequence[Draft], before: Sequence[Balance], sim: Simulation) -> list[Balance]:
-    """The balance of each draft, given the balance of the draft without its last box. Only the loads below this box
-    change, and each of them only once. So this takes a fraction of the time of ``balances``, from which results may
-    differ by rounding errors."""
+    """The balance of each draft, given the balance of the draft without its last box. Only the loads below the last box
+    change, and each of them only once. So this function takes a fraction of the time of ``balances``. The results of
+    the two functions may differ by rounding errors."""
     results: list[Balance] = []
     for begin in range(0, len(drafts), AT_ONCE):
         some, known = drafts[begin : begin + AT_ONCE], before[begin : begin + AT_ONCE]

@@ -192,7 +192,8 @@ def spread(ranked: Sequence[Candidate]) -> list[Candidate]:
 
 
 PER_REPETITION: Final = 0.5
-"""What each further amount of the same way to change a box adds to the rank. Loads beyond edges have the weight 1."""
+"""A candidate's rank rises by this number for each better candidate that changes the same box in the same way by
+another amount. In the rank, a load beyond an edge has the weight 1."""
 
 HELD: Final = 0.15
 """Share of its weight that a load beyond an edge has in the ranking, if simulations have shown that it holds: it leans
@@ -212,12 +213,13 @@ UNSOLVED: Final = 3.0
 """Weight in the ranking of how much of the failure remains after the change (``Candidates._unsolved``)."""
 
 SAME_COST: Final = 0.1
-"""Repairs whose costs differ by less than this count as equally cheap. It is the cost of a move by 50 mm. Of equally
-cheap repairs, the one that is likelier to stand with errors is chosen."""
+"""Costs of repairs are rounded down to multiples of this value, which is the cost of a move by 50 mm. Repairs with the
+same rounded cost count as equally cheap. Of equally cheap repairs, the one that is likelier to stand with errors is
+chosen."""
 
 SAME_WEAKNESS: Final = 0.25
-"""Plans whose weakness differs by less than this count as equally weak. Of equally weak plans, the one whose changes
-cost less is better."""
+"""Weaknesses of plans are rounded to multiples of this value. Plans with the same rounded weakness count as equally
+weak. Of equally weak plans, the one whose changes cost less is better."""
 
 
 @dataclass(eq=False)
@@ -246,10 +248,10 @@ class Candidates:
         self.rules = Rules(self.plan, self.sim, options.max_height_mm, options.built)
         self._start = Draft.of(self.plan, self.film_turns)
         self._seen: set[bytes] = set()
-        self._known: dict[bytes, Trial] = {}  # of each draft that was judged
-        self._falls: dict[bytes, Trial] = {}  # of each draft that fell early, by the key of its placements until then
-        self._held_mm: dict[int, float] = {}  # by box, largest distance of its load beyond an edge at which it held
-        self._in_worlds: dict[bytes, dict[int, Trial]] = {}  # of each draft, by the number of the world
+        self._known: dict[bytes, Trial] = {}  # key of each draft that was judged → its trial
+        self._falls: dict[bytes, Trial] = {}  # key of the placements up to an early fall → the trial
+        self._held_mm: dict[int, float] = {}  # box → largest distance of its load beyond an edge with which it held
+        self._in_worlds: dict[bytes, dict[int, Trial]] = {}  # key of a draft → number of a world → trial
 
     # ------------------------------------------------------------------ proposals
 
@@ -302,8 +304,9 @@ class Candidates:
         return ranked[:MOST_RANKED]
 
     def _unsolved(self, after: Balance, failing: Mapping[int, float], culprit: int | None) -> float:
-        """How much of a failure remains after a change, from 0 to 2: the share of the depths of the loads beyond an
-        edge that cause it, and the same share for the load of the box that fell first.
+        """How much of a failure remains after a change, from 0 to 2. The failure is caused by loads beyond edges. The
+        result is the sum of two shares: the mean share of these loads' distances beyond their edges that remains, and
+        this share for the load of the box that fell first.
 
         Args:
             failing: box → depth of its load before the change, mm.
@@ -314,13 +317,14 @@ class Candidates:
         return sum(shares.values()) / max(len(shares), 1) + of_culprit
 
     def _expected_trouble(self, after: Balance, changed: Collection[int]) -> float:
-        """The trouble of a changed plan. A load that was seen to hold this far beyond an edge counts little, unless its
-        box is ``changed``: it leans on something."""
+        """The trouble of a changed plan. A load counts little if a simulation has shown that its box does not fall with
+        the load this far beyond an edge, because the box leans on something. This does not apply to the boxes
+        ``changed``."""
         held_mm = [0.0 if box in changed else self._held_mm.get(box, 0.0) for box in after.box.tolist()]
         return float((after.weight * np.where(after.depth_mm <= held_mm, HELD, 1.0)).sum())
 
     def _learn(self, drafts: Sequence[Draft], trials: Sequence[Trial]) -> None:
-        """Note how far beyond an edge loads were that held in these trials."""
+        """Record, for boxes that did not fall in these trials, how far their loads were beyond an edge."""
         for draft, trial, balance in zip(drafts, trials, balances(drafts, self.sim), strict=True):
             lost, last = {*trial.fallen}, trial.n_placed
             if not trial.stands:
@@ -352,8 +356,9 @@ class Candidates:
         return [*different.values()][:MOST_TARGETS]
 
     def _safest(self, states: Sequence[State]) -> list[int]:
-        """Numbers of the states, sorted. First comes the best state of each way to change a plan, then the second best
-        of each way, and so on. Better means less weak or, if equally weak, cheaper."""
+        """Numbers of the states, sorted. States are grouped by the way in which the plan was changed (``way_of``).
+        First comes the best state of each group, then the second best of each group, and so on. A state is better if it
+        is less weak or, if equally weak, cheaper."""
         ways: Counter[tuple[object, ...]] = Counter()
         ranks = []
         risks = self._risks(states)
@@ -373,7 +378,8 @@ class Candidates:
     # ------------------------------------------------------------------ simulations
 
     def _simulated(self, drafts: Sequence[Draft], *, judged: bool = False) -> Steps[list[Trial]]:
-        """The trials of drafts. If drafts are only to be judged, those that were judged before are not simulated."""
+        """The trials of drafts. If the drafts are only judged (``judged``), drafts that were judged before are not
+        simulated again."""
         if not judged:
             self.n_trials += len(drafts)
             return (yield [Asked(draft, False) for draft in drafts]) if drafts else []

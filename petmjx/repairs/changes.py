@@ -169,8 +169,8 @@ class Turn(_OfBox):
 
 @dataclass(frozen=True)
 class Place(_OfBox):
-    """A box gets another place, and perhaps another turn, with the boxes on it (``others``). The boxes are then placed
-    directly after a box, or before one."""
+    """A box gets another place, and perhaps another turn, together with the boxes on it (``others``). In the packing
+    order, these boxes are then placed directly after, or directly before, another box."""
 
     kind: ClassVar[Kind] = Kind.PLACE
     corner_mm: tuple[float, float, float]

@@ -1,8 +1,8 @@
 """Worlds with the same first boxes share the simulation of these boxes (``CommonPlacements``).
 
-Changed plans differ from one another only from some box on. Their common placement is simulated once. It pauses before
-this box is placed, and all the worlds start from its state. Their outcomes are the same to the last bit as if each
-world had been simulated from its beginning.
+Changed plans often begin with the same placements, up to the first box that differs. The common placement is simulated
+once. It pauses before the first different box is placed, and all the worlds start from its state. Their outcomes are
+the same to the last bit as if each world had been simulated from its beginning.
 """
 
 from __future__ import annotations

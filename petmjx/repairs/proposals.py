@@ -415,7 +415,7 @@ def resting_corners(
     """Places of rest for a box on the carrier or on other boxes: whether it is turned, and its corner.
 
     Args:
-        below: number of the box below which the place must be; None: no box may be above the place.
+        below: number of the box below which the place must be; None if no box may be above the place.
     """
     other_boxes = np.array([number for number in draft.order if number not in (box, below)], int)
     low, high = draft.corner_mm[other_boxes], (draft.corner_mm + draft.size_mm)[other_boxes]

@@ -27,7 +27,7 @@ SAME_TROUBLE: Final = 1e-6
 """Two values of ``Balance.trouble`` that differ by less than this count as equal."""
 
 TRIED_AT_ONCE: Final = 8
-"""Number of places of a box that statics judges at once."""
+"""Number of possible places of a box for which statics computes the balance at once."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,10 @@ class Way:
     """A way to build a plan anew.
 
     Attributes:
-        late: True: boxes that lose their places are placed after all others. False: they are placed in their turn.
-        strict: True: a box is also put elsewhere if a load would go beyond an edge. False: only boxes that cannot keep
-            their places are put elsewhere.
+        late: whether boxes that lose their places are placed after all other boxes. If False, they are placed in
+            packing order.
+        strict: whether a box is also put elsewhere if a load would otherwise act beyond an edge. If False, only boxes
+            that cannot keep their places are put elsewhere.
     """
 
     late: bool
@@ -53,7 +54,7 @@ class PileRequest(NamedTuple):
     Attributes:
         piles: the piles; each is allowed without its last box.
         by_statics: whether statics also judges the piles that are allowed.
-        before: the balance of the piles without their last box, which is the same for all piles; None: unknown.
+        before: the balance that all piles have without their last boxes; None if this balance is unknown.
     """
 
     piles: list[Draft]
@@ -66,7 +67,7 @@ class JudgedPile(NamedTuple):
 
     Attributes:
         is_allowed: whether the pile is allowed.
-        balance: its balance; None: statics did not judge the pile, or the pile is not allowed.
+        balance: balance of the pile; None if statics did not judge the pile, or if the pile is not allowed.
     """
 
     is_allowed: bool

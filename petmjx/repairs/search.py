@@ -125,7 +125,7 @@ class Search(Candidates):
 
     Attributes:
         plan: the plan.
-        before: the simulation of the plan; None: unknown yet.
+        before: the trial of the unchanged plan; None before its simulation has ended.
         repairs: the repairs, the best first. The best one may have additional changes for worlds with errors; the
             others have the fewest changes with which the plan stands. Empty: there is no repair. Each change of a
             repair is needed: without it, the plan falls, is not allowed, or stands in too few worlds with errors.

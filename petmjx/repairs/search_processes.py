@@ -44,9 +44,9 @@ class _Task:
     """A search, or a part of one.
 
     Attributes:
-        whole: the task of which this is a part; None: a whole search.
+        whole: the task of which this task is a part; None for a whole search.
         place: position among the parts of ``whole``.
-        results: the results of its own parts that run side by side.
+        results: the results of the parts of this task that run side by side.
         n_running: number of these parts that have not ended.
     """
 
@@ -82,9 +82,9 @@ class Tasks:
             simulator.put(ticket, drafts)
 
     def _go_on(self, task: _Task, results: Any) -> None:
-        """Continue a task with the trials or results for which it waits, until it waits for others. A task whose last
-        part has ended continues at once. Ready tasks are kept in a stack. (If this method called itself instead, many
-        rounds without simulations could exceed Python's limit of nested calls.)"""
+        """Continue a task with the trials or results for which it waits, until it waits for further trials or results.
+        A task whose last part has ended continues at once. Ready tasks are kept in a stack. (If this method called
+        itself instead, many rounds without simulations could exceed Python's limit of nested calls.)"""
         ready = [(task, results)]
         while ready:
             task, results = ready.pop()
@@ -147,8 +147,8 @@ def _run_here(searches: Sequence[Search], simulator: Simulator) -> None:
 class _Server:
     """Simulates the drafts that processes request, until all of their searches have ended.
 
-    An interrupt ends the searches as if the time were up, so that searches that have ended are known here; then it is
-    raised. A second one is raised at once.
+    An interrupt ends the searches as if the time were up. When the processes have sent the results of the searches that
+    have ended, the interrupt is raised again. A second interrupt is raised at once.
     """
 
     def __init__(self, children: Sequence[Child], parts: Sequence[list[Search]], simulator: Simulator) -> None:

@@ -53,7 +53,7 @@ OF_RUN: Final = ("engine", "threads", "lanes", "world_timeout_s")
 
 
 LONGEST_WAIT_S: Final = 2.0
-"""Longest wait for a pallet to come to rest for a draft that is only judged."""
+"""Longest wait for a pallet to come to rest, s, in the simulation of a draft that is only judged."""
 
 JUDGED_TILT_DEG: Final = 5.0
 """A box that tilts by more than this counts as fallen if a draft is only judged. A shift alone does not end the
@@ -66,7 +66,7 @@ GPU_ROWS: Final = 4096
 """Number of rows of an engine's table: the number of worlds that are in the engine at the same time."""
 
 GPU_GRANULE: Final = 32
-"""The number of box columns of tables on a GPU is a multiple of this. Plans differ in their numbers of boxes, and each
+"""Tables on a GPU have columns for a multiple of this number of boxes. Plans differ in their numbers of boxes, and each
 size of a table takes seconds to compile."""
 
 SHEETS_MORE: Final = 2
@@ -86,10 +86,12 @@ class Asked(NamedTuple):
     """A draft to be simulated.
 
     Attributes:
-        is_judged: True: the draft is only judged, that is, simulated once until a box is lost. False: it is scored.
-        world: number of the world with random errors in which the draft is judged, from 1 to ``ERROR_WORLDS``; 0: the
-            draft is simulated without errors.
-        judged: the trial of a draft that was judged before it is scored; None: it was not.
+        is_judged: whether the draft is only judged, that is, simulated once, until a box tilts by more than
+            ``JUDGED_TILT_DEG``. If False, the draft is scored.
+        world: number of the world with random errors in which the draft is judged, from 1 to ``ERROR_WORLDS``. If 0,
+            the draft is simulated without errors.
+        judged: the trial from an earlier judgement of this draft, which is now scored; None if the draft was not judged
+            before.
     """
 
     draft: Draft
@@ -103,7 +105,7 @@ class Trial(NamedTuple):
 
     Attributes:
         verdict, reason: as in the table ``worlds``.
-        culprit: number of the box that first crossed a limit; None: none did.
+        culprit: number of the box that first crossed a limit; None if no box crossed one.
         fallen: numbers of all boxes that crossed a threshold.
         n_placed: number of boxes that were placed before the world ended.
         n_held: number of boxes that were placed before the first box crossed a limit, as far as that is known.
@@ -161,7 +163,7 @@ class TimeLimit:
 
     Attributes:
         seconds: the time, s, from now on.
-        compiled_s: time in which engines compiled or loaded programs, s. It does not count.
+        compiled_s: time in which engines compiled or loaded programs, s. This time does not count towards ``seconds``.
     """
 
     seconds: float = math.inf
@@ -257,7 +259,8 @@ class Question:
         return one.judged is not None and one.judged.is_score and self._second is None
 
     def scores(self, asked: Sequence[Asked], watcher: Watcher | None = None) -> list[Trial]:
-        """The scores of drafts. Drafts with the same number of turns of film are simulated together."""
+        """The trials of drafts that are scored, in the order of the drafts. Drafts with the same number of turns of
+        film are simulated together."""
         drafts = [one.draft for one in asked]
         results = {n: one.judged for n, one in enumerate(asked) if one.judged is not None and one.judged.is_score}
         for film_turns in dict.fromkeys(draft.film_turns for draft in drafts):
@@ -283,12 +286,12 @@ class Question:
         }
 
     def jobs(self, asked: Sequence[Asked]) -> list[Job | None]:
-        """The worlds in which drafts are judged; None: the draft is scored. If pallets must survive a profile, all
-        drafts are scored, except in worlds with errors, which are not shaken.
+        """For each draft, the job of the world in which the draft is judged; None if the draft is scored. If pallets
+        must survive a profile, all drafts are scored, except in worlds with errors, which are not shaken.
 
         Most drafts fall, and falling boxes are the costliest part of a simulation. So each of these worlds ends as soon
-        as a box is lost (has tilted too far), as worlds with errors do in a score. It then takes a quarter of the time.
-        No draft is simulated again with other settings, as a score would do (docs/rules.md, section 9).
+        as a box has tilted by more than ``JUDGED_TILT_DEG``. A world then takes a quarter of the time. No draft is
+        simulated again with other settings, as a score would do (docs/rules.md, section 9).
         """
         of_draft: dict[tuple[bool, int], list[int]] = {}
         for number, one in enumerate(asked):
@@ -338,8 +341,8 @@ class Question:
 
     def shares(self, plans: Sequence[Plan], limit: TimeLimit | None = None) -> list[Share | None]:
         """The share of worlds with errors in which each plan stands at rest, as ``petmjx.score`` with ``confidence``
-        reports it. None: the time was up before all worlds of the plan had ended. To count only the worlds that had
-        ended would be unfair: worlds that fall end first."""
+        reports it. The result is None for a plan if the time was up before all its worlds had ended. A share of only
+        the ended worlds would be too small, because worlds that fall end first."""
         sweep = confidence_sweep(self._options.worlds, self._errors, self._of_simulation)
         study = partial(SweepStudy, sweep, confidence=self._options.worlds)
         ends = _WorldEnds(limit or TimeLimit())
@@ -355,7 +358,8 @@ class Question:
         return _simulated(partial(SweepStudy, sweep), sweep.simulation, plans, run, watcher)
 
     def _drive_sweep(self, film_turns: float) -> Sweep | None:
-        """The sweep with the one drive of the requirement; None: pallets must stand at rest."""
+        """The sweep whose only drive is the profile that pallets must survive; None if pallets need only stand at
+        rest."""
         options = self._options
         if options.profile is None:
             return None
@@ -401,7 +405,7 @@ class _WorldEnds:
         self.limit.check(self.share)
 
     def share_of(self, plan: Plan, n_worlds: int) -> Share | None:
-        """The share of a plan; None: not all of its worlds have ended."""
+        """The share of a plan's worlds that stand; None if not all of its worlds have ended."""
         verdicts = self.verdicts.get(plan.plan_id, [])
         if len(verdicts) < n_worlds:
             return None
@@ -453,8 +457,9 @@ class _Queue:
     """Requests that wait for one kind of simulation, each with the numbers of its drafts and their jobs.
 
     Attributes:
-        lane: the engine's run that judges them; None: they are scored.
-        common: the common placements of its worlds; None: the engine simulates each world from its beginning.
+        lane: the run of an engine that judges the drafts of these requests; None if the drafts are scored.
+        common: the common placements of the worlds of this queue; None if the engine simulates each world from its
+            beginning.
     """
 
     lane: Lane | None
@@ -467,12 +472,12 @@ class TrialStream:
     So a search does not wait for the trials of other searches.
 
     Judged drafts join the worlds that an engine is simulating. Scores have other options, so they need a run of their
-    own. It begins when no draft is being judged, or when at least ``SWITCH`` requests and a quarter of all requests
-    wait for it.
+    own. The run of scores begins when no draft is being judged, or when at least ``SWITCH`` requests, and at least a
+    quarter of all requests, wait for scores.
 
     Args:
-        limit: the time, after which the stream ends.
-        share: share of this time that the stream has.
+        limit: the time limit, after which the stream ends.
+        share: share of the time limit after which the stream ends.
     """
 
     def __init__(self, question: Question, limit: TimeLimit | None = None, share: float = 1.0) -> None:
@@ -521,7 +526,7 @@ class TrialStream:
                 yield from self._scored(queue) if queue.lane is None else self._judged(queue, queue.lane)
 
     def _scored(self, queue: _Queue) -> Iterator[TrialAnswer]:
-        """Score all drafts that wait for it."""
+        """Score all drafts that wait for a score."""
         waiting = [(request, number) for request, jobs in queue.entries for number, _ in jobs]
         queue.entries.clear()
         ends = _WorldEnds(self._limit, self._share)
@@ -531,11 +536,11 @@ class TrialStream:
         yield from self._answered()
 
     def _judged(self, queue: _Queue, lane: Lane) -> Iterator[TrialAnswer | None]:
-        """Judge the drafts of a queue, until none is left or the engine is needed for others."""
+        """Judge the drafts of a queue, until the queue is empty or another queue needs the engine."""
         most = max(one.draft.plan.n_boxes for request, _ in queue.entries for one in request.drafts) + SHEETS_MORE
         bounds = JobBounds(self._question.rows, range(1, most + 1), drive_steps=0, excitations=None)
         stream = JobStream[Placement[tuple[_Request, int]]](feedback=True, bounds=bounds)
-        stream.close()  # for the engine, all further jobs follow from outcomes
+        stream.close()  # drafts that are requested later are put in as jobs that follow from outcomes
         self._feed(stream, queue, lane)
         progress, compiled_s = Progress(pauses=True), self._limit.compiled_s
         with closing(outcomes_of_stream(lane.engine, stream, lane.sim, progress, MOST_LISTED)) as outcomes:

@@ -5,11 +5,11 @@
     DIR/boxes/part-*.parquet        one row per box of each world
     DIR/attempts/part-*.parquet     one row per attempt, for worlds that needed more than one
     DIR/histories/part-*.parquet    recorded worlds: one row per frame and placed box
-    DIR/frames/part-*.parquet       one row per frame: the carrier, and what shakes it
+    DIR/frames/part-*.parquet       one row per frame: pose of the carrier, and what shakes it
     DIR/contacts/part-*.parquet     one row per contact of each frame, if details were recorded
-    DIR/summary/part-*.parquet      sweeps: the answers
+    DIR/summary/part-*.parquet      sweeps, chains and scores with confidence: their results
     DIR/plans/part-*.parquet        one row per plan of the run, with its digest
-    DIR/placements/part-*.parquet   one row per box of its plans, with all fields
+    DIR/placements/part-*.parquet   one row per box of the run's plans, with all fields
     DIR/.lock                       exists while a run writes
 
 A file never appears half-written. Tables are written as several files, called parts. A part belongs to the run only if

@@ -82,7 +82,7 @@ class Tables:
                     raise InputError(f"{file}: missing, although the table worlds has this part") from None
 
     def drop_others(self) -> None:
-        """Delete all files of tables that do not belong to the run."""
+        """Delete all parts of tables that are in the folder but do not belong to the run."""
         drop_parts(self._folder, self.parts.files)
 
 

@@ -86,8 +86,8 @@ MAX_PROFILE_STEPS: Final = 4_000_000
 MAX_TEXT: Final = 100_000
 """Largest number of characters of a description."""
 MIN_TOLERANCE: Final = 1e-5
-"""Smallest tolerance of a search (g, or a scale): a thousandth of the default for levels. Neighbouring levels stay
-different, since 1e-5 is much larger than 1e-12, to which levels are rounded."""
+"""Smallest tolerance of a search, in g or as a difference of scales: a thousandth of the default tolerance of levels.
+Neighbouring levels stay different, since 1e-5 is much larger than 1e-12, to which levels are rounded."""
 MAX_REPEATS: Final = 2**31 - 1
 """Largest number of samples or replicates. The results store the number of a variant in 32 bits."""
 

@@ -9,8 +9,8 @@ deeper into its support.
 
 At rest, MuJoCo's contact of impedance d and time constant τ is the spring f = x / (τ²·ζ²·(1 − d)·A), where A is the sum
 of the inverse masses (petmjx/world/contact_laws.py). By this formula, each stiffness f / x corresponds to an impedance
-d. If a stiffness would need an impedance below ``LEAST_IMPEDANCE``, the contact has ``LEAST_IMPEDANCE`` and a longer
-time constant. No box can be stiffer than the contacts of ``Physics``.
+d. If a stiffness corresponds to an impedance below ``LEAST_IMPEDANCE``, the contact gets the impedance
+``LEAST_IMPEDANCE`` and a longer time constant. No box can be stiffer than the contacts of ``Physics``.
 """
 
 from __future__ import annotations

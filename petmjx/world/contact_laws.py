@@ -106,7 +106,7 @@ SLACK_M_S2: Final = 5.0
 """Part of the excess e of a sliding contact (see the module's docstring) that is not corrected, m/s²: the excess of a
 slip of 1 cm/s if the time constant of friction is 4 ms. An excess of ``SLACK_M_S2`` raises a contact by less than a
 hundredth of a millimetre, a depth at which contacts are soft. Since this part (the slack) is left out, pallets at rest
-are bit-identical with and without the correction. Stiff contacts are soft at no depth, so their whole excess is
+are bit-identical with and without the correction. Stiff contacts are not soft at any depth, so their whole excess is
 corrected."""
 
 STICKS_M_S: Final = 0.01

@@ -61,7 +61,7 @@ class Contacts:
         """The contacts in some of the f frames, with ``shift`` added to their frame numbers.
 
         Args:
-            kept: (f,) whether each frame is kept.
+            kept: (f,) for each frame, whether its contacts are returned.
         """
         rows = kept[self.frame]
         field_rows = {field.name: getattr(self, field.name)[rows] for field in fields(self)}

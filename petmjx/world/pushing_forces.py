@@ -45,8 +45,8 @@ _MOST_HALVINGS: Final = 30
 _EXACT: Final = 1e-11
 _ENOUGH: Final = 1e-8
 """Tolerances of forces, as shares of the load, and of moments, as shares of load × half extent of the supports.
-Newton's method ends when errors are below ``_EXACT``. If errors stop shrinking, the method ends below ``_ENOUGH``: very
-near an edge, rounding prevents better results."""
+Newton's method ends when errors are below ``_EXACT``. The method also ends if errors are below ``_ENOUGH`` and no
+longer shrink to half in a step, because very near an edge, rounding prevents better results."""
 
 _RIDGE: Final = 1e-13
 """Factor of a small term, (1 + the trace), that is added to the diagonal of the matrix of second derivatives. Without

@@ -173,8 +173,8 @@ def make_room(
     """(m, n, 2) horizontal places of the boxes of m worlds, m, at which no box overlaps a box beside it. The places are
     as near as possible to the given places:
 
-    the sum of the squares of all translations is as small as possible. Two boxes are kept apart along one axis. Of the
-    axes of both boxes, it is the axis along which the two boxes overlap least. The gap between the two boxes must be at
+    the sum of the squares of all translations is as small as possible. Two boxes are kept apart along one axis. This is
+    the one of the axes of both boxes along which the two boxes overlap least. The gap between the two boxes must be at
     least ``CLEAR_M``, or the planned gap if that is smaller; a planned overlap is a negative gap. So each pair gives
     one linear inequality for the translations. Hildreth's method (Hildreth 1957, "A quadratic programming procedure",
     Naval Research Logistics Quarterly 4, 79-85) finds the smallest translations, pair by pair. The places in a world do

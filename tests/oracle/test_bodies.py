@@ -85,8 +85,8 @@ def on_own_carrier(beyond_mm: float) -> Scene:
 def by_pairs() -> Scene:
     """Return a scene of three equal boxes on a rough carrier, with coefficients of friction given by pairs of surfaces.
 
-    The pairs say that the first two boxes slide on the carrier, each with its own coefficient. The larger coefficient
-    of box and carrier, which counts without pairs, would hold both.
+    With the coefficients of the pairs, the first two boxes slide on the carrier. Without pairs, the larger coefficient
+    of box and carrier would count, and would hold both boxes.
     """
     boxes = [((SIDE_MM, SIDE_MM, 100), (-300, y, 0), 4.0) for y in (0, 300, 600)]
     table = np.full((4, 4), LARGER)

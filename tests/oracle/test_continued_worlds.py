@@ -1,5 +1,6 @@
-"""Tests of worlds that leave a GPU and are continued on CPU threads (petmjx/engines/warp/continued_worlds.py). Here the
-kernels of both are those of the CPU, so a world that leaves must end as one that stays, to the last bit."""
+"""Tests of worlds that leave a GPU and are continued on CPU threads (petmjx/engines/warp/continued_worlds.py). In these
+tests, CPU kernels also replace the GPU. So a world that leaves must have the same outcome, to the last bit, as a world
+that does not leave."""
 
 from __future__ import annotations
 
@@ -41,7 +42,8 @@ LIMIT = 40
 
 
 def leaving(monkeypatch: pytest.MonkeyPatch, simulator: AttemptSimulator) -> list[int]:
-    """Let the worlds of all engines leave after ``LIMIT`` steps. Returns a list of the steps that each had taken."""
+    """Let worlds leave the device after ``LIMIT`` steps. Returns a list that gets the number of steps of each world
+    that leaves."""
     steps: list[int] = []
     begin = simulator.begin
 
@@ -75,8 +77,9 @@ def assert_equal(outcomes: Sequence[Outcome], expected: Sequence[Outcome]) -> No
 
 @pytest.mark.slow
 def test_worlds_that_leave_end_as_those_that_stay(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Placements that stand and fall, one in stiffer contacts, and a drive after its placement continue on a thread. A
-    placement whose state is kept stays; a drive from this state continues in a process. Histories are joined."""
+    """These worlds continue on a thread: placements that stand or fall, one of them with stiffer contacts, and a drive
+    after its placement. A placement whose state is kept does not leave the device. A drive from this state continues in
+    a process. The two parts of a history are joined."""
     bridge = tiny("hand-bridge")
     jobs = [Job(scene) for scene in tiny_scenes().values()]
     jobs += [Job(bridge, push("acceleration", 12.0)), Job(bridge, stiff=0.5), Job(bridge, keep_state=True)]
@@ -123,8 +126,9 @@ def test_worlds_that_leave_end_as_those_that_stay(monkeypatch: pytest.MonkeyPatc
 def test_a_source_that_waits_for_long_worlds_gets_their_outcomes(
     monkeypatch: pytest.MonkeyPatch, record: Record | None
 ) -> None:
-    """In a worker, the source declares that it has no further jobs when all outcomes have come. It waits although no
-    world is left on the GPU. If worlds are recorded, the thread that takes outcomes runs the slices."""
+    """In a worker, the source of jobs declares only after the last outcome that no further job follows. So the run must
+    wait although no world is left on the GPU. If worlds are recorded, the thread that takes outcomes runs the
+    slices."""
     steps, stream = leaving(monkeypatch, AttemptThreads(1)), JobStream[None](most_boxes=1)
     stream.put_all([(Job(scene, record=record), None) for scene in tiny_scenes().values()])
     stream.begin()
@@ -146,7 +150,7 @@ def test_a_source_that_waits_for_long_worlds_gets_their_outcomes(
 
 
 class Late(AttemptSimulator):
-    """Answers after some looks, without outcomes."""
+    """A simulator that fails at each task, and reports this only when it has been asked ``looks`` times."""
 
     def __init__(self, looks: int) -> None:
         self.looks, self.tasks = looks, list[AttemptTask]()

@@ -34,8 +34,8 @@ def test_a_collapse_ends_early_unless_told_to_go_on() -> None:
 
 
 def test_a_world_that_is_asked_whether_it_stands_ends_when_a_box_is_lost() -> None:
-    """A world with placement errors (``has_errors``) is only asked whether the pallet stands. It keeps the verdict, the
-    culprit and the time of the first sign of the full run, and lacks only what follows."""
+    """The only result that counts of a world with errors (``has_errors``) is whether the pallet stands. The world has
+    the same verdict, culprit and time of the first sign as the full run. It lacks only what follows."""
     with_errors, full_run = (
         run_one(Job(falling(), has_errors=has_errors), Simulation()) for has_errors in (True, False)
     )
@@ -53,8 +53,8 @@ def test_a_world_that_is_asked_whether_it_stands_ends_when_a_box_is_lost() -> No
 
 
 def test_a_world_that_only_confirms_a_fall_ends_a_second_after_its_sign_and_two_placements() -> None:
-    """A plank tips over the edge of a box, and stays so. The world keeps the verdict, the culprit and the time of the
-    first sign of the full run."""
+    """A plank tips over the edge of a box, and remains tilted. The world has the same verdict, culprit and time of the
+    first sign as the full run."""
     sim = Simulation(schedule="fixed", interval_s=0.7)
     beside: list[Box] = [((100, 100, 40), (150 * k, 500, 0), 1.0) for k in range(4)]
     scene = make_scene([((300, 300, 100), (0, 0, 0), 5.0), ((600, 300, 40), (160, 0, 100), 5.0), *beside], sim)
@@ -85,7 +85,7 @@ def tower() -> Scene:
 
 @pytest.mark.parametrize("kind", ["force", "acceleration"])
 def test_a_drive_ends_when_its_culprit_is_lost(kind: str) -> None:
-    """The world keeps the verdict, the culprit and the time of the first sign of the full run, as it is known how the
+    """The world has the same verdict, culprit and time of the first sign as the full run, because it is known how the
     first box failed."""
     shaken = Drive(Excitation("push", kind, np.tile([4.0 if kind == "acceleration" else 2.0, 0, 0], (300, 1))))
     early, full_run = (run_one(Job(tower(), shaken), Simulation(early_stop=stop)) for stop in (True, False))

@@ -52,7 +52,7 @@ class PoisonedEngine(FakeEngine):
 
 @pytest.fixture(scope="module")
 def healthy() -> list[Outcome]:
-    """Outcomes of the same worlds when nothing happens."""
+    """Outcomes of the same worlds without failures."""
     return run_all(FakeEngine(16), JOBS, SHORT)
 
 
@@ -71,7 +71,7 @@ def test_no_number_is_invalid_and_harms_no_other_world(healthy: list[Outcome]) -
 
 @pytest.fixture
 def one_by_one(monkeypatch: pytest.MonkeyPatch) -> FakeEngine:
-    """As by default on a CPU, on any device."""
+    """An engine that simulates worlds one by one on any device, as it does by default on a CPU."""
     engine = FakeEngine()
     monkeypatch.setattr(engine, "_one_by_one", True)
     return engine

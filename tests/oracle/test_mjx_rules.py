@@ -34,7 +34,7 @@ FORCE_RELATIVE = 1e-5
 
 @dataclass
 class Plain:
-    """What becomes of one world.
+    """The events of one world.
 
     ``placed_at`` has the step after which each box is placed, and ``end`` the last step. ``moving`` is True if a box
     was placed while another box moved, or if a box moves at the end.
@@ -130,7 +130,8 @@ def test_every_world_follows_the_rules_to_the_step(engine: FakeEngine, schedule:
 
 
 def test_a_shift_is_judged_at_rest(engine: FakeEngine) -> None:
-    """A box that is beyond the threshold of shift while it moves is waited for, like a box that moves at its place."""
+    """If a moving box is beyond the threshold of shift, the world waits until it rests, as for a box that moves at its
+    place."""
     swaying = [tuple(mass + SWAYS_KG * (mass > 47) for mass in masses) for masses in MASSES]
     times = [tuple(float(np.ceil(mass)) for mass in masses) for masses in swaying]
     outcomes = run_all(engine, [Job(fake_scene(*masses)) for masses in swaying], SHORT)

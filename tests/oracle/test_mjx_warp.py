@@ -227,8 +227,8 @@ def test_the_shortest_drives_end_as_in_c() -> None:
 
 @pytest.mark.slow
 def test_a_held_carrier_carries() -> None:
-    """The carrier's pose is part of each world's data. As the pose of a welded body in the model, MJX-Warp ignored it,
-    and boxes fell through the carrier."""
+    """The carrier's pose is part of each world's data. When the carrier was a welded body of the model, MJX-Warp
+    ignored its pose, and boxes fell through the carrier."""
     excitation = Excitation("still", "acceleration", np.zeros((20, 3)))
     jobs = [Job(tiny("hand-bridge"), drive=Drive(excitation, rest_s=0.3))]
     sim = Simulation(settle_s=0.4)
@@ -242,7 +242,8 @@ def test_a_held_carrier_carries() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", list(LEVELS))
 def test_the_floor_presses_on_no_box_that_lies_on_it(kind: str) -> None:
-    """The floor does not even press on a box that is flatter than the carrier while the carrier is held."""
+    """While the carrier is held, the floor does not press on any box, not even on a box that is flatter than the
+    carrier."""
     boxes = [((400.0, 300.0, 200.0), (0.0, 0.0, 0.0), 5.0), ((300.0, 300.0, 20.0), (1300.0, 0.0, 0.0), 2.0)]
     sim = SHORT.changed(early_stop=False, carrier=Carrier.EURO_PALLET, settle_s=0.6)
     job = Job(make_scene(boxes, sim), Drive(Excitation("still", kind, np.zeros((20, 3))), rest_s=0.2))

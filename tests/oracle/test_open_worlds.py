@@ -115,8 +115,8 @@ def test_readings_have_the_middles_of_boxes_whose_mass_is_elsewhere(engine: Mujo
 
 
 def test_pallets_that_tremble_end_as_a_run_of_all_their_boxes_does(engine: MujocoEngine | MjxWarpEngine) -> None:
-    """The first wait lasts the longest time, and the boxes tremble to its end. Later waits are short, but for the
-    last."""
+    """The first wait takes the longest allowed time, and the boxes tremble to its end. Of the later waits, only the
+    last one is long."""
     sim = SIM.changed(interval_s=0.1, longest_wait_s=0.5, quiet=Quiet(quiet_m_s=1e-30))
     scene = build_scene(make_plan("bridge", boxes_by_plan()["hand-bridge"]), sim)
     worlds = engine.open([scene.first(1)], sim)

@@ -1,4 +1,5 @@
-"""All engines place boxes alike: to the step, by hand, on tines and from a height, and also in open worlds."""
+"""All engines place boxes at the same steps and in the same way: by hand, on tines and from a height, and also in open
+worlds."""
 
 from __future__ import annotations
 

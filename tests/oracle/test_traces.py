@@ -1,6 +1,5 @@
-"""The rules of a simulation (docs/rules.md) are written once for each engine, with the same events on all engines.
-
-The same worlds have the same events at the same steps.
+"""The rules of a simulation (docs/rules.md) are implemented in each engine. On all engines, the same worlds have the
+same events at the same steps.
 
 Events are read from the recorded frames of a world, one frame for each step (``support.traces``). Events are
 placements, looks (regular checks of all boxes), drives (motions of the carrier), first signs of a failure, drops,
@@ -146,9 +145,8 @@ def on_warp(kind: str) -> dict[str, Seen]:
 
 @functools.cache
 def on_jax(kind: str) -> dict[str, Seen]:
-    """Return what mjx-jax does with the last worlds that are small enough, as many as fit into one batch.
-
-    Boxes fall and land in most of these worlds.
+    """Simulate worlds of one kind on mjx-jax: of the worlds that are small enough, the last ones, as many as fit into
+    one batch. Boxes fall and land in most of these worlds.
     """
     from petmjx.engines.mjx.engine import MjxJaxEngine
 

@@ -1,6 +1,5 @@
-"""Which thread blocks the worlds of a table have: by size, for worlds of few boxes, and for the last worlds of a run.
-
-Blocks also have buffers for contacts, which grow where worlds need it.
+"""The thread blocks in which the worlds of a table are simulated. There are blocks for each size of worlds, for worlds
+of few boxes, and for the last worlds of a run. The blocks' buffers for contacts grow if worlds need larger ones.
 """
 
 from __future__ import annotations

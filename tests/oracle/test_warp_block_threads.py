@@ -52,7 +52,8 @@ inline CUDA_CALLABLE void sum_numbers(
 @pytest.mark.gpu
 @pytest.mark.parametrize("count", COUNTS)
 def test_however_many_threads_a_world_has_they_sum_in_the_same_order(count: int) -> None:
-    """The sums of a world do not mix with those of the next world either."""
+    """The order of a sum does not depend on the number of threads. If several worlds share a block, their sums do not
+    mix."""
     numbers = wp.array(np.random.default_rng(0).normal(size=count + 1), dtype=wp.float64)
     totals = []
     for threads, worlds in BLOCKS:

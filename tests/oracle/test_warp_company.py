@@ -163,8 +163,8 @@ def test_rows_of_ended_worlds_are_given_to_further_jobs(
 def test_a_job_without_room_in_the_table_has_another_one(
     blocks: int, monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
-    """The other table is made as soon as no more worlds run than there are blocks. These worlds continue in it. It is
-    wider than the first table."""
+    """A second, wider table is made as soon as the number of running worlds is at most the number of blocks. The
+    running worlds continue in the second table."""
     widths: list[tuple[int, int]] = []
     put_running = WorldTable.put_running
 
@@ -193,7 +193,7 @@ def test_a_job_without_room_in_the_table_has_another_one(
 
 @pytest.mark.slow
 def test_a_sheet_of_several_pieces_has_another_table(crowd: dict[str, Outcome]) -> None:
-    """Its pieces are further shapes, for which a table of boxes alone has no room."""
+    """The pieces of the sheet are further shapes. A table that was made for boxes alone has no room for them."""
     scenes = tiny_scenes(TINY[:2])
     jobs = [Job(scene) for scene in scenes.values()]
     (alone,) = run_all(shared_engine(), [Job(WITH_SHEET)], SHORT)
@@ -211,7 +211,8 @@ def test_a_sheet_of_several_pieces_has_another_table(crowd: dict[str, Outcome]) 
 def test_memory_that_runs_out_for_outcomes_loses_no_world(
     monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
-    """The device works ahead of the host. Outcomes of some worlds are not made yet when further jobs get these rows."""
+    """The device is ahead of the host: when further jobs get the rows of ended worlds, the outcomes of some of these
+    worlds are not made yet."""
     has_joined, add, make = threading.Event(), WorldTable.add, time_slices.outcomes
 
     def watched(self: WorldTable, *args: Any) -> Any:
@@ -262,7 +263,7 @@ def test_worlds_of_each_size_have_blocks_of_their_own(monkeypatch: pytest.Monkey
 
 
 def test_blocks_take_the_longest_worlds_of_their_size_first() -> None:
-    """This holds for worlds that are added later, too. Worlds that have ended are in no queue."""
+    """Worlds that are added later are sorted into the queues, too. Worlds that have ended are in no queue."""
     jobs = [Job(make_scene(n)) for n in (3, 9, 2, 7, 4)]
     queues = Queues(["12", "4"], lambda job: "4" if job.scene.n_boxes <= 4 else "12", rows=8)
     live = np.arange(8) < 5
@@ -409,9 +410,9 @@ def test_drives_that_come_later_are_as_those_that_were_there() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("schedule", ["adaptive", "fixed"])
 def test_worlds_that_come_later_may_be_larger_than_all_before(schedule: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A later world may have the same size, with more boxes than all worlds before. It does not join a table that has
-    room, since the run's times are made for its largest plan. A later world may also have a size for which the run has
-    no blocks."""
+    """A later world may have more boxes than all worlds before, but need blocks of the same size. It does not join a
+    table that has room for it, since the timetable of the run is only long enough for the largest plan so far. A later
+    world may also need blocks of a size that the run does not have."""
     sizes_apart(monkeypatch, 4)
     scenes = {n: make_scene(n) for n in (3, 4, 6)}
     sim = SHORT.changed(schedule=schedule)

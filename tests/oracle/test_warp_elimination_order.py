@@ -1,4 +1,4 @@
-"""The order of bodies in the solver of mjx-warp, compared with plain searches in breadth."""
+"""The order of bodies in the solver of mjx-warp, compared with plain breadth-first searches."""
 
 from __future__ import annotations
 
@@ -53,7 +53,8 @@ def zeros(kind: Any, **values: Any) -> Any:
 
 
 def positions(kernel: Any, n_boxes: int, contacts: list[tuple[int, int]]) -> list[int]:
-    """The position of each body, that of the carrier first. ``contacts``: pairs of bodies; body -1 is the floor."""
+    """The position of each body in the order: first the carrier's, then those of the boxes. ``contacts``: pairs of
+    bodies; body -1 is the floor."""
     sizes = world_arrays.axes(1, n_boxes, boards=1, npairmax=MOST_PAIRS, nconmax=MOST_PAIRS)
     with wp.ScopedDevice("cpu"):
         worlds = zeros(world_arrays.Worlds, shape_body=np.arange(n_boxes + 1)[None])
@@ -84,7 +85,7 @@ def farthest(distance: dict[int, int]) -> int:
 
 
 def expected_positions(n_boxes: int, contacts: list[tuple[int, int]]) -> list[int]:
-    """The same order by plain searches in breadth."""
+    """The positions that plain breadth-first searches give."""
     many, bodies = n_boxes > MANY, range(n_boxes + 1)
     neighbours: dict[int, set[int]] = {body: set() for body in bodies}
     for one, two in contacts:
@@ -103,7 +104,8 @@ def expected_positions(n_boxes: int, contacts: list[tuple[int, int]]) -> list[in
 
 
 def random_contacts(n_boxes: int, share: float, rng: np.random.Generator) -> list[tuple[int, int]]:
-    """Contacts of boxes that stand on one to three earlier bodies. The others touch nothing."""
+    """Random contacts: a share of the boxes stand on one to three earlier bodies each. The other boxes touch
+    nothing."""
     contacts = [(-1, 0)]
     for box in range(1, n_boxes + 1):
         if rng.random() < share:

@@ -67,10 +67,11 @@ def test_each_size_alone_may_have_room(monkeypatch: pytest.MonkeyPatch, crowd: d
 
 
 def small_device(monkeypatch: pytest.MonkeyPatch, holds: Callable[[int, int], bool]) -> list[int]:
-    """Pretend that the device has 256 blocks and memory as ``holds`` says. Return the list of numbers of blocks tried.
+    """Pretend that the device has 256 blocks and memory as ``holds`` says. Return a list that gets each number of
+    blocks that an engine tries.
 
     Args:
-        holds: Function of the number of blocks and the number of contacts of each. It says whether memory suffices.
+        holds: Function of the number of blocks and the number of contacts per block. It says whether memory suffices.
     """
     tried = []
 
@@ -117,8 +118,8 @@ def test_memory_that_runs_out_while_buffers_grow_ends_what_is_not_at_its_end(
     grows: bool, monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
     """One world has its outcome already, one world waits for its drive (motion of the carrier), and one world needs
-    more contacts than fit into memory. If no more jobs may come, a slice is already running when that is seen, and the
-    drive ends in that slice."""
+    more contacts than fit into memory. If no more jobs may come, the next slice is already running when the host sees
+    the lack of memory, and the drive ends in this slice."""
     monkeypatch.setattr(contact_buffers, "CONTACTS_PER_BOX", 2)
     small_device(monkeypatch, lambda _, nconmax: nconmax <= 12)
     drive = Drive(Excitation("still", "force", np.zeros((5, 3))), rest_s=0.1)
@@ -131,8 +132,8 @@ def test_memory_that_runs_out_while_buffers_grow_ends_what_is_not_at_its_end(
 
 
 class FailingRollout(Rollout):
-    """Fails in its third time slice if it has more than ``holds`` worlds. Until it is certain that it does not fail,
-    its slices are one step long."""
+    """A rollout that fails in its third time slice if it has more than ``holds`` worlds. A slice is one step long if
+    the rollout may still fail."""
 
     holds = 2
     error: Callable[[], Exception] = staticmethod(out_of_memory)
@@ -164,8 +165,8 @@ def test_memory_that_runs_out_midway_loses_nothing(monkeypatch: pytest.MonkeyPat
 
 @pytest.mark.slow
 def test_tables_are_free_before_their_worlds_are_simulated_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Tables of worlds are halved when memory runs out. Otherwise the whole table would stay in memory beside each
-    half, and both beside each quarter."""
+    """When memory runs out, the worlds of a table are simulated again in two tables of half the size, and so on. Each
+    table is deleted before its halves are made."""
     load, tables, alive = MjxWarpEngine._load, list[weakref.ref[WorldTable]](), []
 
     def watched(self: MjxWarpEngine, *args: Any) -> WorldTable:
@@ -184,7 +185,8 @@ def test_tables_are_free_before_their_worlds_are_simulated_again(monkeypatch: py
 def test_a_slice_in_which_memory_runs_out_loses_nothing(
     slice_number: int, monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
-    """The memory of the blocks and the tables are lost with the slice. Another slice may have begun behind it."""
+    """If memory runs out in a slice, the memory of the blocks and the tables are lost, too. The next slice may have
+    begun already."""
     launch, launched = KernelLauncher.launch, itertools.count(1)
 
     def fails_once(self: KernelLauncher, arrays: dict[str, Any]) -> None:
@@ -214,7 +216,7 @@ def test_a_world_that_has_not_enough_memory_even_alone_is_invalid(monkeypatch: p
 def test_memory_that_is_short_before_a_table_has_begun_ends_the_run(
     n_jobs: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The run does not try again for ever."""
+    """If memory is short before the first table has begun, the run ends instead of trying again for ever."""
     tried = itertools.count(1)
 
     def none_left(*_: object, **__: object) -> TableRun:
@@ -244,8 +246,8 @@ def test_other_errors_are_raised_and_the_engine_goes_on(
 
 @pytest.mark.slow
 def test_blocks_of_the_other_size_make_room(monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]) -> None:
-    """An engine keeps memory for the blocks of one run only. It frees that memory before the next run, so that run has
-    as many blocks as it wants."""
+    """An engine keeps the memory of the blocks of its last run. If the next run needs blocks of another size, the
+    engine frees this memory first, so the next run has as many blocks as without an earlier run."""
     tried = []
 
     def look(n_boxes: int, nconmax: int, blocks: int) -> None:

@@ -1,4 +1,5 @@
-"""On mjx-warp, a placement that has paused goes on bit by bit as one that has not, also in another world."""
+"""On mjx-warp, a placement that pauses and continues later has the same results, to the last bit, as one without a
+pause. It may also continue in another world."""
 
 from __future__ import annotations
 
@@ -68,7 +69,7 @@ def simulated(*jobs: Job) -> list[Outcome]:
     ("boxes", "errors"), [(HEAP, False), (HEAP, True), (WITH_SHEET, False)], ids=["exact", "errors", "sheet"]
 )
 def test_a_placement_that_has_paused_ends_as_one_that_has_not(boxes: Sequence[Box], errors: bool) -> None:
-    """It pauses before each box in turn, and goes on in the table of another run, beside other worlds."""
+    """The placement pauses before each box, and continues in the table of another run, beside other worlds."""
     job = Job(scene_of(boxes, errors=errors), has_errors=errors)
     (whole,) = simulated(job)
     start = None
@@ -84,7 +85,8 @@ def test_a_placement_that_has_paused_ends_as_one_that_has_not(boxes: Sequence[Bo
 
 
 def test_worlds_that_begin_alike_start_from_one_state() -> None:
-    """They differ in the fourth box and in their numbers of boxes."""
+    """The first three boxes of the worlds are equal. The worlds differ in the fourth box and in their numbers of
+    boxes."""
     jobs = [Job(scene_of(boxes), has_errors=True) for boxes in (HEAP, FALLING, HEAP[:4])]
     (paused,) = simulated(replace(jobs[0], pauses_after=3))
     wholes = simulated(*jobs)
@@ -117,8 +119,8 @@ def test_keys_are_equal_as_far_as_worlds_are_the_same() -> None:
 
 
 def test_trials_of_repairs_that_share_beginnings_are_those_of_whole_worlds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Changes of the last two boxes, without errors and in two worlds with errors. Placements pause as early as they
-    can, and a second request starts from the states that the first one left."""
+    """The trials are of changes of the last two boxes, without errors and in two worlds with errors. Placements pause
+    as early as they can. A second request starts from the states that the first request has kept."""
     draft = Draft.of(make_plan(boxes=HEAP))
     corners = [draft.corner_mm[[box]] + [0.0, move, 0.0] for box in (3, 4) for move in (0.0, 30.0, 120.0)]
     drafts = [

@@ -1,4 +1,5 @@
-"""The rules of mjx-warp compared with those of the batched engines, on random states. They are written twice."""
+"""The rules of mjx-warp compared with those of the batched engines, on random states. The two implementations are
+independent."""
 
 from __future__ import annotations
 
@@ -74,7 +75,8 @@ def _all(
 
 @pytest.fixture(scope="module")
 def kernel() -> Iterator[Any]:
-    """A kernel that runs only for moments: without optimisation it takes half as long to compile."""
+    """The kernel of these tests, which runs only for moments. Without optimisation, it takes half as long to
+    compile."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("warp.config.optimization_level", 0)
         yield with_cpp(_all, newton.source("block.cuh"))

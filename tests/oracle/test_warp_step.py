@@ -234,7 +234,7 @@ def test_damping_of_friction_as_mujoco_has_it(changes: dict[str, Any], damping: 
 
 
 def test_sizes_fit_tables_and_thread_blocks() -> None:
-    """The width of a table must say which blocks its worlds have. The C++ code has room for the sums of 8 warps."""
+    """The size of blocks follows from the width of a table. The C++ code has room for the sums of 8 warps."""
     most = [size.most_boxes for size in block_launch.SIZES]
     assert most == sorted(most)
     assert most[-1] == MAX_BOXES
@@ -280,8 +280,9 @@ def test_a_changed_file_is_compiled_anew(monkeypatch: pytest.MonkeyPatch) -> Non
 
 @pytest.mark.slow
 def test_shared_memory_of_any_size_gives_the_same_to_the_last_bit(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Shared memory has a row of the factor if the row fits, and the Hessian, too, if both fit. Blocks on a CPU have no
-    shared memory. There, the kernel that has all features is compared with one compiled for the features of the run."""
+    """Shared memory holds a row of the factor if the row fits, and also the Hessian if both fit. Blocks on a CPU have
+    no shared memory. On a CPU, two kernels are compared: one that has all features, and one that is compiled for the
+    features of the run."""
     scene = build_scene(make_plan("heap", heap()), Simulation())
     model, data = exact(scene, PHYSICS["pallet"])
     mujoco.mj_step(model, data, HEAP_STEPS[-1])

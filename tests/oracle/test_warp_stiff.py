@@ -1,6 +1,5 @@
-"""Worlds whose verdicts soft contacts may have decided are simulated again with stiffer contacts.
-
-That happens beside a run on mjx-warp.
+"""If soft contacts may have decided the verdict of a world, the world is simulated again with stiffer contacts, beside
+the run on mjx-warp.
 """
 
 from __future__ import annotations
@@ -116,7 +115,7 @@ def test_only_the_adaptive_schedule_waits_less_in_stiffer_contacts() -> None:
 def test_drives_after_an_attempt_in_stiffer_contacts_do_not_depend_on_when_it_ran(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """The attempt and its drives run in the table of the other worlds, and give the same as in tables of their own."""
+    """The attempt and its drives run in the table of the other worlds, with the same results as in separate tables."""
     plans = [make_plan(name, boxes) for name, boxes in {"usual": stack(2), **PILES}.items()]
     tables: list[list[Job]] = []
     load = MjxWarpEngine._load

@@ -1,4 +1,5 @@
-"""On mjx-warp, the last worlds of a run have thread blocks of their own. Results stay the same to the last bit."""
+"""On mjx-warp, the last worlds of a run have separate thread blocks. Results are the same, to the last bit, as without
+these blocks."""
 
 from __future__ import annotations
 
@@ -114,8 +115,8 @@ def test_on_a_cpu_there_are_none() -> None:
 def test_a_world_goes_on_in_blocks_for_the_last_ones(
     monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
-    """On a CPU all blocks are alike. One block has the worlds, and two blocks take the last worlds when two worlds are
-    left. Slices of one step take long, so there are only three worlds."""
+    """On a CPU, all blocks have the same size. One block simulates the worlds. When two worlds are left, two other
+    blocks take them. Slices of one step take long, so there are only three worlds."""
     queue_counts = watched_queues(monkeypatch)
     monkeypatch.setattr(block_pools, "tail_pool", lambda pool, lanes: replace(pool, blocks=2, last=True))
     assert_equal_worlds(simulate(engine(slice_ns=STEP_NS), tiny_scenes(TINY[:3]), SHORT), crowd)

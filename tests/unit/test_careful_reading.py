@@ -289,7 +289,7 @@ def test_the_order_of_boxes_tells_the_vertical_axis(tmp_path: Path, listed: str)
 
 
 def test_tops_with_y_upwards_are_not_taken_for_centres_in_silence(tmp_path: Path) -> None:
-    """As centres with z upwards, no box overlaps or floats."""
+    """If the coordinates were read as centres, with z upwards, no box would overlap or float."""
     boxes = (
         (193, 147, 107.5, 386, 147, 215),
         (579, 147, 107.5, 386, 147, 215),

@@ -200,7 +200,8 @@ def test_a_job_that_workers_die_of_is_given_up_and_no_other(least: int | None) -
 def test_whatever_happens_each_job_has_one_outcome_or_was_alone_in_a_worker_that_died(
     seed: int, least: int | None
 ) -> None:
-    """Workers start, simulate some of their jobs, die for no reason, or of one of three jobs, while jobs come."""
+    """While jobs come, workers start, simulate some of their jobs, and die: at random, or because of one of three
+    deadly jobs."""
     rng = np.random.default_rng(seed)
     dealer, hands = JobDealer(least, begin_with=20), [Hand(threads) for threads in (1, 2, 3)]
     deadly, coming, n_jobs = {int(job) for job in rng.integers(0, 300, 3)}, True, 0

@@ -23,7 +23,7 @@ H100 = gpu_of(90)
 
 @pytest.fixture
 def aot(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, dict[str, Any]]]:
-    """The modules that Warp was to compile ahead of time, and with which arguments. Nothing is compiled."""
+    """A list of the modules that Warp is told to compile, and of the arguments. Nothing is compiled."""
     warp = pytest.importorskip("warp")
     calls: list[tuple[str, dict[str, Any]]] = []
     monkeypatch.setattr(warp, "compile_aot_module", lambda module, **options: calls.append((module.name, options)))
@@ -33,7 +33,8 @@ def aot(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, dict[str, Any]]]:
 def test_a_build_compiles_the_kernel_that_a_run_would_launch(
     aot: list[tuple[str, dict[str, Any]]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A run's launch follows from JAX's device, a build's from the limits alone."""
+    """A run chooses its kernel by JAX's device. A build, which has no device, chooses the same kernel by the limits of
+    a GPU."""
     from petmjx.engines.warp import block_launch
 
     device = SimpleNamespace(is_cuda=True, sm_count=132, max_shared_memory_per_block=227 << 10)
@@ -61,7 +62,7 @@ def test_other_gpus_and_placing_by_hand_need_other_kernels(aot: list[tuple[str, 
 
 
 def test_a_process_compiles_for_the_cpu(aot: None) -> None:
-    """The process is a real one. The suite needs this kernel anyway, and keeps it."""
+    """This test starts a real process. Other tests need the compiled kernel, too."""
     (answer,) = KernelBuilds([KernelBuild(None, "large", False, True)]).answers()
     assert answer.fault == ""
     (again,) = KernelBuilds([answer.build]).answers()
@@ -70,7 +71,7 @@ def test_a_process_compiles_for_the_cpu(aot: None) -> None:
 
 
 class _Child:
-    """Answers at once; the size ``few`` kills it."""
+    """A fake process that answers at once. A build of the size ``few`` kills it."""
 
     made: list[_Child]
 

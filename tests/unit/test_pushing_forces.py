@@ -195,8 +195,9 @@ def test_a_support_that_comes_later_bears_nothing_before() -> None:
 
 def test_a_load_on_an_edge_hides_none_beyond() -> None:
     """Three piles stand side by side. The upper box of the first pile is exactly on the edge. The other piles are long
-    boxes, which overhang and bear one end of a beam. If supports were springs, both long boxes would tip. The other end
-    of the beam can bear enough for the first of them. It cannot for the second, which comes last."""
+    boxes, which overhang and bear one end of a beam. If supports were springs, both long boxes would tip. For the first
+    of these piles, the support at the other end of the beam can bear enough. For the second, which comes last, it
+    cannot."""
 
     def beam_on_overhang(y: float, begin: float, length: float, mass_kg: float) -> tuple[Box, ...]:
         return (

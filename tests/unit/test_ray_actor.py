@@ -53,7 +53,7 @@ class _Unpicklable(Exception):
 
 
 def simulated(worker: Worker, *packets: Packet, run: WorkerRun = RUN) -> list[Report]:
-    """The reports of a run with these packets."""
+    """The reports that a worker sends about a run with these packets of jobs."""
     for packet in packets:
         worker.feed(pickle.dumps(packet))
     worker.feed(b"")
@@ -113,7 +113,8 @@ def test_processes_beside_a_worker_look_at_the_outcomes_of_large_runs(monkeypatc
 
 
 class _Streaming:
-    """Takes a stream, and needs no time. It waits for many jobs, and answers those that it got, the last one first."""
+    """An engine that takes a stream of jobs, and needs no time. It waits for many jobs, and then yields their outcomes,
+    the last one first."""
 
     name = "streaming"
 
@@ -130,8 +131,8 @@ class _Streaming:
 
 
 def test_a_run_goes_on_while_packets_come() -> None:
-    """An engine that waits for many jobs gets those of a packet. Profiles that came in several packets are the same
-    object, since an engine has room for a number of profiles that was announced."""
+    """An engine that waits for many jobs gets all jobs of a packet. If equal profiles come in several packets, they
+    become one object, since an engine has room only for the announced number of profiles."""
     worker, engine = Worker(MUJOCO, None, None), _Streaming()
     worker._built.set_result(UserEngine(engine, None))
     reports: queue.SimpleQueue[Report | None] = queue.SimpleQueue()

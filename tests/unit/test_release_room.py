@@ -66,8 +66,8 @@ def test_a_row_of_wide_boxes_spreads_from_its_middle() -> None:
 
 
 def test_the_translations_are_the_least() -> None:
-    """In a row, the smallest translations are the solution of an isotonic regression: place minus the widths of all
-    boxes before it may only increase from box to box."""
+    """In a row of boxes, the smallest translations are the solution of an isotonic regression: from box to box, the
+    difference (place − widths of all boxes before) must not decrease."""
     rng = np.random.default_rng(11)
     n = 9
     planned = np.arange(n) * (1.0 + GAP_M)

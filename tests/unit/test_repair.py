@@ -381,8 +381,8 @@ def test_a_search_asks_for_the_same_worlds_again() -> None:
 
 
 def test_a_draft_is_judged_as_it_is_scored() -> None:
-    """A judged world ends when a box tilts by 5°. Its verdict is that of the whole simulation, and so is the first box.
-    An exception is the counterweight: its support tilts by 5° before the first box fails."""
+    """A judged world ends when a box tilts by 5°. It has the verdict and the culprit of the whole simulation. An
+    exception is the counterweight: its support tilts by 5° before the first box fails."""
     question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=0))
     drafts = [Draft.of(make_plan(boxes=boxes)) for boxes in (COUNTERWEIGHT, TOWER, LATE_SUPPORT, stack(2))]
     judged = question.trials([Asked(draft, True) for draft in drafts])
@@ -394,7 +394,8 @@ def test_a_draft_is_judged_as_it_is_scored() -> None:
 
 
 def test_a_judged_plan_that_stands_is_not_simulated_again_for_its_score(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its judged world and the first attempt of its score are the same world, so the margin is the same, too."""
+    """The judged world of a draft and the first attempt of its score are the same world, so their margins are equal,
+    too."""
     question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=0))
     drafts = [Draft.of(make_plan(boxes=boxes)) for boxes in (stack(2), stack(3, 90.0), TOWER)]
     judged = question.trials([Asked(draft, True) for draft in drafts])
@@ -565,7 +566,8 @@ def test_of_repairs_with_as_many_changes_the_one_that_stands_with_errors_is_firs
 
 
 def test_repairs_are_compared_until_enough_of_them_stand() -> None:
-    """The first four repairs stand in all four worlds. No other one can stand more often, so none is simulated."""
+    """The first four repairs stand in all four worlds with errors. No other repair can stand more often, so no other
+    one is simulated."""
     plan = make_plan(boxes=stack(2))
     search, stands = Search(plan, Simulation(), RepairOptions(worlds=4)), Trial("stable", "", None, (), 2, 2, 0.5)
     moves = [Move(box, float(length), 0.0) for box in (0, 1) for length in range(5, 30, 5)]
@@ -991,7 +993,8 @@ def test_judging_ends_when_the_time_is_up() -> None:
 
 
 def test_scores_and_shares_end_when_the_time_is_up() -> None:
-    """Of three worlds with errors that ended in time, none counts: those that fall end first."""
+    """If only three worlds with errors ended in time, they do not count: worlds that fall end first, so the share would
+    be too small."""
     question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=4))
     plan = make_plan(boxes=stack(2))
     try:

@@ -126,7 +126,8 @@ def test_every_part_is_written_once(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 def test_what_waits_is_written_in_time_though_the_engine_is_silent(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The time to the next part is counted from the first waiting world on, whatever is added after it."""
+    """The time to the next part is counted from the moment when the first world began to wait, whatever is added
+    later."""
     with RunWriter(tmp_path, {}, seconds_per_part=0.5) as run:
         begin = time.monotonic()
         add_worlds(run, 0)
@@ -143,7 +144,7 @@ def test_what_waits_is_written_in_time_though_the_engine_is_silent(
 
 
 def test_adding_waits_while_too_many_worlds_wait(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Because of this wait, memory is bounded, however slow the disk is."""
+    """Because the run waits for the writer, memory is bounded, however slow the disk is."""
     monkeypatch.setattr(run_writer, "MOST_WAITING_BYTES", 4 * ROW_BYTES)
     holding = Holding(monkeypatch)
     added: list[int] = []
@@ -243,7 +244,7 @@ def test_ctrl_c_while_a_run_begins_leaves_the_folder_free(tmp_path: Path, monkey
 
 
 def test_a_run_whose_end_was_interrupted_ends_with_the_process(tmp_path: Path) -> None:
-    """The process does not wait for an answer of a thread that has ended."""
+    """If the writer's thread has ended, the process does not wait for its answer."""
     run = RunWriter(tmp_path, {}).__enter__()
     add_worlds(run, 0, 1)
     run._end_at_exit()

@@ -331,7 +331,7 @@ def test_without_early_stop_it_is_shaken_but_passes_nothing(tmp_path: Path) -> N
 
 
 class _Forgiving(Recorder):
-    """An engine by which placements do not stand, but all boxes are within their limits after a drive."""
+    """A fake engine. In its outcomes, placements do not stand, but after a drive all boxes are within their limits."""
 
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         for outcome in super().run(jobs, sim, progress):

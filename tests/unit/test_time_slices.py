@@ -33,8 +33,8 @@ def round_of(rows: NDArray[np.int64]) -> SliceResult:
 def test_a_slice_in_which_no_world_has_ended_has_no_outcome_at_hand(
     ended: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """``ended``: number of worlds that end in each slice. These slices have ended before the first outcome is made. One
-    more world ends in a slice that ends after the last of these outcomes."""
+    """``ended``: number of worlds that end in each slice. All these slices end before the first outcome is made. One
+    more world ends in a later slice, which ends after the last of these outcomes is made."""
     gone_through, due = threading.Event(), threading.Event()
 
     def slices() -> Generator[SliceResult]:

@@ -68,8 +68,8 @@ def test_scaled_observations_are_the_raw_ones_on_scales_that_end_at_1() -> None:
 
 
 def test_boxes_stand_on_the_sides_that_the_order_allows() -> None:
-    """Of a box of 600 × 400 × 200 mm, only the height may be vertical, or height and length. ``sides="all"`` allows all
-    six orientations."""
+    """The sides of a box of 600 × 400 × 200 mm that may be vertical: only its height, or its height and its length.
+    ``sides="all"`` allows all six orientations."""
     orders = table((600, 400, 200), (600, 400, 200), upright=["h", "lh"])
     heights = {}
     for number, sides in enumerate(("order", "all")):

@@ -162,7 +162,7 @@ def wait_for_two(pool: WorkerPool) -> None:
 def test_workers_with_kernels_give_the_tables_of_one_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Drives (motions of the carrier) start from settled states, which may come from the other worker. Piles whose
     contacts are too soft are placed again in stiffer contacts, among the other worlds. In the second run, jobs are
-    dealt as to devices."""
+    dealt to workers as if the engines were devices."""
     heavy = stack(2, size_mm=(400, 300, 200), kg=(0.02, 300.0))
     plans = [
         *PLANS[4:7],

@@ -299,12 +299,12 @@ class BlockSolver:
 
 
 def _couplings(sides: NDArray[np.integer], bodies: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Where the blocks of the Hessian come from.
+    """Two tables from which the Hessian is put together, block by block.
 
     Returns:
-        Two tables. (coupling, k): the pairs of geoms of each pair of moving bodies; rows are padded with the number of
-        all pairs. (body, body): the index of the Hessian's block for two bodies in this list: all bodies' own blocks,
-        all couplings, all couplings transposed, and a block of zeros.
+        (coupling, k): the pairs of geoms of each pair of moving bodies; rows are padded with the number of all pairs.
+        (body, body): for two bodies, the index of the Hessian's block in this list: all bodies' own blocks, all
+        couplings, all couplings transposed, and a block of zeros.
     """
     pairs_by_bodies: dict[tuple[int, int], list[int]] = {}
     for pair, (one, two) in enumerate(sides.tolist()):

@@ -81,9 +81,9 @@ def outcomes(
 
 
 def _kept_state(job: Job, host: State, row: int) -> State | None:
-    """The state that the outcome of a job must have; None if it needs none. The state has only the columns of the
-    world's own boxes, and only of placed boxes if the placement paused, since a world that starts from this state may
-    be in a table for fewer boxes."""
+    """The state that the outcome of a job must have; None if the outcome needs no state. The state has columns for the
+    boxes of this world alone or, if the placement paused, for the placed boxes alone: a world that starts from this
+    state may be in a table for fewer boxes."""
     pauses = host.status[row] == Status.PAUSED
     if not (job.keep_state or pauses or host.status[row] == Status.LEFT):
         return None
@@ -154,7 +154,8 @@ def started_states(jobs: Sequence[Job], fresh: State) -> State:
         return stacked
 
     stacked = jax.tree.map(stack, fresh, *starts)
-    # the steps of a placement that had paused are steps of this world; those of a settled one are not
+    # A world also counts the steps that it takes over from a paused placement, or from its time on a GPU. It does not
+    # count the steps of a settled placement from which it starts.
     left = stacked.status == Status.LEFT
     stacked = stacked._replace(
         steps_done=np.where(left | (stacked.status == Status.PAUSED), stacked.steps_done, 0),

@@ -307,9 +307,9 @@ class Rules:
         creeps (moves slowly without slowing down).
 
         A pallet is quiet if all boxes were quiet for ``quiet.steps`` steps and no box creeps. Trembling boxes count as
-        quiet. If a pallet is quiet although a box trembles, the stored count becomes 0, by which the world is later
-        recognised as still moving. Boxes are examined for trembling only in worlds with ``adapts``, whose waits end as
-        soon as the pallet is quiet.
+        quiet. If a pallet is quiet although a box trembles, the stored count becomes 0. Because of this 0, the world is
+        later recognised as still moving. Boxes are examined for trembling only in worlds with ``adapts``, whose waits
+        end as soon as the pallet is quiet.
 
         Returns:
             The states, and for each world whether its pallet is quiet.

@@ -26,7 +26,8 @@ class SlipLaw:
         self, problem: Problem, pull: Float[Array, "world contact 3"], start: Float[Array, "world velocity"]
     ) -> tuple[Float[Array, "world velocity"], Float[Array, "world contact 3"]]:
         """The accelerations and the contact forces (N). All worlds are solved again as long as contacts in any world
-        need another round. Worlds that need none keep their solution, so that it does not depend on the other worlds.
+        need another round. A world that needs no further round keeps its solution, so that its solution does not depend
+        on the other worlds.
 
         Args:
             problem, pull, start: see ``BlockSolver.solve``, for each world.
@@ -77,7 +78,8 @@ class SlipLaw:
     def _begin(
         self, problem: Problem, pull: Rows, start: Velocities
     ) -> tuple[Float[Array, " contact"], Bool[Array, " contact"]]:
-        """The initial excess of one world's contacts, m/s², and whether each of them slides."""
+        """The initial excess of one world's contacts (petmjx/world/contact_laws.py), m/s², and whether each contact
+        slides."""
         most = _tangent(pull) - self._slack
         beyond = _tangent(self._solver.links.along(problem.jacobian, start) - pull) - self._slack
         return jnp.clip(beyond, 0.0, jnp.maximum(most, 0.0)), most > 0

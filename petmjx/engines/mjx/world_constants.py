@@ -47,9 +47,9 @@ class Worlds(NamedTuple):
     world rests earlier. ``allowed_sway``, m, is how far a tilted box may have moved sideways in the drive before it
     ends the world.
 
-    Ends: ``settles``: the placement ends in a settled state, from which a drive starts or which is kept.
-    ``ends_when_lost``: see ``has_errors`` of ``petmjx.world.job.Job``. ``confirm_steps`` is the number of steps after
-    the first sign of failure after which a fall is confirmed (``petmjx.engines.metrics.CONFIRM_S``); ``NEVER`` if
+    Ends: ``settles``: the placement ends in a settled state, because a drive starts from this state, or because the
+    state is kept. ``ends_when_lost``: see ``has_errors`` of ``petmjx.world.job.Job``. ``confirm_steps``: a fall is
+    confirmed this number of steps after the first sign of failure (``petmjx.engines.metrics.CONFIRM_S``); ``NEVER`` if
     the world has more to show than a fall. ``pauses``: when its boxes are at rest, the world waits for further boxes
     (petmjx/engines/open_worlds.py). ``ends_when_gone``: the world is a trial, which ends when a box is gone.
     ``most_steps`` is the number of steps after which the world leaves a GPU (petmjx/engines/warp/continued_worlds.py).
@@ -164,7 +164,8 @@ def upload_worlds(
 
 
 def _rows_of_scenes(jobs: Sequence[Job], width: int, sim: Simulation, boards: int, spare: int) -> Rows:
-    """``rows_of`` the jobs' scenes. The place at which a box is released depends on the stiffness of contacts."""
+    """The rows of the jobs' scenes, as ``rows_of`` makes them. ``rows_of`` is called once for each stiffness of
+    contacts, because the place at which a box is released depends on the stiffness."""
     if all(job.stiff is None for job in jobs):
         return rows_of([job.scene for job in jobs], width, sim, boards, spare)
     boards = max(boards, *(more_shapes(job.scene) for job in jobs))

@@ -108,7 +108,7 @@ class State(NamedTuple):
     steps_done: Int[Array, " world"]
     metrics: Metrics
 
-    # Force on each box's top in the step before the world paused, N.
+    # Force on top of each box in the last step before the world paused, N.
     top_force: Float[Array, "world box"]
 
     @property

@@ -43,8 +43,9 @@ class SettledState:
     the value is None."""
 
     def ended_as(self, stream_number: int) -> Outcome | None:
-        """The outcome of a fork of this state if the world that made the state ended before it settled: the same
-        outcome, but with 0 steps. None: that world settled, so the fork must be simulated."""
+        """The outcome of a fork that needs no simulation. If the world that made this state ended before it settled,
+        the fork has the outcome of that world, but with 0 steps. If that world settled, the result is None, and the
+        fork must be simulated."""
         if self.ended is None:
             return None
         return replace(self.ended, job=stream_number, flags=self.ended.flags | Flag.FORKED, n_steps=0, state=None)

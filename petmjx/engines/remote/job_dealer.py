@@ -59,8 +59,8 @@ class _Limit:
 
 
 class _Waiting(NamedTuple):
-    """A waiting job. Smaller values come first: jobs that start from a state before jobs that begin with their
-    placement, and longer jobs before shorter ones."""
+    """A waiting job. Values are compared to sort jobs: first come jobs that start from a state, then jobs that begin
+    with their placement; of each kind, longer jobs come first."""
 
     begins: bool
     negated_cost: float

@@ -32,7 +32,7 @@ MESSAGE_WAIT_S = 0.25
 """Longest wait for messages from workers, s. After each wait, signals are handled and progress is updated."""
 
 FEED_S = 0.05
-"""As ``MESSAGE_WAIT_S``, if a worker has no jobs while further jobs are made."""
+"""Longest wait for messages, s, while a worker has no jobs and further jobs are being made."""
 
 START_S = 30.0
 """Longest wait for the first worker when the pool is created, s. So an engine that cannot run in a worker is reported

@@ -161,7 +161,7 @@ def serve_attempts(make_engine: Callable[[str], Engine]) -> None:
     """The work of the process: simulate the worlds of all tasks on threads, and answer in any order.
 
     Args:
-        make_engine: function that creates the engine with a name, with one thread.
+        make_engine: function that takes the name of an engine, and creates this engine with one thread.
     """
     tasks, answers = own_pipes(NICE)
     thread_state, writing = threading.local(), threading.Lock()
@@ -208,7 +208,7 @@ def answer_to(
             engines[task.engine] = engine
         with closing(engines[task.engine].run([task.job], task.sim, progress)) as answers:  # type: ignore[type-var]  # a generator
             for outcome in answers:
-                if outcome is not None or stops():  # None is not an outcome: the engine pauses
+                if outcome is not None or stops():  # None means that the engine pauses
                     break
     except EngineUnavailable as error:
         return AttemptAnswer(task.number, None, str(error))

@@ -88,7 +88,8 @@ class ContinuedWorlds:
             return False
         self._progress.notes[f"long worlds were simulated to their ends on {ENGINE}"] = None
         self._left[outcome.job] = job, outcome
-        # the boxes stay where the state has them; a drive may have begun at other poses
+        # without ``poses``: they are the boxes' poses at the beginning of the drive, and the world has left the GPU
+        # later
         continued = replace(job, start=outcome.state, poses=None)
         self._simulator.begin(AttemptTask(outcome.job, ENGINE, continued, self._sim))
         return True
@@ -96,7 +97,7 @@ class ContinuedWorlds:
     def ended(self) -> Iterator[Outcome]:
         """The outcomes of the worlds that have ended since the last call, with their stream numbers."""
         for answer in self._simulator.ended(wait=False):
-            if answer.number not in self._left:  # the answer to READY
+            if answer.number not in self._left:  # READY only prepares the process: it has no world
                 continue
             job, before = self._left.pop(answer.number)
             outcome = answer.outcome
@@ -104,7 +105,8 @@ class ContinuedWorlds:
                 outcome = failed_outcome(answer.number, job, self._sim, answer.message)
                 self._progress.notes[f"{ENGINE} failed to simulate a long world to its end ({answer.message})"] = None
             steps = max(outcome.n_steps - before.n_steps, 0)
-            # the thread that runs slices adds steps, too; Python does not switch threads in this line without calls
+            # The thread that runs slices also adds to this count. The line calls no function, so Python does not switch
+            # to that thread within the line.
             self._progress.world_steps += steps
             history = outcome.history
             if before.history is not None and history is not None:

@@ -139,7 +139,8 @@ class MjxWarpEngine(Engine):
         """Simulate each job once. An outcome is yielded when its world ends.
 
         Raises:
-            RuntimeError: an earlier run of the same thread has not ended. (This run waits for runs of other threads.)
+            RuntimeError: an earlier run of the same thread has not ended. (If a run of another thread has not ended,
+                the call waits for it.)
         """
         stream = JobStream.of(jobs)
         if stream.ended:

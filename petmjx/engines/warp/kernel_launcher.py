@@ -145,9 +145,9 @@ _CHANGED = (
 
 _IDS = itertools.count()
 _LAUNCHERS: weakref.WeakValueDictionary[int, KernelLauncher] = weakref.WeakValueDictionary()
-"""Number of a launcher → the launcher with this number. JAX never frees a function that it calls. If a function that
-JAX calls belonged to a launcher, the memory of the run would never be freed. So the function ``_launch`` gets only the
-number of the launcher."""
+"""Number of a launcher → the launcher with this number. JAX never frees a function that it calls. If such a function
+were a method of a launcher, the launcher and the memory of its run would never be freed. So the function ``_launch``
+gets only the number of the launcher."""
 
 
 def _launch(launcher: int, *arrays: Any) -> None:

@@ -44,8 +44,8 @@ def small_world_pool(pool: BlockPool, worlds: int, lanes: int | None = None) -> 
 def small_world_queues(
     few: BlockPool, order: Int[Array, "queue world"], placed: Int[Array, " world"], running: Bool[Array, " world"]
 ) -> Int[Array, "queue+1 world"]:
-    """The queues, preceded by a new queue of small worlds. The worlds that have few boxes now move from the last queue
-    to the new queue, if there are enough of them.
+    """The queues, preceded by a new queue of small worlds. Worlds with few placed boxes are moved from the last queue
+    to the new queue, if there are enough of these worlds.
 
     Worlds keep their order. This function can be called in jitted programs.
 

@@ -20,8 +20,9 @@ SPARE_ROWS: Final = 4
 
 WAITING_ROWS: Final = 8
 """A table begins with this number of rows for each of its first jobs, if more jobs may follow, but none from outcomes.
-Thread blocks begin with the longest worlds of the table. So a run ends with shorter worlds if more worlds wait in the
-table. A GPU begins with 1,600 worlds, so all worlds of a run of 10,000 plans are in the table after some slices."""
+Thread blocks begin with the longest worlds of the table. So the more worlds wait in the table, the shorter are the
+worlds with which the run ends. A GPU begins with 1,600 worlds, so all worlds of a run of 10,000 plans are in the table
+after some slices."""
 
 MOST_FOLLOWING_ROWS: Final = 2048
 """Smallest number of rows of a table that further jobs may join later, such as the many drives that follow a single
@@ -39,8 +40,9 @@ new jobs join while one in ``REFILL_SHARE`` rows is free. Jobs that follow from 
 from a settled placement, join at once."""
 
 JOIN_ROWS, FEEDBACK_ROWS = 256, 64
-"""Number of jobs that one call of a compiled program writes into a table: ``JOIN_ROWS`` in general, ``FEEDBACK_ROWS``
-for at most so many jobs that follow from outcomes. Four calls for 64 jobs take twice as long as one for 256."""
+"""Number of jobs that one call of a compiled program writes into a table: ``FEEDBACK_ROWS`` if the jobs follow from
+outcomes and are no more than this number, otherwise ``JOIN_ROWS``. Four calls for 64 jobs each take twice as long as
+one call for 256 jobs."""
 
 MOST_PROFILE_BYTES: Final = 1 << 30
 """Largest memory for the profiles (motions of the carrier) of the drives that follow from settled placements, bytes.
@@ -67,7 +69,7 @@ class TableJobs:
         alone: whether there is only one job in total.
         running: worlds of the previous table, which continue in the next table.
         in_flight: stream number → job, for jobs that have been taken and have no outcome yet.
-        left: stream numbers of those of ``in_flight`` whose worlds have left the device.
+        left: stream numbers of those jobs in ``in_flight`` whose worlds have left the device.
     """
 
     def __init__(

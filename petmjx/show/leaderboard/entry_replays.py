@@ -52,7 +52,7 @@ class Replay:
 
     @classmethod
     def judged(cls, plan_id: str, claimed: str, verdict: str, reason: str, margin: float, flags: int) -> Replay:
-        """A replay, given values of its simulation as in a row of the table ``worlds``."""
+        """Make a replay from the values of its simulation. The values are those of a row of the table ``worlds``."""
         near = verdict not in _VALID or not abs(margin) >= NEAR_MARGIN or bool(flags & NEAR_FLAGS)
         return cls(plan_id, claimed, verdict, reason, near)
 
