@@ -8,9 +8,11 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from petmjx.cli import main
+from support.programs import ended_program
 
 INTERRUPT_AFTER = 10
 """Number of worlds that end before :func:`run_interrupted` interrupts the run."""
@@ -83,8 +85,8 @@ def run_interrupted(
     """Run petmjx in a process that gets signals (SIGINT, as from Ctrl-C), one right after another, while the threads of
     the engine simulate further worlds."""
     numbers = ",".join(str(int(number)) for number in signals)
-    command = [sys.executable, "-c", _INTERRUPTED, numbers, *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    with TemporaryDirectory() as folder:
+        return ended_program(_INTERRUPTED, numbers, *map(str, arguments), folder=Path(folder), timeout_s=120)
 
 
 def only_line(stderr: str) -> str:

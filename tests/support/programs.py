@@ -12,6 +12,7 @@ import multiprocessing
 import multiprocessing.forkserver
 import os
 import runpy
+import subprocess
 import sys
 import traceback
 from multiprocessing.context import ForkServerContext
@@ -61,14 +62,27 @@ def run_program(program: str | Path, *arguments: str, folder: Path) -> str:
     Raises:
         AssertionError: the program ended with an error. The message is what it printed to stderr.
     """
+    done = ended_program(program, *arguments, folder=folder)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def ended_program(
+    program: str | Path, *arguments: str, folder: Path, timeout_s: float | None = None
+) -> subprocess.CompletedProcess[str]:
+    """Run a program in a folder, and return how it ended and what it printed. Arguments: see ``run_program``."""
     printed, errors = folder / ".printed", folder / ".errors"
     process = _forking().Process(target=_run, args=(program, arguments, folder, printed, errors))
     process.start()
-    process.join()
+    process.join(timeout_s)
+    if process.is_alive():
+        process.kill()
+        process.join()
     code = process.exitcode
     process.close()
-    assert code == 0, errors.read_text(encoding="utf-8")
-    return printed.read_text(encoding="utf-8")
+    assert code is not None
+    texts = (path.read_text(encoding="utf-8") for path in (printed, errors))
+    return subprocess.CompletedProcess([str(program), *arguments], code, *texts)
 
 
 def _run(program: str | Path, arguments: tuple[str, ...], folder: Path, printed: Path, errors: Path) -> None:

@@ -6,13 +6,11 @@ tests/support/moments.py tests all moments, which takes minutes.
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from support.moments import KINDS, Run, fill
+from support.programs import run_program
 
 
 @pytest.mark.parametrize(
@@ -35,9 +33,6 @@ def test_a_disk_that_is_full(kind: str, lasts: bool, at: int, tmp_path: Path) ->
 
 
 def test_a_kill(tmp_path: Path) -> None:
-    here = Path(__file__).parents[1]
-    environment = {**os.environ, "PYTHONPATH": str(here.parent)}
-    command = [sys.executable, str(here / "support/moments.py"), str(tmp_path / "runs"), "37", "1", "1"]
-    ended = subprocess.run(command, check=False, timeout=300, env=environment, capture_output=True, text=True)
-    assert ended.returncode == 0, ended.stderr
-    assert ended.stdout.count("killed at") == len(KINDS)
+    script = Path(__file__).parents[1] / "support" / "moments.py"
+    printed = run_program(script, str(tmp_path / "runs"), "37", "1", "1", folder=tmp_path)
+    assert printed.count("killed at") == len(KINDS)
