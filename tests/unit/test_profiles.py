@@ -83,6 +83,9 @@ def test_windows_are_rounded_in_absolute_time() -> None:
 def test_demo_chain_is_seven_scaled_radials() -> None:
     rows = samples(RADIAL_CHAIN, 22.0)
     assert len(RADIAL_CHAIN.windows) == 70
+    for link, factor in enumerate((1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 2.0)):
+        vectors = np.array([window.vector for window in RADIAL_CHAIN.windows[10 * link : 10 * link + 10]])
+        np.testing.assert_array_equal(vectors, factor * np.array([window.vector for window in RADIAL.windows]))
     assert not rows[: int(24.0 / DT) - 11000].any()
     assert rows[int(24.0 / DT) - 11000, 0] == math.sqrt(2)
     assert rows[int(39.0 / DT) - 11000, 0] == pytest.approx(2 * math.sqrt(2))
