@@ -230,8 +230,9 @@ def test_memory_that_runs_out_for_outcomes_loses_no_world(
     monkeypatch.setattr(WorldTable, "add", watched)
     monkeypatch.setattr(time_slices, "outcomes", late)
     monkeypatch.setattr(time_slices, "MOST_AHEAD", 1 << 20)
+    monkeypatch.setattr(table_jobs, "JOIN_ROWS", 2)
     scenes = tiny_scenes()
-    outcomes = run_all(engine(most_rows=4, slice_ns=SOME_NS), [Job(scene) for scene in scenes.values()] * 2, SHORT)
+    outcomes = run_all(engine(most_rows=8, slice_ns=SOME_NS), [Job(scene) for scene in scenes.values()] * 2, SHORT)
     assert failed == [True]
     for first in (0, len(scenes)):
         assert_equal_worlds(dict(zip(scenes, outcomes[first : first + len(scenes)], strict=True)), crowd)

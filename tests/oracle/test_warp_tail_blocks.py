@@ -4,6 +4,7 @@ these blocks."""
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import jax
@@ -74,8 +75,8 @@ ORDER = [[3, -1, -1, -1, -1], [0, 4, 2, 1, -1]]
 
 
 def with_last(running: list[int], steps: list[int], pool: BlockPool = TWO_LAST) -> list[list[int]]:
-    states = jnp.array(steps, jnp.int32), jnp.isin(jnp.arange(7), jnp.array([*running, 5, 6]))
-    return tail_queues(pool, jnp.array(ORDER, jnp.int32), *states, lanes=2).tolist()
+    states = np.array(steps, np.int32), np.isin(np.arange(7), [*running, 5, 6])
+    return jax.jit(partial(tail_queues, pool, lanes=2))(np.array(ORDER, np.int32), *states).tolist()
 
 
 def test_when_no_more_worlds_are_left_than_multiprocessors_each_has_one() -> None:

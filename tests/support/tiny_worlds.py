@@ -52,7 +52,10 @@ def tiny(name: str) -> Scene:
 
 
 def engine(**options: Any) -> MjxWarpEngine:
-    return MjxWarpEngine(16, allow_cpu=True, **options)
+    """Its tables have at least eight rows. For each smaller number, programs would be compiled anew."""
+    made = MjxWarpEngine(16, allow_cpu=True, **options)
+    made.least_rows = 8
+    return made
 
 
 @functools.cache
