@@ -152,7 +152,7 @@ def test_a_dash_is_no_file(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize("command", [("convert", "plans.json"), ("samples", "-n", "1", "--packer", "baseline")])
 def test_standard_output_has_nothing_but_the_plans(command: tuple[str, ...]) -> None:
     write(Path("plans.json"), {"A": tower(2)})
-    for out in ("/dev/stdout", "--out=/dev/fd/1"):
+    for out in ("/dev/stdout", "--out=/dev/fd/1") if command[0] == "convert" else ("--out=/dev/fd/1",):
         process = run_process(*command, *(("-o", out) if out.startswith("/") else (out,)))
         assert process.returncode == 0
         assert len(json.loads(process.stdout)) == 1

@@ -7,6 +7,9 @@ from pathlib import Path
 
 import pytest
 from support.command_line import TOWER, only_line, placement, run, write
+from support.fake_engine import end_without_physics
+
+from petmjx.engines.mujoco.world_run import WorldRun
 
 FAST = ("--engine", "mujoco", "--check", "static", "--duration", "0.05")
 
@@ -112,7 +115,10 @@ def test_a_file_that_is_not_there_and_strict(plans: Path, orders: Path, capsys: 
     assert only_line(capsys.readouterr().err) == "petmjx: orders.json: order bad: must be an object, got 5"
 
 
-def test_real_plans_and_orders(real_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_real_plans_and_orders(
+    real_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(WorldRun, "run", end_without_physics)
     files = (real_data / "packing_plan_5-bed-bpp.json", "--orders", real_data / "5_bed-bpp.json")
     assert run("score", *files, *FAST, "-o", tmp_path / "out") == 0
     assert "3 plans leave out 11 of 200 ordered boxes, in run.json" in capsys.readouterr().out

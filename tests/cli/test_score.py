@@ -232,12 +232,13 @@ def test_ctrl_c_leaves_whole_parts(tmp_path: Path) -> None:
     assert (rows("worlds"), rows("boxes")) == (INTERRUPT_AFTER, 2 * INTERRUPT_AFTER)
 
 
-@pytest.mark.parametrize("command", [["doctor"], ["--help"]])
-def test_a_reader_that_goes_ends_it_quietly(command: list[str]) -> None:
+@pytest.mark.parametrize("command", ["info", "--help"])
+def test_a_reader_that_goes_ends_it_quietly(command: str, plans: Path) -> None:
+    arguments = [command, plans] if command == "info" else [command]
     reading, writing = os.pipe()
     os.close(reading)  # nobody reads the output, as with `petmjx … | true`
     with os.fdopen(writing, "w") as gone:
-        done = run_process(*command, stdout=gone)
+        done = run_process(*arguments, stdout=gone)
     assert (done.returncode, done.stderr) == (0, "")
 
 

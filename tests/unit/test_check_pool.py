@@ -34,6 +34,14 @@ def raw() -> list[Outcome]:
     return sorted(MujocoEngine(1).run(JOBS, SIM), key=lambda outcome: outcome.job)
 
 
+@pytest.fixture(scope="module")
+def lasting_pool() -> Iterator[CheckPool[Any]]:
+    """For tests that leave both processes alive, and nothing to wait for."""
+    pool = CheckPool[Any](2)
+    yield pool
+    pool.close()
+
+
 @pytest.fixture
 def check_pool() -> Iterator[CheckPool[Any]]:
     pool = CheckPool[Any](2)
@@ -64,25 +72,25 @@ def given(raw: list[Outcome], key: Any) -> list[tuple[Any, Outcome]]:
     return [((key, outcome.job), outcome) for outcome in deepcopy(raw)]
 
 
-def test_they_find_what_the_run_would(check_pool: CheckPool[Any], raw: list[Outcome]) -> None:
-    assert len(pids(check_pool)) == 2
+def test_they_find_what_the_run_would(lasting_pool: CheckPool[Any], raw: list[Outcome]) -> None:
+    assert len(pids(lasting_pool)) == 2
     outcomes: dict[Any, Outcome] = {}
     many = 2 * MOST_WAITING + 3  # more outcomes than may wait for the processes
     for key in range(many):
-        outcomes |= check_pool.exchanged(given(raw, key), JOBS, SIM, wait=False)
-    outcomes |= check_pool.exchanged([], [], SIM, wait=True)
+        outcomes |= lasting_pool.exchanged(given(raw, key), JOBS, SIM, wait=False)
+    outcomes |= lasting_pool.exchanged([], [], SIM, wait=True)
     assert sorted(outcomes) == [(key, job) for key in range(many) for job in range(len(JOBS))]
     for key in range(many):
         assert told([outcomes[key, job] for job in range(len(JOBS))]) == expected(raw)
         for job, sent in enumerate(raw):
             np.testing.assert_array_equal(outcomes[key, job].boxes.pos, sent.boxes.pos)
-    assert check_pool.exchanged([], [], SIM, wait=True) == []
+    assert lasting_pool.exchanged([], [], SIM, wait=True) == []
 
 
-def test_what_was_measured_of_boxes_stays_with_the_run(check_pool: CheckPool[Any], raw: list[Outcome]) -> None:
+def test_what_was_measured_of_boxes_stays_with_the_run(lasting_pool: CheckPool[Any], raw: list[Outcome]) -> None:
     sent = given(raw, "once")
     boxes = [outcome.boxes for _, outcome in sent]
-    outcomes = dict(check_pool.exchanged(sent, JOBS, SIM, wait=True))
+    outcomes = dict(lasting_pool.exchanged(sent, JOBS, SIM, wait=True))
     assert [outcomes["once", job].boxes.pos is boxes[job].pos for job in range(len(JOBS))] == [True, True]
     assert [np.isfinite(outcomes["once", job].boxes.plan_edge_m).any() for job in range(len(JOBS))] == [True, True]
     assert [outcomes["once", job] is sent[job][1] for job in range(len(JOBS))] == [False, False]
@@ -109,7 +117,7 @@ def test_the_run_looks_itself_where_they_do_not(check_pool: CheckPool[Any], raw:
 
 @pytest.mark.parametrize("driven", [False, True], ids=["placed", "driven"])
 def test_states_histories_and_samples_stay_here(
-    check_pool: CheckPool[Any], raw: list[Outcome], monkeypatch: pytest.MonkeyPatch, driven: bool
+    lasting_pool: CheckPool[Any], raw: list[Outcome], monkeypatch: pytest.MonkeyPatch, driven: bool
 ) -> None:
     """Outcomes with states, histories or samples are checked in this process. Another process would have to import the
     modules of the states, and would take longer to receive samples than to check them."""
@@ -121,8 +129,8 @@ def test_states_histories_and_samples_stay_here(
         outcome.state = outcome.history = here
     # the checks must run in other processes
     monkeypatch.setattr("petmjx.engines.subprocess.check_pool.outcome_checks", None)
-    assert check_pool.exchanged(sent, jobs, SIM, wait=False) == []
-    outcomes = dict(check_pool.exchanged([], [], SIM, wait=True))
+    assert lasting_pool.exchanged(sent, jobs, SIM, wait=False) == []
+    outcomes = dict(lasting_pool.exchanged([], [], SIM, wait=True))
     assert [(outcomes[0, job].state, outcomes[0, job].history) for job in range(2)] == [(here, here)] * 2
     if not driven:
         assert told([outcomes[0, job] for job in range(len(JOBS))]) == expected(raw)
@@ -143,8 +151,8 @@ def test_a_process_that_hangs_is_not_waited_for_without_end(
         os.kill(one, 0)
 
 
-def test_waiting_ends_when_there_is_something_else_to_do(check_pool: CheckPool[Any], raw: list[Outcome]) -> None:
-    stopped, answers = pids(check_pool), list[bool]()
+def test_waiting_ends_when_there_is_something_else_to_do(lasting_pool: CheckPool[Any], raw: list[Outcome]) -> None:
+    stopped, answers = pids(lasting_pool), list[bool]()
 
     def later() -> bool:
         answers.append(len(answers) > 2)
@@ -152,14 +160,14 @@ def test_waiting_ends_when_there_is_something_else_to_do(check_pool: CheckPool[A
 
     for pid in stopped:
         os.kill(pid, signal.SIGSTOP)
-    assert check_pool.exchanged(given(raw, 0), JOBS, SIM, wait=True, until=later) == []
+    assert lasting_pool.exchanged(given(raw, 0), JOBS, SIM, wait=True, until=later) == []
     assert answers[-1]
-    assert check_pool.exchanged([], [], SIM, wait=True, until=lambda: True) == []
+    assert lasting_pool.exchanged([], [], SIM, wait=True, until=lambda: True) == []
     for pid in stopped:
         os.kill(pid, signal.SIGCONT)
-    outcomes = dict(check_pool.exchanged([], [], SIM, wait=True, until=lambda: False))
+    outcomes = dict(lasting_pool.exchanged([], [], SIM, wait=True, until=lambda: False))
     assert told([outcomes[0, job] for job in range(len(JOBS))]) == expected(raw)
-    assert pids(check_pool) == stopped
+    assert pids(lasting_pool) == stopped
 
 
 @pytest.mark.parametrize("sent", [b"", pickle.dumps(range(9))[:-3], b"cno_such_module\nname\n.", b"\x80\x04]K\x01R."])

@@ -90,12 +90,19 @@ def test_what_is_wrong_with_plans_is_not_held_up(monkeypatch: pytest.MonkeyPatch
     _join_starts()
 
 
-def test_importing_the_engine_starts_no_device_of_jax() -> None:
+def test_importing_the_engine_starts_no_device_of_jax_and_waits_for_no_mjx() -> None:
     """While the engine is imported, another thread starts JAX's devices, in such a way that JAX leaves memory for Warp.
-    If the import came first, JAX would take three quarters of the GPU's memory. Here, JAX has no device to start."""
+    If the import came first, JAX would take three quarters of the GPU's memory. Here, JAX has no device to start.
+
+    The engine does not import ``mujoco.mjx``, since this import takes longer than everything else that a single plan
+    needs on a GPU."""
     pytest.importorskip("warp")
     environment = own_environment() | {"JAX_PLATFORMS": "none"}
-    code = "import petmjx.engines.warp.engine, jax; print('imported'); jax.devices()"
+    code = """
+import petmjx.engines.warp.engine, jax, sys
+print("imported", *{"mujoco.mjx", "trimesh"} & set(sys.modules))
+jax.devices()
+"""
     ended = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
     assert (ended.returncode, ended.stdout) == (1, "imported\n"), ended.stderr
     assert "Unable to initialize backend" in ended.stderr

@@ -130,12 +130,9 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> dict[str, petmjx.RunResul
 
 
 @pytest.mark.usefixtures("free_cluster")
-@pytest.mark.parametrize("kind", ["grid", "search"])
-def test_tables_are_those_of_a_run_without_workers(
-    kind: str, alone: dict[str, petmjx.RunResults], tmp_path: Path
-) -> None:
-    shared = run(kind, tmp_path, engine="mujoco", workers=2, threads=1)
-    assert_same(shared, tables(alone[kind]))
+def test_tables_are_those_of_a_run_without_workers(alone: dict[str, petmjx.RunResults], tmp_path: Path) -> None:
+    shared = run("grid", tmp_path, engine="mujoco", workers=2, threads=1)
+    assert_same(shared, tables(alone["grid"]))
     assert shared.info["config"]["engine_reason"] == "as asked for, in 2 workers"
     assert shared.info["device"].startswith("2 workers: ")
     assert shared.info["device"].endswith(", 1 thread")
@@ -193,6 +190,12 @@ def test_gpu_workers_give_the_tables_of_one_process(kind: str, tmp_path_factory:
     assert_same(shared, tables(alone))
 
 
+def test_a_search_in_workers_is_that_of_a_run_without_them(
+    pool: WorkerPool, alone: dict[str, petmjx.RunResults], tmp_path: Path
+) -> None:
+    assert_same(run("search", tmp_path, engine=pool), tables(alone["search"]))
+
+
 @pytest.mark.parametrize("least", [None, 1])
 def test_workers_that_are_killed_change_no_table(
     least: int | None,
@@ -201,9 +204,10 @@ def test_workers_that_are_killed_change_no_table(
     tmp_path_factory: pytest.TempPathFactory,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """``least``: if a number, jobs are dealt as to devices."""
+    """``least``: if a number, jobs are dealt as to devices. Worlds of the grid follow from others, those of a score do
+    not."""
     monkeypatch.setattr(pool_module, "LEAST", {} if least is None else {"mujoco": least})
-    for kind in ("score", "grid"):
+    for kind in ("score", "grid") if least is None else ("grid",):
         killer = Killer(pool, every=8 if least is None else 12)  # a world whose workers die three times would be blamed
         shared = run(kind, tmp_path_factory.mktemp("shared"), engine=pool, watcher=killer)
         assert killer.killed >= 1
