@@ -27,7 +27,7 @@ SAME_ACCELERATION = 1e-6
 SAME_FORCE_N = 1e-6
 SAME_DEPTH_M = 1e-9
 
-EVERY = 7
+EVERY = 17
 """Steps between two frames. Frames are at other steps than samples, looks for quiet boxes, and placements."""
 SIM = Simulation(physics="reference", schedule=Schedule.FIXED, interval_s=0.3, early_stop=False)
 FIRST_BOX = 3

@@ -365,7 +365,8 @@ def test_packers_are_compared_by_how_likely_their_plans_arrive(tmp_path: Path) -
     half = 4.302653 * gain.std() / np.sqrt(3)
     assert (pair["p_gain"], pair["p_gain_high"]) == pytest.approx((gain.mean(), gain.mean() + half))
     assert not compared.notes
-    other = petmjx.score([make_plan("o1", 1)], chain="chain-to-wrapper", confidence=4, engine="mujoco")
+    file = write_sweep(tmp_path, DRAWN + QUICK + legs(ship=PUSH))
+    other = petmjx.score([make_plan("o1", 1)], chain=file, engine="mujoco")
     notes = petmjx.compare_packers({"low": low, "other": other}).notes
     assert "other was not taken through the same chain as low" in notes
 

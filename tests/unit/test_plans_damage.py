@@ -175,7 +175,7 @@ def test_any_single_replacement_is_read_whole_or_refused(
 STRUCTURE = st.lists(st.sampled_from(['"', "{", "}", "[", "]", ",", ":", "\\", " ", "\n", '"x": ', "7"]), max_size=6)
 
 
-@settings(max_examples=500, deadline=None, derandomize=True)
+@settings(max_examples=250, deadline=None, derandomize=True)
 @given(
     which=st.integers(0, 2),
     plan=st.integers(0, N_PLANS - 1),

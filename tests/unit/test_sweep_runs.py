@@ -36,20 +36,21 @@ SOONEST, LATEST = 200 + 115, 200 + 250
 pallet rests."""
 
 
-def test_64_profiles_cost_one_placement_and_64_profiles_to_the_step(tmp_path: Path) -> None:
-    plan = SweepPlan(load_sweep(write_sweep(tmp_path, QUICK + EUMOS_GRID), plans_given=True), [leaning("a")])
+def test_32_profiles_cost_one_placement_and_32_profiles_to_the_step(tmp_path: Path) -> None:
+    grid = EUMOS_GRID.replace("from = 0.05, to = 0.8, step = 0.05", "from = 0.1, to = 0.8, step = 0.1")
+    plan = SweepPlan(load_sweep(write_sweep(tmp_path, QUICK + grid), plans_given=True), [leaning("a")])
     engine, progress = Recorder(2), Progress()
     run = SweepRun(plan, engine, progress=progress)
     worlds = list(run.worlds())
     (placements, _), (drives, _) = engine.batches
     assert [job.keep_state for job in placements] == [True]
-    assert len(drives) == len(worlds) == 64
+    assert len(drives) == len(worlds) == 32
     assert all(job.start is drives[0].start and job.start is not None for job in drives)
     (alone,) = MujocoEngine(1).run([Job(placements[0].scene, keep_state=True)], run.sim)
     steps = [world.outcome.n_steps for world in worlds]
     assert progress.world_steps == alone.n_steps + sum(steps)
     assert (run.tally.placements, run.tally.placement_steps) == (1, alone.n_steps)
-    assert (run.tally.drives, run.tally.drive_steps) == (64, sum(steps))
+    assert (run.tally.drives, run.tally.drive_steps) == (32, sum(steps))
     assert min(steps) == SOONEST
     assert LATEST in steps
     waited_for = [world.outcome for world in worlds if world.outcome.n_steps > LATEST]
@@ -57,7 +58,7 @@ def test_64_profiles_cost_one_placement_and_64_profiles_to_the_step(tmp_path: Pa
     # worlds with these reasons may still change until they rest
     assert {outcome.reason for outcome in waited_for} <= {Reason.NONE, Reason.SHIFT}
     assert not any(Flag.MOVING in outcome.flags for outcome in waited_for)
-    assert sorted(world.variant.index for world in worlds) == list(range(1, 65))
+    assert sorted(world.variant.index for world in worlds) == list(range(1, 33))
 
 
 MIXED = (
@@ -101,7 +102,7 @@ COARSE_SEARCH = SEARCH + "tolerance = 0.05\n"
 """A search with fewer tests, for tests of how a search finds its answer."""
 
 
-@pytest.mark.parametrize("text", [MIXED, COARSE_SEARCH], ids=["grid", "search"])
+@pytest.mark.parametrize("text", [MIXED, SEARCH + "tolerance = 0.2\n"], ids=["grid", "search"])
 def test_threads_order_and_batches_change_nothing(text: str, tmp_path: Path) -> None:
     file = write_sweep(tmp_path, text)
     plans = [leaning("stands", 2, 90.0), leaning("falls", 2, -380.0)]
@@ -109,7 +110,7 @@ def test_threads_order_and_batches_change_nothing(text: str, tmp_path: Path) -> 
     other = petmjx.sweep(
         file, plans[::-1], engine="mujoco", threads=3, batching=Batching(placements=2, worlds=5, drives=3)
     )
-    assert len(one.worlds) > 20
+    assert len(one.worlds) >= 18
     for mine, theirs in zip(sorted_tables(one), sorted_tables(other), strict=True):
         pd.testing.assert_frame_equal(mine, theirs, check_exact=True)
 

@@ -360,7 +360,7 @@ def test_damaged_parquet() -> None:
 
 
 @pytest.mark.filterwarnings("ignore::petmjx.PlanWarning")  # damaged numbers may look like other units
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_no_damage_ends_in_a_traceback(data: st.DataObject) -> None:
     text = bytearray("\n".join([HEADER, *(row(name, number) for name in "ABC" for number in (1, 2))]).encode())

@@ -64,7 +64,7 @@ def plan(**changes: Any) -> Any:
         "relabel": 1,
         "measured": 1,
         "fit_steps": 20,
-        "validate": 9,
+        "validate": 3,
         "judge": 0,
         "sigma": 0.2,
         "patience_s": 60.0,
