@@ -149,7 +149,6 @@ LONGEST_FIRST = (
     "test_open_worlds",
     "test_stackable_placements",
     "test_mjx_twin",
-    "test_dynamic_parity",
     "test_damaged_input",
     "test_mjx_warp",
     "test_warp_cpu",
