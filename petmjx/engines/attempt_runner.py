@@ -253,7 +253,7 @@ class AttemptRunner(Generic[AnyWorld]):
             if outcome.state is not None and not isinstance(outcome.state, KeptState):
                 outcome.state = KeptState(outcome.engine, outcome.state)
             records = (*records, Attempt.of(outcome, self.sim.physics.timestep_s))
-            if before is not None and outcome.reason is Reason.ITERATION_LIMIT:
+            if before is not None and outcome.reason is Reason.ITERATION_LIMIT:  # this attempt has shown nothing
                 outcome = before
             elif before is not None and self.attempt.checks:
                 outcome = self._checked(world, before, outcome)

@@ -280,7 +280,9 @@ class _Run:
         """If worlds used up their iterations, add a warning with their number."""
         if count := writer.counts.verdicts[Verdict.INVALID, Reason.ITERATION_LIMIT]:
             limit = f"iteration_limit={self.study.sim.iteration_limit}"
-            writer.warn(f"no verdict for {count_text(count, 'world')} with {limit}; a larger limit, or 0, allows more")
+            writer.warn(
+                f"no verdict for {count_text(count, 'world')} with {limit}; a larger limit, or none, allows more"
+            )
 
     def _interval_n(self, world: FinishedWorld) -> FloatArray | None:
         """(n, 2) the smallest and the largest possible force on the top of each box, N; None if intervals are not

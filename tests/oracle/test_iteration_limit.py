@@ -1,6 +1,8 @@
 """Tests of ``Simulation.iteration_limit``: a world that needs more iterations of the solver ends, without a verdict
-unless a box has failed for good. ``test_warp_rules.py`` compares this rule on random states, and ``test_continued_worlds.py``
-tests worlds that leave a GPU."""
+unless a box has failed for good.
+
+``test_warp_rules.py`` compares this rule on random states. ``test_continued_worlds.py`` tests worlds that leave a GPU.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,7 @@ def test_a_run_tells_which_worlds_used_up_their_iterations(engine: str, tmp_path
         assert results.info["config"]["simulation"]["iteration_limit"] == LIMIT
         assert results.info["counts"]["by_reason"]["invalid"] == {"iteration-limit": 1}
         (warning,) = [line for line in results.info["warnings"] if "iteration" in line]
-        assert warning == "no verdict for 1 world with iteration_limit=150; a larger limit, or 0, allows more"
+        assert warning == "no verdict for 1 world with iteration_limit=150; a larger limit, or none, allows more"
 
 
 def test_what_has_fallen_by_then_is_unstable() -> None:

@@ -305,7 +305,7 @@ class Rules:
     def _end_spent(self, state: State) -> State:
         """End the worlds that have used up their iterations (``Simulation.iteration_limit``), unless they end after
         this step anyway."""
-        if not self.sim.iteration_limit:
+        if self.sim.iteration_limit is None:
             return state
         spent = state.running & (state.iterations_done >= self.sim.iteration_limit)
         spent &= ~((state.step > 0) & (state.step >= state.end))

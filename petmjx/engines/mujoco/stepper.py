@@ -64,7 +64,7 @@ class Stepper:
                 self._restless = placed != live.n_placed or not _is_calm(live)
             last = min(end, number + self._poll_steps - (number - 1) % self._poll_steps)
             counts = metrics if self._looks and live.n_placed and (acts or self._restless) else None
-            if counts is None and not self._iteration_limit and (budget is None or not budget.slow):
+            if counts is None and self._iteration_limit is None and (budget is None or not budget.slow):
                 live.step(last - number)
                 number = last
                 continue
@@ -76,15 +76,12 @@ class Stepper:
                 if counts is not None:
                     self._look(live, number, rising, acts, counts)
                 number += 1
-                if self._iteration_limit and self._count_iterations(live):
-                    return number - first
+                if self._iteration_limit is not None:
+                    self._iterations += sum(live.data.solver_niter.tolist())
+                    self.is_spent = self._iterations >= self._iteration_limit
+                    if self.is_spent:
+                        return number - first
         return count
-
-    def _count_iterations(self, live: LiveWorld | SoftWorld) -> bool:
-        """Add the iterations of the last step. Returns whether the world has used up its iterations."""
-        self._iterations += sum(live.data.solver_niter.tolist())
-        self.is_spent = self._iterations >= self._iteration_limit
-        return self.is_spent
 
     def _look(
         self, live: LiveWorld | SoftWorld, number: int, rising: FloatArray, acts: bool, metrics: OracleMetrics
