@@ -9,20 +9,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 from support.fake_stepper import assert_same, run_all
 from support.plans import make_plan, stack
-from support.tiny_worlds import SHORT
 from support.worlds import boxes_by_plan
 
 import petmjx
 from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.protocol import Engine
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.options.simulation import MOST_ITERATIONS, Simulation
 from petmjx.world.history import Record
 from petmjx.world.job import Drive, Excitation, Job
 from petmjx.world.scene import build_scene
+
+pytest.importorskip("warp", reason="Warp is an extra")
+
+from support.tiny_worlds import SHORT, shared_engine
 
 LIMIT = 150
 """Limit that a pile of four boxes uses up before its last box is placed."""
@@ -40,15 +45,13 @@ def outcomes_on_mujoco(jobs: Sequence[Job], sim: Simulation) -> list[Outcome]:
 
 @pytest.mark.parametrize("engine", ["mujoco", "mjx-warp-cpu", pytest.param("mjx-jax", marks=pytest.mark.slow)])
 def test_a_run_tells_which_worlds_used_up_their_iterations(engine: str, tmp_path: Path) -> None:
-    if engine == "mjx-warp-cpu":
-        pytest.importorskip("warp", reason="Warp is an extra")
+    plans = [make_plan("pile", stack(4))]
     for resume in (False, True):
-        results = petmjx.score(
-            [make_plan("pile", stack(4))], engine=engine, iteration_limit=LIMIT, out=tmp_path, resume=resume
-        )
+        with jax.numpy_rank_promotion("allow"):  # MJX broadcasts as NumPy does
+            results = petmjx.score(plans, engine=engine, iteration_limit=LIMIT, out=tmp_path, resume=resume)
         (world,) = results.worlds.to_dict("records")
         assert (world["verdict"], world["reason"], world["flags"]) == ("invalid", "iteration-limit", 131072)
-        assert (world["n_placed"], world["attempt"]) == (3, 1)
+        assert (world["n_placed"], world["attempt"], world["engine"]) == (3, 1, engine)
         assert results.info["config"]["simulation"]["iteration_limit"] == LIMIT
         assert results.info["counts"]["by_reason"]["invalid"] == {"iteration-limit": 1}
         (warning,) = [line for line in results.info["warnings"] if "iteration" in line]
@@ -77,14 +80,15 @@ def test_a_limit_that_is_not_reached_changes_nothing() -> None:
         assert outcome.flags == plain.flags
 
 
-def test_a_drive_has_as_many_iterations_again() -> None:
+@pytest.mark.parametrize("name", ["mujoco", "mjx-warp"])
+def test_a_drive_has_as_many_iterations_again(name: str) -> None:
     """So it does not matter whether a drive directly follows its placement, or starts from a kept state."""
+    engine: Engine = MujocoEngine(1) if name == "mujoco" else shared_engine()
     scene = build_scene(make_plan("bridge", boxes_by_plan()["hand-bridge"]), SHORT)
-    (placement,) = outcomes_on_mujoco([Job(scene, keep_state=True)], SHORT)
     sim = SHORT.changed(iteration_limit=250)
-    (kept,) = outcomes_on_mujoco([Job(scene, keep_state=True)], sim)
-    assert (kept.verdict, kept.n_steps) == (placement.verdict, placement.n_steps)
-    directly, fork = outcomes_on_mujoco([Job(scene, PUSH), Job(scene, PUSH, start=kept.state)], sim)
+    (placement,) = run_all(engine, [Job(scene, keep_state=True)], sim)
+    assert placement.verdict is Verdict.STABLE
+    directly, fork = run_all(engine, [Job(scene, PUSH), Job(scene, PUSH, start=placement.state)], sim)
     assert directly.reason is fork.reason is Reason.ITERATION_LIMIT
     assert directly.n_steps == placement.n_steps + fork.n_steps
     assert fork.n_steps > 50
