@@ -374,6 +374,7 @@ REASONS: Final = {
     Reason.SINKING: "boxes sank into what bears them",
     Reason.FAILED: "the simulation failed",
     Reason.TIMEOUT: "the simulation took longer than its time limit",
+    Reason.ITERATION_LIMIT: "the simulation took more solver iterations than its limit",
     Reason.DROP: "{boxes} dropped",
     Reason.TILT: "a box tilted by more than {tilt:g}°",
     Reason.SHIFT: "a box shifted by more than {shift}",

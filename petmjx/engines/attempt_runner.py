@@ -15,7 +15,7 @@ from petmjx.engines.job_stream import JobStream
 from petmjx.engines.outcome_checks import MOST_TOGETHER, outcome_checks
 from petmjx.engines.protocol import Capability, Engine, Progress, StreamEngine
 from petmjx.engines.subprocess.check_pool import CheckPool
-from petmjx.engines.verdict import Attempt, Flag, Outcome
+from petmjx.engines.verdict import Attempt, Flag, Outcome, Reason
 from petmjx.engines.world_results import AnyWorld
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job, KeptState
@@ -253,7 +253,9 @@ class AttemptRunner(Generic[AnyWorld]):
             if outcome.state is not None and not isinstance(outcome.state, KeptState):
                 outcome.state = KeptState(outcome.engine, outcome.state)
             records = (*records, Attempt.of(outcome, self.sim.physics.timestep_s))
-            if self.attempt.checks and before is not None:
+            if before is not None and outcome.reason is Reason.ITERATION_LIMIT:  # this attempt has shown nothing
+                outcome = before
+            elif before is not None and self.attempt.checks:
                 outcome = self._checked(world, before, outcome)
             yield world, outcome, records
 

@@ -24,7 +24,7 @@ from petmjx.engines.job_stream import JobBounds, JobStream
 from petmjx.engines.protocol import GPU_WORLDS, Capability, Engine, Progress
 from petmjx.engines.subprocess.attempt_process import READY, AttemptAnswer, AttemptTask
 from petmjx.engines.subprocess.check_pool import LARGE, CheckPool
-from petmjx.engines.verdict import Verdict
+from petmjx.engines.verdict import Reason, Verdict
 from petmjx.engines.world_prefetch import PENDING_BOXES, PENDING_BOXES_GPU, WorldPrefetch
 from petmjx.engines.world_results import AnyWorld, WorldResult
 from petmjx.options.physics import Cone
@@ -273,7 +273,7 @@ class _AttemptRun(Generic[AnyWorld]):
         """
         world, outcome, records = pending
         next_attempt = None
-        if may_go_on(outcome, self.sim):
+        if may_go_on(outcome, self.sim) and records[-1].reason is not Reason.ITERATION_LIMIT:
             later = (recipe for recipe in self.attempts if recipe.number > records[-1].attempt)
             next_attempt = next((recipe for recipe in later if recipe.is_for(outcome, self.sim)), None)
         if next_attempt is None:

@@ -121,6 +121,8 @@ class AttemptRecipe:
             update["physics"] = sim.physics.model_copy(update={"timestep_s": sim.physics.timestep_s / factor})
             quiet = {name: getattr(sim.quiet, name) * factor for name in _COUNTED_IN_STEPS}
             update["quiet"] = sim.quiet.model_copy(update=quiet)
+            if sim.iteration_limit is not None:
+                update["iteration_limit"] = sim.iteration_limit * factor
         changed = sim.changed(**update) if update else sim
         return changed if self.stiff is None else stiffened(changed, self.stiff, self.timestep_divisor)
 

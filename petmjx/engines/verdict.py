@@ -36,6 +36,7 @@ class Reason(StrEnum):
     SINKING = "sinking"
     FAILED = "failed"
     TIMEOUT = "timeout"
+    ITERATION_LIMIT = "iteration-limit"
     DROP = "drop"
     TILT = "tilt"
     SHIFT = "shift"
@@ -77,6 +78,8 @@ class Flag(IntFlag):
     NOT_PLACED = 65536
     """A hand (the force that carries a box to its place) found no room for a box: it released the box farther than
     ``MISSED_M`` from its place (petmjx.world.hand), before any box had crossed a threshold."""
+    ITERATION_LIMIT = 131072
+    """The world used up its iterations (``Simulation.iteration_limit``) before any box had failed."""
 
 
 @dataclass(eq=False)
@@ -131,6 +134,7 @@ INVALID_FLAGS: Final = (
     (Flag.OUT_OF_MEMORY, Reason.OUT_OF_MEMORY),
     (Flag.EXPLOSION, Reason.EXPLOSION),
     (Flag.TIMEOUT, Reason.TIMEOUT),
+    (Flag.ITERATION_LIMIT, Reason.ITERATION_LIMIT),
 )
 """The flags that make a world invalid, each with its reason. If several flags are set, the first in this order
 decides."""

@@ -29,6 +29,8 @@ LONGEST_S: Final = 600.0
 ``LONGEST_INTERVAL_S`` as the limit, the number of steps of a simulation fits into 32 bits, even with the shortest
 timestep and 512 boxes."""
 MOST_STEPS: Final = 100_000
+MOST_ITERATIONS: Final = 1_000_000_000
+"""Largest ``iteration_limit``. Twice this number fits into 32 bits, for attempts with half the timestep."""
 
 SOFT_START_STEPS: Final = 100
 """Number of steps in each half of the soft start, which precedes a simulation's time 0. In the first half, there is no
@@ -274,6 +276,12 @@ class Simulation(CheckedRecord):
     )
     solver_iterations: Annotated[int | None, within(1, MOST_STEPS)] = Field(
         None, gt=0, description="largest number of solver iterations per step; none: the engine's own choice"
+    )
+    iteration_limit: Annotated[int | None, within(1, MOST_ITERATIONS), CliFlag("--iteration-limit", "N")] = Field(
+        None,
+        gt=0,
+        description="largest number of solver iterations of a world; a drive has as many again; a world that needs "
+        "more ends, without a verdict unless a box has dropped or tilted too far; none: no limit",
     )
     solver_tolerance: Annotated[float | None, within(0, 1)] = Field(
         None, gt=0, description="MuJoCo's opt.tolerance; none: the engine's own choice"

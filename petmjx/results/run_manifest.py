@@ -150,7 +150,7 @@ def _with_later_fields(simulation: Mapping[str, Any]) -> dict[str, Any]:
     """The options of a simulation from ``run.json``. Fields that earlier versions of petmjx did not write are added;
     each added field has the value that changes nothing."""
     walls = Walls().model_dump(mode="json")
-    later = {"walls": walls, **simulation}
+    later = {"walls": walls, "iteration_limit": None, **simulation}
     if isinstance(carrier := later.get("carrier"), Mapping):
         later["carrier"] = {"walls": walls, **carrier}
     pairs = later.get("friction_pairs", [])

@@ -231,6 +231,7 @@ class SimulationOptions(TypedDict, total=False):
     quiet: Quiet | QuietTable
     solver: Solver | SolverName
     solver_iterations: int | None
+    iteration_limit: int | None
     solver_tolerance: float | None
 
 

@@ -25,7 +25,7 @@ from petmjx.world.job import Drive, Excitation, Job
 pytest.importorskip("warp", reason="Warp is an extra")
 
 from support.fake_stepper import assert_same, run_all
-from support.tiny_worlds import SHORT, engine, shared_engine, tiny, tiny_scenes
+from support.tiny_worlds import SHORT, STEP_NS, engine, shared_engine, tiny, tiny_scenes
 
 from petmjx.engines.attempt_threads import AttemptThreads
 from petmjx.engines.mjx.world_constants import NEVER
@@ -39,6 +39,9 @@ from petmjx.options.simulation import Simulation
 
 LIMIT = 40
 """Number of steps after which worlds leave: before the last box of some is placed, after it in others."""
+
+ITERATIONS = 180
+"""Limit of iterations that some of the tiny worlds use up."""
 
 
 def leaving(monkeypatch: pytest.MonkeyPatch, simulator: AttemptSimulator) -> list[int]:
@@ -224,3 +227,19 @@ def test_no_world_leaves_whose_boxes_stand_or_fall_as_expected(sim: Simulation) 
         (steps,) = most_steps([Job(make_scene(n_boxes))], sim)
         assert steps > 1.2 * (60 + sim.quiet.steps * n_boxes) + rest
         assert steps > 650 + rest
+
+
+@pytest.mark.slow
+def test_iterations_are_counted_across_slices_and_engines(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A world that uses up its iterations ends after the same step, whichever worlds run beside it, however long slices
+    are, and whether it left the GPU."""
+    jobs = [*map(Job, tiny_scenes().values()), Job(tiny("hand-bridge"), push("force", 2.1))]
+    sim = SHORT.changed(iteration_limit=ITERATIONS)
+    expected = run_all(shared_engine(), jobs, sim)
+    ended = [outcome.n_steps for outcome in expected if Flag.ITERATION_LIMIT in outcome.flags]
+    assert 2 <= len(ended) < len(jobs)
+    assert min(ended) > LIMIT
+    assert_equal(run_all(shared_engine(), jobs[:0:-1], sim), expected[:0:-1])
+    steps = leaving(monkeypatch, AttemptThreads(1))
+    assert_equal(run_all(engine(slice_ns=STEP_NS), jobs, sim), expected)
+    assert len(steps) >= len(ended)

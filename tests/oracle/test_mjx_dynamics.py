@@ -93,7 +93,7 @@ def test_the_solver_finds_the_accelerations_and_forces_of_c() -> None:
         bodies = Bodies.of(device, inputs)
         rows = links.rows(bodies, device, contact)
         smooth = bodies.smooth(device, jnp.zeros((links.bodies, 6)))
-        qacc, force, _ = solver.solve(
+        qacc, force, *_ = solver.solve(
             Problem.of(device, bodies.mass, smooth, rows), rows.pull, inputs["qacc_warmstart"]
         )
         return qacc, force
@@ -126,17 +126,21 @@ class OneContact(BlockSolver):
         """The (1, 3) rows, which are the velocities themselves."""
         return velocity[None]
 
-    def solve(self, problem: Problem, pull: jax.Array, start: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """The accelerations, forces and residuals; the accelerations are the reference accelerations."""
-        return pull[0], jnp.zeros_like(pull), pull.at[:, 1].add(-self.SLOWS * pull[:, 0])
+    def solve(
+        self, problem: Problem, pull: jax.Array, start: jax.Array
+    ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+        """The accelerations, forces, residuals and iterations; the accelerations are the reference accelerations."""
+        return pull[0], jnp.zeros_like(pull), pull.at[:, 1].add(-self.SLOWS * pull[:, 0]), jnp.int32(1)
 
 
 class HalfWay(OneContact):
     """A solver that goes half of the way from its start, so that solving a world again changes its accelerations."""
 
-    def solve(self, problem: Problem, pull: jax.Array, start: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        accelerations, force, residual = super().solve(problem, pull, start)
-        return 0.5 * (accelerations + start), force, residual
+    def solve(
+        self, problem: Problem, pull: jax.Array, start: jax.Array
+    ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+        accelerations, force, residual, iterations = super().solve(problem, pull, start)
+        return 0.5 * (accelerations + start), force, residual, iterations
 
 
 @pytest.mark.parametrize("solver", [OneContact, HalfWay])

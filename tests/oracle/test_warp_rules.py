@@ -174,6 +174,9 @@ def random_worlds(sim: Simulation, rng: np.random.Generator) -> tuple[Worlds, St
 CONFIRM_STEPS = 20
 """Number of steps after the first sign from which the fall is confirmed in some worlds."""
 
+LIMIT = 1000
+"""Largest number of solver iterations of a world in one of the cases."""
+
 PER_BOX = "quiet_speed", "still_qpos", "trembles", "tremble_path", "tremble_away", "tremble_qpos"
 
 CASES = [
@@ -182,6 +185,7 @@ CASES = [
     {"check": Check.STATIC, "duration_s": 0.3},
     {"check": Check.STATIC, "duration_s": 0.3, "schedule": Schedule.FIXED},
     {"physics": "reference"},
+    {"iteration_limit": LIMIT},
 ]
 
 
@@ -196,6 +200,9 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
     top_force = jnp.asarray(rng.random((WORLDS, BOXES)), jnp.float32)
     # A world that goes astray has no finite numbers. Its carrier has a velocity that no real world has.
     astray, presses = rng.random(WORLDS) < 0.05, rng.random(WORLDS) < 0.5
+    counts = np.random.default_rng(6)
+    after = after._replace(iterations_done=jnp.asarray(counts.integers(0, LIMIT + LIMIT // 20, WORLDS, np.int32)))
+    iterations = counts.integers(0, 5, WORLDS, np.int32)  # of the last step
     after = after._replace(carrier_qvel=after.carrier_qvel.at[:, 2].set(jnp.where(astray, 1e12, 0.0)))
     expected = as_batched(sim, worlds, after, before, top_force, jnp.asarray(presses))
 
@@ -214,12 +221,14 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
         )
         flat = after.flat()
         flat["step"] = after.step - 1
+        flat["iterations_done"] = after.iterations_done - iterations
         flat_worlds = worlds._asdict() | {"profiles": np.zeros((1, 1, 3)), "order": np.zeros((1, 1))}
         state = device_record(world_arrays.State, flat)
         buffer = wp.zeros((world_arrays.buffer_rows(sizes), world_arrays.BUFFER_WORDS), dtype=float)
         work = filled_record(Workspace, world_arrays.in_buffer(buffer, sizes))
         work.qpos_before.assign(np.asarray(before.qpos))
         work.top_force.assign(np.asarray(top_force))
+        work.solver_niter.assign(iterations)
         inputs = [model, device_record(world_arrays.Worlds, flat_worlds), state, work]
         steps = np.asarray(after.step)
         samples = (steps > 0) & (steps % timetable.sample_every == 0)  # forces of samples count (world_loop.py)
@@ -261,7 +270,13 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
     assert (last & ~has_moved).any() == sim.waits_for_rest
     for flag in (Flag.EXPLOSION, Flag.NONFINITE, *((Flag.EARLY_STOP,) if sim.early_stop else ())):
         assert (fields["flags"] & int(flag)).any(), flag
-    stopped, dropped = fields["flags"] & int(Flag.EARLY_STOP) != 0, (fields["drop_step"] >= 0).any(axis=1)
+    over = (fields["iterations_done"] >= LIMIT) & (sim.iteration_limit is not None)
+    spent = fields["flags"] & int(Flag.ITERATION_LIMIT) != 0
+    assert spent.any() == (sim.iteration_limit is not None)
+    assert (fields["status"] == Status.FINISHED)[spent].all()
+    assert not spent[~over].any()
+    stopped = ~over & (fields["flags"] & int(Flag.EARLY_STOP) != 0)
+    dropped = (fields["drop_step"] >= 0).any(axis=1)
     lost, driven = stopped & ~dropped, np.asarray(after.driven_from) != NEVER
     by_culprit = driven & (np.asarray(after.metrics.culprit) >= 0)
     with_errors, confirms = np.asarray(worlds.ends_when_lost), np.asarray(worlds.confirm_steps) != NEVER

@@ -94,7 +94,8 @@ class FakeStepper(PaddedModel):
         pose = pose.at[:, -c:, 1].add(sways * ((age == 1.0).astype(jnp.float32) - (age == jnp.ceil(mass))))
         flat = (n, -1)
         still = jnp.zeros((n, 6 * k))
-        return StepResult(pose.reshape(flat), vel.reshape(flat), still, warm.reshape(flat), forces, age)
+        none = jnp.zeros(len(age), jnp.int32)
+        return StepResult(pose.reshape(flat), vel.reshape(flat), still, warm.reshape(flat), forces, age, none)
 
 
 class FakeEngine(MjxJaxEngine):

@@ -359,6 +359,7 @@ SINKING, EXPLOSION, NONE = Reason.SINKING, Reason.EXPLOSION, Reason.NONE
         ([Reason.FAILED, NONE], [1, 2]),
         ([Reason.TIMEOUT], [1]),
         ([EXPLOSION, Reason.TIMEOUT], [1, 2]),
+        ([Reason.ITERATION_LIMIT], [1]),
     ],
 )
 def test_attempts_are_for_what_went_wrong(reasons: list[Reason], attempts: list[int]) -> None:
@@ -368,6 +369,24 @@ def test_attempts_are_for_what_went_wrong(reasons: list[Reason], attempts: list[
     assert result.outcome.reason is reasons[-1]
     for sim, number in zip(engine.sims, attempts, strict=True):
         assert (sim.physics.solimp[1] > PHYSICS["pallet"].solimp[1]) == (number >= 6)
+
+
+@pytest.mark.parametrize(("first", "number"), [(SINKING, 6), (EXPLOSION, 2)])
+def test_an_attempt_without_enough_iterations_changes_nothing_and_is_the_last(first: Reason, number: int) -> None:
+    (result,) = score_worlds(worlds_failing(0), Simulation(), AnsweringEngine([first, Reason.ITERATION_LIMIT]))
+    assert [(record.attempt, record.reason) for record in result.attempts] == [
+        (1, first),
+        (number, Reason.ITERATION_LIMIT),
+    ]
+    assert (result.outcome.attempt, result.outcome.reason) == (1, first)
+    assert result.outcome.flags == (Flag.SINKING if first is SINKING else Flag.NONE)
+
+
+def test_half_a_timestep_has_twice_the_iterations() -> None:
+    limits = {
+        recipe.number: recipe.apply_to_sim(Simulation(iteration_limit=100)).iteration_limit for recipe in ATTEMPTS
+    }
+    assert limits == {1: 100, 2: 100, 3: 100, 4: 100, 5: 200, 6: 100, 7: 800, 8: 200, 9: 100}
 
 
 @pytest.mark.parametrize(("n_boxes", "asked"), [(12, {6, 7}), (13, {6}), (96, {6}), (97, set())])

@@ -133,6 +133,7 @@ def test_reasons_are_looked_at_in_their_order() -> None:
         (Flag.OUT_OF_MEMORY, Reason.OUT_OF_MEMORY),
         (Flag.EXPLOSION, Reason.EXPLOSION),
         (Flag.TIMEOUT, Reason.TIMEOUT),
+        (Flag.ITERATION_LIMIT, Reason.ITERATION_LIMIT),
     ]
     flags = ~Flag.NONE
     boxes = everything_wrong()

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import mujoco
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from petmjx.engines.mjx.bed import Beds, Faces
 from petmjx.engines.mjx.body_dynamics import Bodies, Links
@@ -26,7 +26,7 @@ class StepResult(NamedTuple):
     """The result of a step: MuJoCo's coordinates, and values for samples and for the next step.
 
     ``qacc_warmstart``: accelerations from which the solver starts in the next step; ``forces``: forces of all
-    constraints.
+    constraints; ``iterations``: number of the solver's iterations.
     """
 
     qpos: Float[Array, "world coordinate"]
@@ -35,6 +35,7 @@ class StepResult(NamedTuple):
     qacc_warmstart: Float[Array, "world velocity"]
     forces: Float[Array, "world constraint"]
     top_force: Float[Array, "world box"]
+    iterations: Int[Array, " world"]
     landing: Landing | None = None
 
 
@@ -102,11 +103,12 @@ class PaddedModel:
             return self._step_of_mjx(fields, inputs, forces)
         contact, height, bodies, problem, pull, landing = jax.vmap(self._ready)(fields, inputs, faces, landing)
         start = inputs["qacc_warmstart"]
-        qacc, force = self._slip.solve(problem, pull, start)
+        qacc, force, iterations = self._slip.solve(problem, pull, start)
         lost = ~jnp.isfinite(qacc).all(-1, keepdims=True)
         qacc, forces = jnp.where(lost, start, qacc), jnp.where(lost, forces, force.reshape(len(force), -1))
         qpos, qvel = jax.vmap(lambda bodies, qacc: bodies.after(qacc, self._sim.physics.timestep_s))(bodies, qacc)
-        return StepResult(qpos, qvel, qacc, qacc, forces, self._top_force(contact, height, forces), landing)
+        top_force = self._top_force(contact, height, forces)
+        return StepResult(qpos, qvel, qacc, qacc, forces, top_force, iterations, landing)
 
     def _ready(
         self, fields: dict[str, jax.Array], inputs: dict[str, jax.Array], faces: Faces | None, landing: Landing | None
@@ -144,7 +146,8 @@ class PaddedModel:
 
         data, forces = jax.vmap(stepped)(fields, inputs, forces)
         top_force = self._top_force(data._impl.contact, data.geom_xpos[..., 2], forces)
-        return StepResult(data.qpos, data.qvel, data.qacc, data.qacc_warmstart, forces, top_force)
+        iterations = data._impl.solver_niter.reshape(len(forces))
+        return StepResult(data.qpos, data.qvel, data.qacc, data.qacc_warmstart, forces, top_force, iterations)
 
     def _top_force(
         self, contact: Any, height: Float[Array, "world geom"], forces: Float[Array, "world constraint"]

@@ -189,8 +189,8 @@ class BlockSolver:
         pairs of each body"""
         self._couplings, self._layout = _couplings(links.sides, links.bodies)
 
-    def solve(self, problem: Problem, pull: Rows, start: Velocities) -> tuple[Velocities, Rows, Rows]:
-        """The accelerations, the contact forces (N), and the residuals J·a − pull (m/s²).
+    def solve(self, problem: Problem, pull: Rows, start: Velocities) -> tuple[Velocities, Rows, Rows, Int[Array, ""]]:
+        """The accelerations, the contact forces (N), the residuals J·a − pull (m/s²), and the number of iterations.
 
         Like MuJoCo's solver, this solver ends if the change of the cost or the gradient is below ``problem.least``, or
         after ``problem.iterations`` iterations.
@@ -216,7 +216,7 @@ class BlockSolver:
             return self._moved(problem, now, jnp.where(jnp.isfinite(direction).all(), direction, 0.0))
 
         end = jax.lax.while_loop(goes_on, improve, begin)
-        return end.qacc, end.force, end.residual
+        return end.qacc, end.force, end.residual, end.iterations
 
     def _begin(self, problem: Problem, pull: Rows, qacc: Velocities) -> _Iterate:
         residual = self.links.along(problem.jacobian, qacc) - pull

@@ -155,6 +155,7 @@ class BatchRollout:
             carrier_qacc=carrier_qacc,
             carrier_qacc_warmstart=carrier_qacc,
             step=state.step + state.running,
+            iterations_done=state.iterations_done + stepped.iterations * state.running,
         )
         presses = self._presses(before, worlds, jnp.maximum(seen_qacc[..., 2].max(-1), carrier_qacc[:, 2]))
         after = rules.after_step(state, worlds, seen_qpos, seen_qacc, stepped.top_force, presses)

@@ -158,6 +158,7 @@ class Rules:
             waits_since=jnp.where(begins, state.driven_from + worlds.profile_steps, state.waits_since),
             quiet_steps=jnp.where(begins, 0, state.quiet_steps),
             tremble_looks=jnp.where(begins, 0, state.tremble_looks),
+            iterations_done=jnp.where(begins, 0, state.iterations_done),
             metrics=metrics._replace(sway_anchor=anchor),
         )
 
@@ -206,6 +207,7 @@ class Rules:
             flags=state.flags | jnp.where(nonfinite, int(Flag.NONFINITE), 0),
             status=jnp.where(nonfinite, Status.FINISHED, state.status),
         )
+        state = self._end_spent(state)
         state = self._look_at_the_end(self._proceed(state, worlds), worlds)
         if self.carries:
             state = hand.carry_on(state, worlds, state.running & in_hand, self.sim)
@@ -298,6 +300,20 @@ class Rules:
             violent_since=violent_since,
             flags=state.flags | flags,
             status=jnp.where(stopped | exploded, Status.FINISHED, state.status),
+        )
+
+    def _end_spent(self, state: State) -> State:
+        """End the worlds that have used up their iterations (``Simulation.iteration_limit``), unless they end after
+        this step anyway."""
+        if self.sim.iteration_limit is None:
+            return state
+        spent = state.running & (state.iterations_done >= self.sim.iteration_limit)
+        spent &= ~((state.step > 0) & (state.step >= state.end))
+        failed = state.metrics.has_failed(self.sim.thresholds)
+        flags = jnp.where(failed, int(Flag.EARLY_STOP), int(Flag.ITERATION_LIMIT))
+        return state._replace(
+            flags=state.flags | jnp.where(spent, flags, 0),
+            status=jnp.where(spent, Status.FINISHED, state.status),
         )
 
     def count_quiet(

@@ -6,7 +6,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from petmjx.engines.mjx.body_dynamics import ContactRows, Rows, Velocities
 from petmjx.engines.mjx.newton import BlockSolver, Problem
@@ -24,10 +24,10 @@ class SlipLaw:
 
     def solve(
         self, problem: Problem, pull: Float[Array, "world contact 3"], start: Float[Array, "world velocity"]
-    ) -> tuple[Float[Array, "world velocity"], Float[Array, "world contact 3"]]:
-        """The accelerations and the contact forces (N). All worlds are solved again as long as contacts in any world
-        need another round. A world that needs no further round keeps its solution, so that its solution does not depend
-        on the other worlds.
+    ) -> tuple[Float[Array, "world velocity"], Float[Array, "world contact 3"], Int[Array, " world"]]:
+        """The accelerations, the contact forces (N), and the number of the solver's iterations. All worlds are solved
+        again as long as contacts in any world need another round. A world that needs no further round keeps its
+        solution, so that its solution does not depend on the other worlds.
 
         Args:
             problem, pull, start: see ``BlockSolver.solve``, for each world.
@@ -39,17 +39,18 @@ class SlipLaw:
             return (rounds == 0) | ((rounds <= MOST_ROUNDS) & needs_round.any())
 
         def again(carry: tuple[Any, ...]) -> tuple[Any, ...]:
-            rounds, needs_round, excess, start, force_before = carry
-            qacc, force, change, matters = jax.vmap(self._round)(problem, pull, start, excess, slides)
+            rounds, needs_round, excess, start, force_before, iterations = carry
+            qacc, force, change, matters, more = jax.vmap(self._round)(problem, pull, start, excess, slides)
             matters = matters & needs_round
             qacc = jnp.where(needs_round[:, None], qacc, start)
             force = jnp.where(needs_round[:, None, None], force, force_before)
             excess = jnp.where(matters[:, None], excess + RELAXATION * change, excess)
-            return rounds + 1, matters, excess, qacc, force
+            return rounds + 1, matters, excess, qacc, force, iterations + needs_round * more
 
-        first: tuple[Any, ...] = (jnp.int32(0), jnp.ones(len(start), bool), excess, start, jnp.zeros_like(pull))
-        *_, qacc, force = jax.lax.while_loop(goes_on, again, first)
-        return qacc, force
+        n, none = len(start), jnp.zeros(len(start), jnp.int32)
+        first: tuple[Any, ...] = (jnp.int32(0), jnp.ones(n, bool), excess, start, jnp.zeros_like(pull), none)
+        *_, qacc, force, iterations = jax.lax.while_loop(goes_on, again, first)
+        return qacc, force, iterations
 
     def with_friction(self, rows: ContactRows, velocity: Velocities) -> ContactRows:
         """One world's rows, with the friction of sliding contacts reduced."""
@@ -66,14 +67,14 @@ class SlipLaw:
         start: Velocities,
         excess: Float[Array, " contact"],
         slides: Bool[Array, " contact"],
-    ) -> tuple[Velocities, Rows, Float[Array, " contact"], Bool[Array, ""]]:
+    ) -> tuple[Velocities, Rows, Float[Array, " contact"], Bool[Array, ""], Int[Array, ""]]:
         """Accelerations and forces of one world for this excess (petmjx/world/contact_laws.py); the resulting change of
-        the excess, m/s²; and whether another round is needed."""
+        the excess, m/s²; whether another round is needed; and the number of iterations."""
         friction = problem.sliding[:, 0]
-        qacc, force, residual = self._solver.solve(problem, pull.at[:, 0].add(-friction * excess), start)
+        qacc, force, residual, iterations = self._solver.solve(problem, pull.at[:, 0].add(-friction * excess), start)
         dragged = _tangent(force / problem.stiffness)
         change = jnp.where(slides, jnp.maximum(_tangent(residual) - dragged - self._slack, 0.0) - excess, 0.0)
-        return qacc, force, change, (friction * jnp.abs(change)).max() > ENOUGH_M_S2
+        return qacc, force, change, (friction * jnp.abs(change)).max() > ENOUGH_M_S2, iterations
 
     def _begin(
         self, problem: Problem, pull: Rows, start: Velocities

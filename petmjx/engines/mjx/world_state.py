@@ -103,9 +103,11 @@ class State(NamedTuple):
     still_qpos: Float[Array, "world box 7"]
     status: Int[Array, " world"]
 
-    # For the outcome: bits of Flag, the number of steps simulated in this run of jobs, and the metrics.
+    # For the outcome: bits of Flag, the number of steps simulated in this run of jobs, the number of iterations of the
+    # solver since the beginning of the placement or of the drive, and the metrics.
     flags: Int[Array, " world"]
     steps_done: Int[Array, " world"]
+    iterations_done: Int[Array, " world"]
     metrics: Metrics
 
     # Force on top of each box in the last step before the world paused, N.
@@ -228,6 +230,7 @@ def fresh_state(worlds: Worlds, *, all_placed: bool, ends: Int[Array, " world"],
         status=ints,
         flags=ints,
         steps_done=ints,
+        iterations_done=ints,
         metrics=no_metrics(n, width),
         top_force=zeros,
     )

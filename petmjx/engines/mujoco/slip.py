@@ -123,10 +123,11 @@ class SlipLaw:
 
         excess: FloatArray = np.minimum(excess_at(data.qacc_warmstart, 0.0), reference - self._slack)
         force, share = data.efc_force, np.full(len(normal), FIRST_SHARE)
-        last = np.zeros(len(normal))
+        last, iterations = np.zeros(len(normal)), 0
         for rounds in range(MOST_ROUNDS + 1):
             aref[normal] = before - friction * excess
             mujoco.mj_fwdConstraint(model, data)
+            iterations += int(data.solver_niter[0])  # with elliptic cones, there is one island
             if rounds == MOST_ROUNDS:
                 break
             change = excess_at(data.qacc, lag * np.hypot(force[one], force[two])) - excess
@@ -136,3 +137,4 @@ class SlipLaw:
             excess += share * change
             last = change
             data.qacc_warmstart[:] = data.qacc
+        data.solver_niter[0] = iterations  # of all rounds

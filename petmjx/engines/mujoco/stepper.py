@@ -1,4 +1,5 @@
-"""Takes the steps of a world on C MuJoCo: many at a time, or one by one if the forces in each step are needed."""
+"""Takes the steps of a world on C MuJoCo: many at a time, or one by one if the forces or the iterations of each step
+are needed."""
 
 from __future__ import annotations
 
@@ -26,17 +27,26 @@ class Stepper:
         sim: the options, which determine when the rules check whether the pallet is quiet. The largest forces include
             the forces in the steps of these checks.
         budget: the time budget of the world. If ``budget`` is None, there is no limit.
+
+    Attributes:
+        is_spent: whether the world has used up its iterations (``Simulation.iteration_limit``).
     """
 
     def __init__(self, sim: Simulation, budget: Budget | None) -> None:
         self._looks, self._poll_steps = sim.waits_for_rest, sim.quiet.poll_steps
         self._budget = budget
         self._placed, self._restless = 0, True
+        self._iteration_limit, self._iterations, self.is_spent = sim.iteration_limit, 0, False
+
+    def restart_iterations(self) -> None:
+        """Count the iterations of the solver from 0 on."""
+        self._iterations, self.is_spent = 0, False
 
     def take(
         self, live: LiveWorld | SoftWorld, first: int, count: int, metrics: OracleMetrics | None, acts: bool
     ) -> int:
-        """Take ``count`` steps. Returns the number of steps taken, which is smaller if the time is up.
+        """Take ``count`` steps. Returns the number of steps taken, which is smaller if the time is up or the iterations
+        are used up.
 
         Args:
             first: number of the first step.
@@ -54,7 +64,7 @@ class Stepper:
                 self._restless = placed != live.n_placed or not _is_calm(live)
             last = min(end, number + self._poll_steps - (number - 1) % self._poll_steps)
             counts = metrics if self._looks and live.n_placed and (acts or self._restless) else None
-            if counts is None and (budget is None or not budget.slow):
+            if counts is None and self._iteration_limit is None and (budget is None or not budget.slow):
                 live.step(last - number)
                 number = last
                 continue
@@ -66,6 +76,11 @@ class Stepper:
                 if counts is not None:
                     self._look(live, number, rising, acts, counts)
                 number += 1
+                if self._iteration_limit is not None:
+                    self._iterations += sum(live.data.solver_niter.tolist())
+                    self.is_spent = self._iterations >= self._iteration_limit
+                    if self.is_spent:
+                        return number - first
         return count
 
     def _look(

@@ -119,7 +119,7 @@ class WorldRun:
         return self._outcome(came_to_end=begun and self._loop())
 
     def _start(self) -> bool:
-        """Simulate the soft start. Returns False if the world's time is up before the end of the soft start."""
+        """Simulate the soft start. Returns False if the world's time or iterations are used up before its end."""
         kind = LiveWorld if self._scene.soft is None else SoftWorld
         self._live = kind(self._scene, self._sim, self._scene.n_boxes * self._static, templates=self._templates)
         self._metrics = OracleMetrics(self._scene, self._sim.thresholds, self._sim.physics.gravity_m_s2)
@@ -131,10 +131,10 @@ class WorldRun:
     def _soft_start(self) -> bool:
         live = self._live
         live.set_gravity(np.zeros(3))
-        begun = self._take_steps(SOFT_START_STEPS) == SOFT_START_STEPS
+        begun = self._take_steps(SOFT_START_STEPS) == SOFT_START_STEPS and not self._is_spent()
         for k in range(SOFT_START_STEPS):
             live.set_gravity(self._down * (k / SOFT_START_STEPS))
-            begun = begun and self._take_steps(1) == 1
+            begun = begun and self._take_steps(1) == 1 and not self._is_spent()
         live.set_gravity(self._down)
         live.data.time = 0.0
         self._begun = True
@@ -169,6 +169,8 @@ class WorldRun:
                 return False
             if self._recorder is not None and self._recorder.is_due(self._step):
                 self._recorder.look(self._step, self._live)
+            if self._step < self._end and self._is_spent():
+                return False
             self._transition()
             if self._step == self._end:
                 self._look_at_the_end()
@@ -176,23 +178,34 @@ class WorldRun:
 
     def _go_to(self, target: int) -> None:
         """Simulate up to the next event, and record the frames that are due before it. The simulation stops earlier if
-        the world's time is up."""
+        the world's time or iterations are used up."""
         recorder = self._recorder
         while recorder is not None and (frame := recorder.next_after(self._step)) < target:
             count = frame - self._step
             self._step += (n_steps := self._take_steps(count))
-            if n_steps < count:
+            if n_steps < count or self._is_spent():
                 return
             recorder.look(self._step, self._live)
         self._step += self._take_steps(target - self._step)
 
     def _take_steps(self, count: int) -> int:
-        """Take ``count`` steps. Returns the number of steps taken, which is smaller if the world's time is up."""
+        """Take ``count`` steps. Returns the number of steps taken, which is smaller if the world's time or iterations
+        are used up."""
         acts = self._drive is not None and self._drive.acts(self._step)
         n_steps = self._stepper.take(self._live, self._step + 1, count, self._metrics if self._begun else None, acts)
-        if n_steps < count:
-            self._flags |= Flag.EARLY_STOP if self._begun and self._metrics.has_failed else Flag.TIMEOUT
+        if n_steps < count and not self._is_spent():
+            self._flags |= self._flag_of_end(Flag.TIMEOUT)
         return n_steps
+
+    def _is_spent(self) -> bool:
+        """Whether the world has used up its iterations. If so, the world gets a flag."""
+        if self._stepper.is_spent:
+            self._flags |= self._flag_of_end(Flag.ITERATION_LIMIT)
+        return self._stepper.is_spent
+
+    def _flag_of_end(self, flag: Flag) -> Flag:
+        """The flag of a world that must end now: ``flag``, or ``EARLY_STOP`` if a box has failed for good."""
+        return Flag.EARLY_STOP if self._begun and self._metrics.has_failed else flag
 
     # ------------------------------------------------------------------ events
 
@@ -390,6 +403,7 @@ class WorldRun:
 
     def _begin_drive(self, drive: Drive) -> None:
         self._waiting, self._quiet = False, QuietRule(self._sim, self._scene)
+        self._stepper.restart_iterations()
         last_sample = self._step + len(drive.excitation.samples)
         rest_steps = seconds_to_steps(drive.rest_s, self._dt)
         self._waits.drive_end = last_sample + rest_steps

@@ -35,6 +35,7 @@ _NO_RULES: Final[dict[str, Any]] = {
     "waits_for_rest": 0,
     "extends": 0,
     "early_stop": 0,
+    "iteration_limit": NEVER,
     "sample_every": NEVER,
 }
 """Constants of the kernels with which a driven world continues to its last step, whatever happens to its boxes."""

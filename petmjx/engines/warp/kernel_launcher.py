@@ -101,6 +101,7 @@ class KernelLauncher:
         kinds, shapes = array_types(Counts), world_arrays.array_shapes(Counts, {"queue": len(self.pools)})
         counts = {name: jnp.zeros(shapes[name], wp.dtype_to_numpy(kind.dtype)) for name, kind in kinds.items()}
         arrays = {**worlds, **state, **counts, "workspace": workspace}
+        assert len(arrays) == len(worlds) + len(state) + len(counts) + 1, "arrays of two records have the same name"
         arrays |= {_of_frames(name): values for name, values in frames.items()}
         call = wp.jax_callable(
             _launch,

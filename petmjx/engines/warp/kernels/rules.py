@@ -38,6 +38,7 @@ LEFT = wp.constant(batch_state.Status.LEFT)
 NONFINITE = wp.constant(int(Flag.NONFINITE))
 EXPLOSION = wp.constant(int(Flag.EXPLOSION))
 EARLY_STOP = wp.constant(int(Flag.EARLY_STOP))
+ITERATION_LIMIT = wp.constant(int(Flag.ITERATION_LIMIT))
 MOVING = wp.constant(int(Flag.MOVING))
 NOT_PLACED = wp.constant(int(Flag.NOT_PLACED))
 CARRIER = wp.constant(history.CARRIER)
@@ -229,6 +230,7 @@ def after_step(
     quiet_steps = state.quiet_steps[world]
     looks = state.tremble_looks[world]
     sign_step = state.sign_step[world]
+    iterations = state.iterations_done[world] + work.solver_niter[at.block]
     driven = state.driven_from[world] != NEVER
     counted = step > 0 and not nonfinite
     sample = counted and step % model.sample_every == 0
@@ -279,7 +281,9 @@ def after_step(
             lost = lost or is_gone(model, worlds, state, world, box)
         lost = any_of_all(lost)
     stopped = lost and model.early_stop != 0 and not last
-    finished = stopped or exploded or nonfinite
+    # a world that ends after this step anyway did not end because of its iterations
+    spent = iterations >= model.iteration_limit and not (last or stopped or exploded or nonfinite)
+    finished = stopped or exploded or nonfinite or spent
     if signs:
         sign_step = step
     more = at.placed < n_boxes and not driven
@@ -289,6 +293,8 @@ def after_step(
     in_drive = driven and rests_first and end != NEVER and step <= end - 2 * model.rest_steps
     goes = bool(False)
     failed = bool(False)
+    if spent:
+        failed = has_failed(model, at, culprit, state)
     if not finished and step > 0 and at.carried == 0 and (more or end == NEVER or in_drive):
         waited = step - state.waits_since[world]
         failed = has_failed(model, at, culprit, state)
@@ -345,6 +351,7 @@ def after_step(
     if at.thread == 0:
         state.step[world] = step
         state.steps_done[world] = state.steps_done[world] + wp.where(step > 0, 1, 0)
+        state.iterations_done[world] = iterations
         state.rest_samples[world] = wp.where(again, 0, state.rest_samples[world] + wp.where(resting, 1, 0))
         state.violent_since[world] = violent_since
         state.quiet_steps[world] = wp.where(again, 0, quiet_steps)
@@ -360,7 +367,8 @@ def after_step(
         flags = state.flags[world]
         flags = flags | wp.where(nonfinite, NONFINITE, 0)
         flags = flags | wp.where(exploded, EXPLOSION, 0)
-        flags = flags | wp.where(stopped, EARLY_STOP, 0)
+        flags = flags | wp.where(stopped or (spent and failed), EARLY_STOP, 0)
+        flags = flags | wp.where(spent and not failed, ITERATION_LIMIT, 0)
         flags = flags | wp.where(moving, MOVING, 0)
         state.flags[world] = flags
         if finished:
