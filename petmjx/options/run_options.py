@@ -106,9 +106,10 @@ def _is_path(value: Any) -> Any:
 File = Annotated[Path, BeforeValidator(_is_path)]
 """The type of options whose value is a path."""
 
-Anchor = Literal["corner", "centre", "base-centre", "far-corner", "top-centre"]
+Anchor = Literal["corner", "centre", "base-centre", "far-corner", "top-centre", "corner-x", "corner-y", "corner-xy"]
 """The point of a box to which the coordinates in a plan refer. ``far-corner`` is the corner with the largest x, y and
-z. ``top-centre`` is the middle of the top, where a robot's suction gripper holds the box."""
+z. ``top-centre`` is the middle of the top, where a robot's suction gripper holds the box. ``corner-x``, ``corner-y``
+and ``corner-xy`` are the corners of the base with the largest x, the largest y, and both."""
 
 
 READING: Final = ("units", "anchor", "up", "sizes", "columns", "density", "items", "reading")
@@ -218,8 +219,9 @@ class RunOptions(CheckedRecord):
     anchor: Annotated[Anchor | None, CliFlag("--anchor", "POINT", default=f"corner; {_OR_BY_FILE}")] = Field(
         None,
         description="point of a box that coordinates in the plans describe: corner, the one with the smallest x, y "
-        "and z; centre; base-centre, the centre of its base; far-corner, the one with the largest x, y and z; or "
-        "top-centre, the centre of its top",
+        "and z; centre; base-centre, the centre of its base; far-corner, the one with the largest x, y and z; "
+        "top-centre, the centre of its top; or corner-x, corner-y, corner-xy, the corners of the base with the largest "
+        "x, the largest y, and both",
     )
     up: Annotated[Literal["x", "y", "z"] | None, CliFlag("--up", "x|y|z", default=_BY_FILE)] = Field(
         None, description="the vertical axis of files of other tools"

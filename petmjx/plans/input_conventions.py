@@ -21,6 +21,9 @@ ANCHORS: Final[Mapping[str, tuple[float, float, float]]] = {
     "base-centre": (0.5, 0.5, 0.0),
     "far-corner": (1.0, 1.0, 1.0),
     "top-centre": (0.5, 0.5, 1.0),
+    "corner-x": (1.0, 0.0, 0.0),
+    "corner-y": (0.0, 1.0, 0.0),
+    "corner-xy": (1.0, 1.0, 0.0),
 }
 """Name of a point of a box → its offset from the front-left-bottom corner, as shares of the box's extents."""
 

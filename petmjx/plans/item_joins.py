@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -131,7 +131,7 @@ def with_items_of(best: BoxSource, items: BoxSource, name: str, by_number: bool 
         added = [index for index in added if other.header[index].upper() == "WEIGHT"]
     header = (*table.header, *(other.header[index] for index in added))
     cells = [
-        (*row, *(None if item is None else other.rows[item][index] for index in added))
+        (*row, *(None if item is None else _with_point(other, item, index) for index in added))
         for row, item in zip(table.rows, rows, strict=True)
     ]
     joined = replace(table, header=header, rows=cells)
@@ -154,11 +154,19 @@ def _with_weights_of(best: BoxSource, items: BoxSource) -> BoxSource | None:
         return None
     header = (*table.header, *(other.header[index] for index in weights))
     cells = [
-        (*row, *(None if item is None else other.rows[item][index] for index in weights))
+        (*row, *(None if item is None else _with_point(other, item, index) for index in weights))
         for row, item in zip(table.rows, rows, strict=True)
     ]
     joined = replace(best.boxes, table=replace(table, header=header, rows=cells))
     return replace(best, boxes=joined, notes=(*best.notes, f"weights from {items.boxes.path or 'the other table'}"))
+
+
+def _with_point(table: RawTable, row: int, index: int) -> Any:
+    """A cell of a table. If numbers of the table have a decimal comma, its number, as the other table may have decimal
+    points."""
+    cell = table.rows[row][index]
+    number = cell_number(cell, ",") if table.decimal == "," else None
+    return cell if number is None or number.unit else number.value
 
 
 def _sorted_sizes(table: RawTable) -> list[list[float]]:
@@ -166,7 +174,7 @@ def _sorted_sizes(table: RawTable) -> list[list[float]]:
     indices = [
         index for index, meaning in enumerate(column_meanings(table.header)) if meaning and meaning.kind == "size"
     ]
-    numbers = [[cell_number(row[index]) for index in indices] for row in table.rows]
+    numbers = [[cell_number(row[index], table.decimal) for index in indices] for row in table.rows]
     return [sorted(number.value for number in row if number is not None) for row in numbers]
 
 
@@ -182,9 +190,11 @@ def _rows_by_number(table: RawTable, other: RawTable) -> list[int | None] | None
         index = None if number is None or not 0 <= number.value < len(other.rows) else int(number.value)
         rows.append(index)
         if index is not None:
-            one = sorted(number.value for name in ("LX", "LY", "LZ") if (number := cell_number(row[upper[name]])))
-            two = sorted(
-                number.value for name in "XYZ" if (number := cell_number(other.rows[index][item_columns[name]]))
+            sides = ([row[upper[name]] for name in ("LX", "LY", "LZ")], table.decimal)
+            of_item = ([other.rows[index][item_columns[name]] for name in "XYZ"], other.decimal)
+            one, two = (
+                sorted(number.value for cell in cells if (number := cell_number(cell, decimal)))
+                for cells, decimal in (sides, of_item)
             )
             alike += len(one) == len(two) and bool(np.allclose(one, two))
     return rows if alike >= _MATCHED * max(len(table.rows), 1) else None

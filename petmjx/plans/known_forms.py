@@ -84,13 +84,17 @@ _OWN_NAMES: Final = frozenset(("plan_id", "sequence", "article", "orientation"))
 """Further columns of petmjx's tables. Tables of other tools may have the same names for sizes and coordinates."""
 OWN: Final = KnownForm("petmjx's table", "mm", "kg", "corner", "z", "item", "swap")
 BED_BPP: Final = KnownForm("BED-BPP", anchor="corner", up="z", sizes="item", rule="swap")
+_OF_CERTIFICATE: Final = frozenset(("type", "id", "bin", "lx", "ly", "lz"))
+"""Columns of packingsolver's certificate."""
 ARRAY: Final = KnownForm("an array of numbers", anchor="corner", up="z")
 POSES: Final = KnownForm("poses", up="z")
 
 
 def with_known_form(boxes: BoxList, kind: str = "JSON") -> BoxSource:
     """A list of boxes with the form that the names of its fields imply. Rows of totals are removed."""
-    boxes, up = _by_pallet_rows(_without_totals(with_pose_column(boxes)))
+    boxes, up = _without_totals(with_pose_column(boxes)), ""
+    if not _OF_CERTIFICATE <= {name.lower() for name in boxes.table.header}:
+        boxes, up = _by_pallet_rows(boxes)
     source = _with_form_of_names(boxes, kind)
     return replace(source, form=replace(source.form, up=up)) if up and not source.form.up else source
 
@@ -99,7 +103,7 @@ def _with_form_of_names(boxes: BoxList, kind: str) -> BoxSource:
     names = {name.lower() for name in boxes.table.header}
     plain = {re.sub(r"[^a-z0-9]", "", name) for name in names}
     around = {str(name).lower() for name in boxes.around}
-    if {"type", "id", "bin", "lx", "ly", "lz"} <= names:
+    if _OF_CERTIFICATE <= names:
         return _certificate(boxes)
     if any(name.startswith("x'") or name.endswith("x'") for name in names):
         return _of_d_wave(boxes)
@@ -298,13 +302,6 @@ def _certificate(boxes: BoxList) -> BoxSource:
 def _of_d_wave(boxes: BoxList) -> BoxSource:
     """The boxes in the solution of D-Wave's example. The bins in such a file stand one behind the other along x, so the
     boxes of each bin are moved to x = 0."""
-    dashes = re.compile(r"^[-=]{2,}$")
-    box_lines = [
-        index
-        for index, row in enumerate(boxes.table.rows)
-        if not all(cell is None or dashes.match(str(cell)) for cell in row)
-    ]
-    boxes = rows_of(boxes, box_lines)
     table = boxes.table
     x = next((index for index, name in enumerate(table.header) if name.strip().lower() == "x"), None)
     bins = next((index for index, name in enumerate(table.header) if name.lower().startswith("bin")), None)

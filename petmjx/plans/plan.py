@@ -152,8 +152,7 @@ class Plan:
             mass_kg: (n,) masses, kg, instead of weights.
             units: unit of all these lengths (mm, cm, m, in or ft) and unit of all masses (kg, g, lb or t), such as
                 "cm,g".
-            anchor: the point of a box that the coordinates describe: ``corner``, ``centre``, ``base-centre``,
-                ``far-corner`` or ``top-centre``.
+            anchor: the point of a box that the coordinates describe, as in ``load_plans``.
             columns: further fields as lists of n values.
 
         Raises:

@@ -201,16 +201,21 @@ def _outside(
     return corner, 0.0, "given"
 
 
-def are_centres(layout: Layout, mm: float, *, far: bool = False) -> bool:
-    """Whether the near corners of boxes in a layout are probably the centres of their bases, with z or y upwards.
+_POINTS: Final = ((0.0, 0.0), (0.5, 0.5), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0))
+"""Points of a box's base that coordinates may describe, as shares of its extents."""
 
-    Two conditions must hold. Read as centres, the load begins at a corner of the deck, or is symmetric to the origin,
-    along both horizontal axes. Read as corners, it does neither. The origin may be a corner of the deck, or the middle
-    of a deck.
+
+def are_other_points(layout: Layout, mm: float, point: Sequence[float]) -> bool:
+    """Whether coordinates that were read as those of a certain corner of each box are probably those of the centre or
+    of another corner, with z or y upwards.
+
+    Two conditions must hold. Read as another point, the load begins at a corner of the deck, or is symmetric to the
+    origin, along both horizontal axes. Read as the given corner, it does neither. The origin may be a corner of the
+    deck, or the middle of a deck.
 
     Args:
         mm: millimetres of a unit of the layout.
-        far: whether the question is about the far corners and the centres of tops instead.
+        point: the corner as which coordinates were read, as shares of the extents along x, y and z.
     """
     tolerance = _tolerance_of(layout)
     decks = [(long / mm, short / mm) for long, short in _DECKS_MM[:_PALLETS]]
@@ -219,16 +224,14 @@ def are_centres(layout: Layout, mm: float, *, far: bool = False) -> bool:
         decks = [(0.0, 0.0), (float(layout.container[0]), float(layout.container[1]))]
     for level in ((0, 1), (0, 2)):
         low, size = layout.low[:, level], layout.size[:, level]
-        extents = [
-            (begin.min(axis=0), (begin + size).max(axis=0))
-            for begin in (low, low + size / 2 if far else low - size / 2)
-        ]
-        as_corners, as_centres = (
+        others = [low + size * (np.array(point)[list(level)] - other) for other in _POINTS]
+        extents = [(begin.min(axis=0), (begin + size).max(axis=0)) for begin in (low, *others)]
+        as_corners, *as_others = (
             bool(np.abs(begin + end).max() <= tolerance)
             or any(float(np.abs(begin + np.array(deck) / 2).max()) <= tolerance for deck in decks)
             for begin, end in extents
         )
-        if as_centres and not as_corners:
+        if any(as_others) and not as_corners:
             return True
     return False
 
@@ -246,6 +249,19 @@ def rises_sideways(layout: Layout) -> bool:
     steps, tolerance = np.diff(layout.low, axis=0), _tolerance_of(layout)
     never_back, forward = np.all(steps >= -tolerance, axis=0), np.any(steps > tolerance, axis=0)
     return bool((never_back & forward)[:2].any() and not never_back[2])
+
+
+def is_wall(layout: Layout) -> bool:
+    """Whether boxes stand in one vertical plane, side by side and on several levels. A load is rarely one box deep, so
+    such boxes are probably a flat layer along another vertical axis."""
+    spread, tolerance = np.ptp(layout.low, axis=0), _tolerance_of(layout)
+    is_flat = spread <= tolerance
+    is_deep = layout.container < 2 * layout.size.max(axis=0)
+    return len(layout.low) >= _LEAST_OF_WALL and not is_flat[2] and bool((is_flat & ~is_deep)[:2].sum() == 1)
+
+
+_LEAST_OF_WALL: Final = 4
+"""Fewest boxes of a wall. Fewer boxes may be a bridge, which people build to try a simulator."""
 
 
 def same_layouts(one: Sequence[Layout], other: Sequence[Layout]) -> bool:

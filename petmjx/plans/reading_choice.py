@@ -15,14 +15,16 @@ from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.column_extraction import LAST_CELLS
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS
+from petmjx.plans.input_conventions import ANCHORS
 from petmjx.plans.plan_fields import FARTHEST_MM
 from petmjx.plans.plausibility import (
     Layout,
-    are_centres,
+    are_other_points,
     begins_half_a_box_along_y,
     converted_share,
     deck_cost,
     density_cost,
+    is_wall,
     layout_cost,
     load_fit,
     rises_sideways,
@@ -52,12 +54,15 @@ _UNUSUAL: Final = 1.0
 """A reading is unusual if its prior exceeds the smallest prior by at least this value. An unusual reading that is also
 weak wins only if every other layout costs at least twice as much: the right reading may be one that is not tried."""
 _SHIFTED: Final = 3.6
-"""Cost of a reading with coordinates of corners if they are probably those of centres (``are_centres``). A reading with
+"""Cost of a reading with coordinates of corners if they are probably those of other points (``are_other_points``). A reading with
 coordinates of centres costs half as much if they are perhaps those of tops (``begins_half_a_box_along_y``), since only
 one axis shows this."""
 _ON_SIDE: Final = 1.0
 """Cost of a reading in which boxes are listed from one side to the other, but not from the ground up: the axis of these
 sides may be the vertical. The cost is that of y upwards in a file that does not name the vertical."""
+_OF_WALL: Final = 2.0
+"""Cost of a reading in which boxes form a wall (``is_wall``). If y is as likely to be the vertical as z, and there are
+not few boxes, the reading as a flat layer wins; else the vertical is asked for."""
 _MOST_BOXES: Final = 400
 _MOST_PLANS: Final = 12
 """Largest number of boxes, and largest number of plans, that are used to judge readings. The chosen reading applies to
@@ -182,11 +187,10 @@ def _order_cost(judged: _Judged, mm: float) -> float:
         mm: millimetres of a unit of the layouts.
     """
     anchor = judged.candidate.anchor
-    shifted = anchor in ("corner", "far-corner") and all(
-        are_centres(layout, mm, far=anchor == "far-corner") for layout in judged.layouts
-    )
+    shifted = "corner" in anchor and all(are_other_points(layout, mm, ANCHORS[anchor]) for layout in judged.layouts)
     are_tops = anchor == "centre" and all(map(begins_half_a_box_along_y, judged.layouts))
-    return _SHIFTED * (shifted + 0.5 * are_tops) + _ON_SIDE * all(map(rises_sideways, judged.layouts))
+    sideways = _ON_SIDE * all(map(rises_sideways, judged.layouts)) + _OF_WALL * all(map(is_wall, judged.layouts))
+    return _SHIFTED * (shifted + 0.5 * are_tops) + sideways
 
 
 def _units(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[_Units]:

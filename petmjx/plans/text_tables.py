@@ -191,8 +191,8 @@ def _plain_fields(text: str, delimiter: str) -> Iterator[list[str]]:
         raise NoBoxes(f"is no table: {error}") from error
 
 
-_RULE: Final = re.compile(r"^[\s|+:]*[-=_]{2,}(?:[\s|+:]+[-=_]{2,})+[\s|+:]*$")
-"""A line of dashes below a header, as in printed tables."""
+_RULE: Final = re.compile(r"^(?=.*[-=_]{2})[\s|+:]*[-=_]+(?:[\s|+:]+[-=_]+)+[\s|+:]*$")
+"""A line of dashes below a header, as in printed tables. Below a narrow column, there is only one dash."""
 
 
 def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
@@ -202,7 +202,7 @@ def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
     """
     rule = next((index for index, line in enumerate(lines) if _RULE.match(line)), None)
     if rule is not None:
-        spans = [match.span() for match in re.finditer(r"[-=_]{2,}", lines[rule])]
+        spans = [match.span() for match in re.finditer(r"[-=_]+", lines[rule])]
         above = next((count for count in range(rule) if not lines[rule - 1 - count].strip()), rule)
         head = rule - (above if above <= _MOST_HEADER_LINES else 1)
         for index, line in enumerate(lines):
