@@ -21,7 +21,7 @@ from petmjx.options.carriers import Board, OwnCarrier
 from petmjx.options.materials import FrictionPair, LandingPair
 from petmjx.options.physics import CUSTOM, PHYSICS, Physics
 from petmjx.options.placing import Placing
-from petmjx.options.run_options import AUTO, Confidence, RunOptions, Transport
+from petmjx.options.run_options import AUTO, Anchor, Confidence, RunOptions, Transport
 from petmjx.options.simulation import Quiet, Simulation, Thresholds
 from petmjx.options.walls import Walls
 from petmjx.options.wrap import Wrap
@@ -108,7 +108,7 @@ class Written:
             for argument in arguments:
                 yield from self.members(argument)
         elif origin is Literal:
-            yield literal(arguments)
+            yield "AnchorName" if arguments == get_args(Anchor) else literal(arguments)
         elif origin is tuple:
             entries = [self.text(entry) for entry in arguments if entry is not Ellipsis]
             yield f"tuple[{', '.join(entries)}{', ...' if Ellipsis in arguments else ''}]"
@@ -167,6 +167,7 @@ def option_types() -> str:
     aliases = [
         alias("EngineName", [AUTO, *ENGINES]),
         alias("PhysicsName", PHYSICS),
+        alias("AnchorName", get_args(Anchor)),
         *(alias(f"{name}Name", [str(member.value) for member in kind]) for name, kind in sorted(written.enums.items())),
     ]
     return HEAD + "".join(imports) + "\n" + "".join(aliases) + "".join(tables) + TAIL

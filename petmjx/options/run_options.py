@@ -106,10 +106,13 @@ def _is_path(value: Any) -> Any:
 File = Annotated[Path, BeforeValidator(_is_path)]
 """The type of options whose value is a path."""
 
-Anchor = Literal["corner", "centre", "base-centre", "far-corner", "top-centre", "corner-x", "corner-y", "corner-xy"]
+Anchor = Literal[
+    "corner", "centre", "base-centre", "far-corner", "top-centre",
+    "corner-x", "corner-y", "corner-xy", "corner-z", "corner-xz", "corner-yz",
+]  # fmt: skip
 """The point of a box to which the coordinates in a plan refer. ``far-corner`` is the corner with the largest x, y and
-z. ``top-centre`` is the middle of the top, where a robot's suction gripper holds the box. ``corner-x``, ``corner-y``
-and ``corner-xy`` are the corners of the base with the largest x, the largest y, and both."""
+z. ``top-centre`` is the middle of the top, where a robot's suction gripper holds the box. ``corner-x`` is the corner
+with the largest x and the smallest y and z, and so on."""
 
 
 READING: Final = ("units", "anchor", "up", "sizes", "columns", "density", "items", "reading")
@@ -220,8 +223,8 @@ class RunOptions(CheckedRecord):
         None,
         description="point of a box that coordinates in the plans describe: corner, the one with the smallest x, y "
         "and z; centre; base-centre, the centre of its base; far-corner, the one with the largest x, y and z; "
-        "top-centre, the centre of its top; or corner-x, corner-y, corner-xy, the corners of the base with the largest "
-        "x, the largest y, and both",
+        "top-centre, the centre of its top; or corner-x, corner-xy and the like, the one with the largest x, or x "
+        "and y, and else the smallest coordinates",
     )
     up: Annotated[Literal["x", "y", "z"] | None, CliFlag("--up", "x|y|z", default=_BY_FILE)] = Field(
         None, description="the vertical axis of files of other tools"

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from petmjx.common.errors import InputError
 from petmjx.common.file_kinds import foreign_kind, program_kind
@@ -49,7 +49,7 @@ def sources_of_bytes(data: bytes | bytearray, path: Path | None = None) -> list[
         if (kind := foreign_kind(data)) is not None and "ZIP" in kind:
             raise InputError(kind)
         return sources_of_tables(*read_raw_tables(data))
-    text = decoded_text(data)[0].lstrip("\ufeff")
+    text = _FIRST_COMMENTS.sub(_blank, decoded_text(data)[0].lstrip("\ufeff"))
     if (fault := nul_fault(text)) is not None:
         raise InputError(fault)
     start = text.lstrip("\ufeff \t\r\n")
@@ -59,7 +59,7 @@ def sources_of_bytes(data: bytes | bytearray, path: Path | None = None) -> list[
         return _sources_of_markup(start)
     if start[:1] in ("{", "[") and not re.match(r"\[+\s*[A-Za-z]", start):
         try:
-            value = decoded_json(text)
+            value = _decoded_json(text)
         except InputError:
             if (python_value := python_values(start)) is None:
                 if (sources := _sources_of_document(text, path) or _sources_of_printed(text)) is None:
@@ -72,12 +72,11 @@ def sources_of_bytes(data: bytes | bytearray, path: Path | None = None) -> list[
             return [source_of_gltf(value)]
         if isinstance(value, dict) and value.get("type") == "FeatureCollection" and "features" in value:
             raise InputError("is a map (GeoJSON): petmjx looks for boxes with places and three sizes")
-        sources = [with_named_units(with_known_form(boxes)) for boxes in box_lists(value)]
-        if not sources:
+        if not (sources := _sources_of_value(value, "JSON")):
             raise NoBoxes("holds no box" if value == [] else "has no list of boxes: objects with places and sizes")
         return sources
     values = python_values(start) if is_printed_object(start) else None
-    if sources := [with_named_units(with_known_form(boxes, "Python's text")) for boxes in box_lists(values)]:
+    if sources := _sources_of_value(values, "Python's text"):
         return sources
     if (kind := foreign_kind(data)) is not None:
         raise NoBoxes(kind)
@@ -88,6 +87,37 @@ def sources_of_bytes(data: bytes | bytearray, path: Path | None = None) -> list[
     if (sources := _sources_of_printed(text)) is not None:
         return sources
     return _sources_of_document(text, path) or sources_of_tables(*read_raw_tables(data))
+
+
+_FIRST_COMMENTS: Final = re.compile(r"\A(?:\s|(?://|;)[^\n]*|/\*.*?\*/)++(?=[{\[])", re.DOTALL)
+"""Comments above a value of JSON5, JavaScript or EDN."""
+_COMMENT: Final = re.compile(r'("(?:\\.|[^"\\\n])*+")|//[^\n]*+|/\*.*?(?:\*/|\Z)', re.DOTALL)
+_LAST_COMMA: Final = re.compile(r'("(?:\\.|[^"\\\n])*+")|,(?=\s*+[}\]])')
+"""A text in quotation marks, which is kept; or a comment, and a comma behind the last value of a list or object."""
+
+
+def _blank(match: re.Match[str]) -> str:
+    """What replaces a comment, so that messages name the right line and column."""
+    return match[1] if match.re.groups and match[1] else re.sub(r"[^\n]", " ", match[0])
+
+
+def _decoded_json(text: str) -> Any:
+    """The value of JSON, also of JSON with comments and with commas behind last values.
+
+    Raises:
+        InputError: the text is damaged.
+    """
+    try:
+        return decoded_json(text)
+    except InputError:
+        if (plain := _LAST_COMMA.sub(_blank, _COMMENT.sub(_blank, text))) == text:
+            raise
+    return decoded_json(plain)
+
+
+def _sources_of_value(value: Any, kind: str) -> list[BoxSource]:
+    """The lists of boxes in a nested value. ``kind``: kind of the file, in words."""
+    return [with_named_units(with_known_form(boxes, kind)) for boxes in box_lists(value)]
 
 
 def _sources_of_document(text: str, path: Path | None) -> list[BoxSource] | None:
@@ -104,8 +134,7 @@ def _sources_of_document(text: str, path: Path | None) -> list[BoxSource] | None
         if name != "TOML" or (value := values_of_blocks(text)) is None:
             raise
         name = "INI"
-    sources = [with_named_units(with_known_form(boxes, name)) for boxes in box_lists(value)]
-    if not sources:
+    if not (sources := _sources_of_value(value, name)):
         raise NoGeometry(f"is {name} without a list of boxes: petmjx looks for objects with places and sizes")
     return sources
 
@@ -120,7 +149,7 @@ def _sources_of_printed(text: str) -> list[BoxSource] | None:
     value = values_of_lines(text) if value is None else value
     if value is None and nested_format(text, None) != "TOML":
         value = values_of_blocks(text)
-    return [with_named_units(with_known_form(boxes, "printed text")) for boxes in box_lists(value)] or None
+    return _sources_of_value(value, "printed text") or None
 
 
 def _sources_of_markup(text: str) -> list[BoxSource]:
@@ -133,12 +162,11 @@ def _sources_of_markup(text: str) -> list[BoxSource]:
     if re.search(r"<table[\s>]", text, re.IGNORECASE) and re.search(r"<t[dh][\s>]", text, re.IGNORECASE):
         return sources_of_tables(tables_of_page(text), "a web page (HTML)")
     try:
-        lists = box_lists(value_of_xml(text))
+        if sources := _sources_of_value(value_of_xml(text), "XML"):
+            return sources
     except InputError:
-        lists = []
-    if not lists:
-        raise NoBoxes(kind)
-    return [with_named_units(with_known_form(boxes, "XML")) for boxes in lists]
+        pass
+    raise NoBoxes(kind)
 
 
 def sources_of_tables(raw_tables: Sequence[RawTable], kind: str) -> list[BoxSource]:

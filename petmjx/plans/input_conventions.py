@@ -24,6 +24,9 @@ ANCHORS: Final[Mapping[str, tuple[float, float, float]]] = {
     "corner-x": (1.0, 0.0, 0.0),
     "corner-y": (0.0, 1.0, 0.0),
     "corner-xy": (1.0, 1.0, 0.0),
+    "corner-z": (0.0, 0.0, 1.0),
+    "corner-xz": (1.0, 0.0, 1.0),
+    "corner-yz": (0.0, 1.0, 1.0),
 }
 """Name of a point of a box → its offset from the front-left-bottom corner, as shares of the box's extents."""
 

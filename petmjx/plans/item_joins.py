@@ -129,14 +129,7 @@ def with_items_of(best: BoxSource, items: BoxSource, name: str, by_number: bool 
     added = [index for index, column in enumerate(other.header) if column not in table.header]
     if by_number:
         added = [index for index in added if other.header[index].upper() == "WEIGHT"]
-    header = (*table.header, *(other.header[index] for index in added))
-    cells = [
-        (*row, *(None if item is None else _with_point(other, item, index) for index in added))
-        for row, item in zip(table.rows, rows, strict=True)
-    ]
-    joined = replace(table, header=header, rows=cells)
-    note = f"sizes and weights from {name}" if not by_number else f"weights from {name}"
-    return replace(best, boxes=replace(best.boxes, table=joined), notes=(*best.notes, note))
+    return _with_columns(best, other, rows, added, f"{'' if by_number else 'sizes and '}weights from {name}")
 
 
 def _with_weights_of(best: BoxSource, items: BoxSource) -> BoxSource | None:
@@ -152,21 +145,31 @@ def _with_weights_of(best: BoxSource, items: BoxSource) -> BoxSource | None:
     alike = sum(len(a) == len(b) and bool(np.allclose(a, b)) for a, b in pairs)
     if alike < _MATCHED * len(rows):
         return None
-    header = (*table.header, *(other.header[index] for index in weights))
+    return _with_columns(best, other, rows, weights, f"weights from {items.boxes.path or 'the other table'}")
+
+
+def _with_columns(
+    best: BoxSource, other: RawTable, rows: Sequence[int | None], added: Sequence[int], note: str
+) -> BoxSource:
+    """Boxes with columns of a table of items added.
+
+    Args:
+        rows: for each box, the row of its item.
+        added: indices of the columns.
+    """
+
+    def cell(row: int, index: int) -> Any:
+        number = cell_number(other.rows[row][index], ",") if other.decimal == "," else None
+        return other.rows[row][index] if number is None or number.unit else number.value  # boxes may have points
+
+    table = best.boxes.table
+    header = (*table.header, *(other.header[index] for index in added))
     cells = [
-        (*row, *(None if item is None else _with_point(other, item, index) for index in weights))
-        for row, item in zip(table.rows, rows, strict=True)
+        (*box, *(None if item is None else cell(item, index) for index in added))
+        for box, item in zip(table.rows, rows, strict=True)
     ]
-    joined = replace(best.boxes, table=replace(table, header=header, rows=cells))
-    return replace(best, boxes=joined, notes=(*best.notes, f"weights from {items.boxes.path or 'the other table'}"))
-
-
-def _with_point(table: RawTable, row: int, index: int) -> Any:
-    """A cell of a table. If numbers of the table have a decimal comma, its number, as the other table may have decimal
-    points."""
-    cell = table.rows[row][index]
-    number = cell_number(cell, ",") if table.decimal == "," else None
-    return cell if number is None or number.unit else number.value
+    joined = replace(table, header=header, rows=cells)
+    return replace(best, boxes=replace(best.boxes, table=joined), notes=(*best.notes, note))
 
 
 def _sorted_sizes(table: RawTable) -> list[list[float]]:

@@ -93,7 +93,7 @@ POSES: Final = KnownForm("poses", up="z")
 def with_known_form(boxes: BoxList, kind: str = "JSON") -> BoxSource:
     """A list of boxes with the form that the names of its fields imply. Rows of totals are removed."""
     boxes, up = _without_totals(with_pose_column(boxes)), ""
-    if not _OF_CERTIFICATE <= {name.lower() for name in boxes.table.header}:
+    if not {name.lower() for name in boxes.table.header} >= _OF_CERTIFICATE:
         boxes, up = _by_pallet_rows(boxes)
     source = _with_form_of_names(boxes, kind)
     return replace(source, form=replace(source.form, up=up)) if up and not source.form.up else source
@@ -103,7 +103,7 @@ def _with_form_of_names(boxes: BoxList, kind: str) -> BoxSource:
     names = {name.lower() for name in boxes.table.header}
     plain = {re.sub(r"[^a-z0-9]", "", name) for name in names}
     around = {str(name).lower() for name in boxes.around}
-    if _OF_CERTIFICATE <= names:
+    if names >= _OF_CERTIFICATE:
         return _certificate(boxes)
     if any(name.startswith("x'") or name.endswith("x'") for name in names):
         return _of_d_wave(boxes)

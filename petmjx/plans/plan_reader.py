@@ -105,9 +105,8 @@ def load_plans(
         units: unit of lengths (mm, cm, m, in or ft) and unit of masses (kg, g, lb or t) in the plans, such as "cm,g";
             None: mm and kg, or for files of other tools the most plausible units.
         anchor: the point of a box that the plans' coordinates describe: ``corner`` (front-left-bottom), ``centre``,
-            ``base-centre``, ``far-corner`` (with the largest x, y and z), ``top-centre``, or ``corner-x``, ``corner-y``,
-            ``corner-xy`` (of the base, with the largest x, y, or both); None: the corner, or for files of other tools
-            the most plausible point.
+            ``base-centre``, ``far-corner`` (with the largest x, y and z), ``top-centre``, ``corner-x`` (with the
+            largest x only) and the like; None: the corner, or for files of other tools the most plausible point.
         up: the vertical axis in files of other tools; None: the most plausible axis. ``up`` and all arguments after it
             apply only to files of other tools.
         sizes: ``placed``: sizes of boxes as placed; ``item``: sizes before boxes are turned.

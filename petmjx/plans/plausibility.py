@@ -252,12 +252,12 @@ def rises_sideways(layout: Layout) -> bool:
 
 
 def is_wall(layout: Layout) -> bool:
-    """Whether boxes stand in one vertical plane, side by side and on several levels. A load is rarely one box deep, so
-    such boxes are probably a flat layer along another vertical axis."""
-    spread, tolerance = np.ptp(layout.low, axis=0), _tolerance_of(layout)
-    is_flat = spread <= tolerance
-    is_deep = layout.container < 2 * layout.size.max(axis=0)
-    return len(layout.low) >= _LEAST_OF_WALL and not is_flat[2] and bool((is_flat & ~is_deep)[:2].sum() == 1)
+    """Whether boxes stand in one vertical plane, side by side and on several levels. A load is rarely one box deep and
+    much wider, so such boxes are probably a flat layer along another vertical axis."""
+    is_flat = np.ptp(layout.low, axis=0) <= _tolerance_of(layout)
+    extent = (layout.low + layout.size).max(axis=0) - layout.low.min(axis=0)
+    is_narrow = 3 * float(extent[:2].min()) <= float(extent[:2].max())
+    return len(layout.low) >= _LEAST_OF_WALL and not is_flat[2] and is_narrow and bool(is_flat[:2].sum() == 1)
 
 
 _LEAST_OF_WALL: Final = 4

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Final
 
@@ -22,7 +22,7 @@ from petmjx.plans.header_and_total_rows import distinct_names
 from petmjx.plans.known_forms import PY3DBP, BoxSource, with_known_form
 from petmjx.plans.nested_json import JsonLines, box_lists
 from petmjx.plans.numpy_arrays import sources_of_arrays
-from petmjx.plans.raw_cells import cell_number, decimal_of
+from petmjx.plans.raw_cells import decimal_of
 from petmjx.plans.raw_tables import BoxList, RawTable, not_placed
 
 _MOST_PRINTED: Final = 8 << 20
@@ -187,9 +187,8 @@ def sources_of_object(value: Any) -> list[BoxSource]:
     """
     if isinstance(value, np.ndarray):
         return sources_of_arrays({"": value})
-    bins = _bins_of(value)
-    if bins:
-        return [_of_bins(bins)]
+    if bins := _bins_of(value):
+        value = {"bins": [_value_of_bin(holder) for holder in bins]}
     if isinstance(value, Mapping) and value and all(isinstance(inner, np.ndarray) for inner in value.values()):
         return sources_of_arrays(value)
     sources = [with_known_form(boxes, "Python values") for boxes in box_lists(value)]
@@ -254,28 +253,14 @@ def _bins_of(value: Any) -> list[Any]:
     return []
 
 
-def _of_bins(bins: Sequence[Any]) -> BoxSource:
-    rows, places, parts = [], [], []
-    containers: dict[str, Mapping[str, float]] = {}
-    left = 0
-    for number, holder in enumerate(bins, start=1):
-        name = str(getattr(holder, "name", None) or getattr(holder, "partno", None) or number)
-        part = name if len(bins) == 1 or name not in containers else f"{name} ({number})"
-        containers[part] = {axis: float(getattr(holder, axis)) for axis in ("width", "height", "depth")}
-        left += len(getattr(holder, "unfitted_items", None) or ())
-        for index, item in enumerate(holder.items):
-            position = list(item.position)
-            label = getattr(item, "name", None) or getattr(item, "partno", None) or ""
-            cells = (item.width, item.height, item.depth, getattr(item, "weight", None), *position, item.rotation_type)
-            rows.append((str(label), *(cell_triple_value(cell) for cell in cells)))
-            places.append(f"bin {name}, item {index}")
-            parts.append(part)
-    table = RawTable(PY3DBP_COLUMNS, rows, places)
-    boxes = BoxList(table, "", tuple(parts), containers, not_placed(left))
-    return BoxSource(boxes, replace(PY3DBP, name="py3dbp's objects"))
+def _value_of_bin(holder: Any) -> dict[str, Any]:
+    """One of py3dbp's bins as a nested value."""
+    items = [
+        {name: vars(item)[name] for name in _ITEM_FIELDS if name in vars(item)} | {"position": [*item.position]}
+        for item in holder.items
+    ]
+    of_bin = {name: vars(holder)[name] for name in _ITEM_FIELDS if name in vars(holder)}
+    return {**of_bin, "items": items, "unfitted_items": [vars(item) for item in vars(holder).get("unfitted_items", ())]}
 
 
-def cell_triple_value(value: Any) -> Any:
-    """A number of a Python object as a float. Other values are returned unchanged."""
-    number = cell_number(value)
-    return value if number is None else number.value
+_ITEM_FIELDS: Final = ("name", "partno", "width", "height", "depth", "weight", "rotation_type")

@@ -26,10 +26,12 @@ _SIX: Final = np.array([(0, 1, 2), (1, 0, 2), (1, 2, 0), (2, 1, 0), (2, 0, 1), (
 _PERMUTATIONS: Final = np.array(list(permutations(range(3))))
 """Number of a permutation of the three sizes → which of the sizes lies along each axis. The permutations are numbered
 in alphabetical order, as in files of other programs: 0 is XYZ, 1 is XZY, and so on (``ROTATION_RULES``)."""
-_ANCHOR_PRIOR: Final = {
-    "corner": 0.0, "centre": 1.0, "base-centre": 1.8, "far-corner": 2.5, "top-centre": 3.0,
-    "corner-x": 3.0, "corner-y": 3.0, "corner-xy": 3.0,
-}  # fmt: skip
+_ANCHOR_PRIOR: Final = dict.fromkeys(ANCHORS, 3.0) | {
+    "corner": 0.0,
+    "centre": 1.0,
+    "base-centre": 1.8,
+    "far-corner": 2.5,
+}
 _GUESSED_TURNS: Final = 2.0
 """Cost of a reading in which a column of unknown meaning has rotations."""
 _FIRM: Final = 3.0

@@ -54,9 +54,9 @@ _UNUSUAL: Final = 1.0
 """A reading is unusual if its prior exceeds the smallest prior by at least this value. An unusual reading that is also
 weak wins only if every other layout costs at least twice as much: the right reading may be one that is not tried."""
 _SHIFTED: Final = 3.6
-"""Cost of a reading with coordinates of corners if they are probably those of other points (``are_other_points``). A reading with
-coordinates of centres costs half as much if they are perhaps those of tops (``begins_half_a_box_along_y``), since only
-one axis shows this."""
+"""Cost of a reading with coordinates of corners if they are probably those of other points (``are_other_points``). A
+reading with coordinates of centres costs half as much if they are perhaps those of tops
+(``begins_half_a_box_along_y``), since only one axis shows this."""
 _ON_SIDE: Final = 1.0
 """Cost of a reading in which boxes are listed from one side to the other, but not from the ground up: the axis of these
 sides may be the vertical. The cost is that of y upwards in a file that does not name the vertical."""
@@ -151,10 +151,10 @@ def _are_positive(geometry: Geometry) -> NDArray[np.bool_]:
 
 
 def container_of(containers: Mapping[str, Mapping[str, float]], name: str) -> Mapping[str, float]:
-    """The container of a plan: the plan's own container, else the file's container, else None."""
-    return (
-        containers.get(name) or containers.get("") or (next(iter(containers.values())) if len(containers) == 1 else {})
-    )
+    """The container of a plan: the plan's own container, else the file's container, else an empty one. The name of a
+    plan may be the file's name and that of the container: "plans/2"."""
+    own = containers.get(name) or containers.get(name.rpartition("/")[2]) or containers.get("")
+    return own or (next(iter(containers.values())) if len(containers) == 1 else {})
 
 
 def _judge(columns: BoxColumns, wishes: Wishes, candidate: Candidate, sample: _Sample) -> _Judged:
@@ -189,7 +189,7 @@ def _order_cost(judged: _Judged, mm: float) -> float:
     anchor = judged.candidate.anchor
     shifted = "corner" in anchor and all(are_other_points(layout, mm, ANCHORS[anchor]) for layout in judged.layouts)
     are_tops = anchor == "centre" and all(map(begins_half_a_box_along_y, judged.layouts))
-    sideways = _ON_SIDE * all(map(rises_sideways, judged.layouts)) + _OF_WALL * all(map(is_wall, judged.layouts))
+    sideways = _ON_SIDE * all(map(rises_sideways, judged.layouts)) + _OF_WALL * any(map(is_wall, judged.layouts))
     return _SHIFTED * (shifted + 0.5 * are_tops) + sideways
 
 
@@ -369,7 +369,8 @@ def _likely_units(best: _Judged, wishes: Wishes) -> list[_Units]:
         if most and equal != [first.length]:
             other_units = [unit for unit in equal if unit != first.length]
             is_converted = _are_converted(best, first.length, other_units)
-            rivals = [] if is_converted else [cheapest[unit] for unit in other_units]
+            likely = [cheapest[unit] for unit in other_units if cheapest[unit].cost < first.cost + WEAK_LEAD]
+            rivals = [] if is_converted else likely
         elif most > 1:
             rivals = []  # the load fills a pallet only if lengths are in this unit
     if not rivals and LENGTH_UNITS[first.length] == LENGTH_UNITS["in"]:

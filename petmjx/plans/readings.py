@@ -170,9 +170,9 @@ _ANCHOR_WORDS: Final = {
     "base-centre": "centres of bases",
     "far-corner": "far corners",
     "top-centre": "centres of tops",
-    "corner-x": "corners with the largest x",
-    "corner-y": "corners with the largest y",
-    "corner-xy": "corners with the largest x and y",
+    **{
+        f"corner-{axes}": f"corners with the largest {' and '.join(axes)}" for axes in ("x", "y", "xy", "z", "xz", "yz")
+    },
 }
 
 

@@ -28,6 +28,8 @@ _DEEPEST: Final = 50
 _SIZES: Final = ("size_x", "size_y", "size_z")
 
 
+_EMPTY: Final = re.compile(r"""\s(mass|density|size|pos|quat|euler)\s{0,9}=\s{0,9}(?:"\s{0,9}"|'\s{0,9}')""")
+"""An attribute without a value."""
 _NO_BOX: Final = re.compile(r"pallet|palette|carrier|floor|ground|table|deck|wall|robot|gripper", re.IGNORECASE)
 """Words in the names of bodies and meshes. A body or mesh with such a word is not taken for a box."""
 
@@ -42,6 +44,8 @@ def source_of_scene(text: str) -> BoxSource:
     """
     import mujoco  # MuJoCo itself interprets all of MJCF: defaults, angles, densities
 
+    if (empty := _EMPTY.search(text)) is not None:  # MuJoCo reads an empty mass as one that is not given
+        raise InputError(f"line {1 + text.count(chr(10), 0, empty.start())}: {empty[1]} is missing")
     try:
         model = mujoco.MjModel.from_xml_string(text)
     except ValueError as error:

@@ -181,12 +181,19 @@ def places_in(extraction: ColumnExtraction) -> Places | None:
     for anchor in ("centre", "base-centre"):  # "center_x", "center_y" and "bottom_z"
         if heights and by_anchor.get(anchor, {}).keys() == {"x", "y"}:
             by_anchor["base-centre"] = {**by_anchor.pop(anchor), "z": heights}
+    by_name: dict[str, Places] = {}
     for anchor, by_axis in sorted(by_anchor.items(), key=lambda entry: entry[0] == ""):
         by_axis |= {axis: [fixed[axis]] for axis in XYZ if axis in fixed}
         if all(axis in by_axis for axis in XYZ):
             indices = next(_same_stems(header, _columns_of_places(header, [by_axis[axis] for axis in XYZ])))
             words = {meaning.axis for index in indices if (meaning := extraction.meanings[index]) is not None}
-            return _places_of(extraction, indices, anchor)._replace(named_up="z" if "height" in words else "")
+            by_name[anchor] = _places_of(extraction, indices, anchor)._replace(
+                named_up="z" if "height" in words else ""
+            )
+    if {"", "centre"} <= by_name.keys() and not (by_name["centre"].place <= by_name[""].place).any():
+        return by_name[""]._replace(anchor="corner")  # centres may be rounded, as in "center": {"x": 18} of 35 cm
+    if by_name:
+        return next(iter(by_name.values()))
     for index, meaning in enumerate(extraction.meanings):
         if meaning is not None and meaning.kind == "positions":
             values, unit = extraction.triples(index)

@@ -29,6 +29,19 @@ PhysicsName = Literal[
     "pallet",
     "reference",
 ]
+AnchorName = Literal[
+    "corner",
+    "centre",
+    "base-centre",
+    "far-corner",
+    "top-centre",
+    "corner-x",
+    "corner-y",
+    "corner-xy",
+    "corner-z",
+    "corner-xz",
+    "corner-yz",
+]
 AttemptsName = Literal[
     "rigid",
     "soft",
@@ -260,7 +273,7 @@ class RunOptionsGiven(TypedDict, total=False):
     ray: str | None
     limit: int | None
     units: str | None
-    anchor: Literal["corner", "centre", "base-centre", "far-corner", "top-centre"] | None
+    anchor: AnchorName | None
     up: Literal["x", "y", "z"] | None
     sizes: Literal["placed", "item"] | None
     columns: dict[str, str] | str | None

@@ -1164,10 +1164,107 @@ def test_bodies_of_one_load(tmp_path: Path) -> None:
 
 
 def test_an_implausible_reading_of_an_unusual_kind_is_asked_about(tmp_path: Path) -> None:
-    """The places are those of corners of tops, which petmjx does not try. As far corners, half of the boxes overlap."""
-    tops = table(f"name,x,y,z,{SIZES},mass", lambda k, box: [NAMES[k], *box[:2], box[2] + box[5], *box[3:]])
-    (skipped,) = load(tmp_path, "pile.csv", tops).skipped
+    """The places are those of middles of sides, which petmjx does not try. As centres, boxes overlap."""
+    row = lambda k, box: [NAMES[k], box[0], box[1] + box[4] / 2, box[2] + box[5] / 2, *box[3:]]  # noqa: E731
+    (skipped,) = load(tmp_path, "pile.csv", table(f"name,x,y,z,{SIZES},mass", row)).skipped
     assert "no reading is plausible; the best are" in skipped.message
+
+
+@pytest.mark.parametrize("axes", ["x", "y", "xy", "z", "xz", "yz"])
+def test_places_may_be_those_of_any_corner(tmp_path: Path, axes: str) -> None:
+    """As corners with the smallest x and z, few boxes of the pile overlap if y is the largest, so petmjx asks."""
+
+    def row(number: int, box: list[float]) -> list[Any]:
+        return [NAMES[number], *(box[k] + box[k + 3] * (axis in axes) for k, axis in enumerate("xyz")), *box[3:]]
+
+    text = table(f"name,x,y,z,{SIZES},mass", row)
+    for options in ({"anchor": f"corner-{axes}"}, {}):
+        plan_set = load(tmp_path, "pile.csv", text, **options)
+        for plan in plan_set:
+            check_pile(plan)
+        assert plan_set.plans or (
+            not options and f"corners with the largest {' and '.join(axes)} (" in str(plan_set.skipped)
+        )
+
+
+@pytest.mark.parametrize("up", "xyz")
+def test_a_flat_layer_is_not_read_as_a_wall(tmp_path: Path, up: str) -> None:
+    """Six boxes on the deck, one row of which is shorter, so that a wall of them would not float."""
+    order = {"z": (0, 1, 2), "y": (0, 2, 1), "x": (2, 0, 1)}[up]
+    boxes = [(400 * (k % 3), 400 * (k // 3), 0, 400, 400 - 100 * (k // 3), 150) for k in range(6)]
+    rows = [[box[axis] for axis in order] + [box[axis + 3] for axis in order] for box in boxes]
+    text = "\n".join(["X,Y,Z,Size X,Size Y,Size Z", *(",".join(map(str, row)) for row in rows)])
+    plan_set = load(tmp_path, "layer.csv", text, units="mm")
+    assert bool(plan_set.plans) == (up == "z")
+    assert all("can be read in two ways" in skipped.message for skipped in plan_set.skipped)
+    (plan,) = load(tmp_path, "layer.csv", text, units="mm", up=up).plans
+    np.testing.assert_allclose(plan.corner_mm[:, 2], 0)
+
+
+def test_the_container_beside_a_list_shows_the_vertical(tmp_path: Path) -> None:
+    for deck, up, order in (((1200, 1500, 800), "y", (0, 2, 1)), ((1200, 800, 1500), "z", (0, 1, 2))):
+        places = [(400 * (k % 3), 400 * (k // 3 % 2), 400 * (k // 6)) for k in range(12)]
+        item = {"rotationType": 0, "WHD": [400, 400, 400], "weight": 9}
+        items = [
+            {"partNumber": k, **item, "position": [place[axis] for axis in order]} for k, place in enumerate(places)
+        ]
+        answer = {"data": {"box": [{"partNumber": "pallet", "WHD": deck}], "fitItem": items}}
+        (reading,) = load(tmp_path, "answer.json", json.dumps(answer), units="mm").readings.values()
+        assert reading.up == up
+
+
+def test_bins_of_a_certificate_are_pallets_with_their_sizes(tmp_path: Path) -> None:
+    """Only the bins, 48 × 40 inches, show that lengths are not centimetres. The items have decimal commas."""
+    rows = [f"ITEM,0,1,{k},{x},0,0,10.5,20,12,XYZ" for k in range(2) for x in (0, 10.5)]
+    rows[0:0], rows[3:3] = ["BIN,0,1,0,0,0,0,48,40,60,"], ["BIN,0,1,1,0,0,0,48,40,60,"]
+    (tmp_path / "items.csv").write_text("X;Y;Z;COPIES;WEIGHT\n10,5;20;12;4;5,5\n")
+    text = "\n".join(["TYPE,ID,COPIES,BIN,X,Y,Z,LX,LY,LZ,ROTATION", *rows])
+    one, two = load(tmp_path, "certificate.csv", text, units="kg").plans
+    assert (one.plan_id, two.plan_id) == ("certificate/0", "certificate/1")
+    np.testing.assert_allclose(two.size_mm, [[266.7, 508, 304.8]] * 2)
+    np.testing.assert_allclose(two.mass_kg, 5.5)
+
+
+def test_one_dash_below_a_narrow_column(tmp_path: Path) -> None:
+    head = "id  bin-location  orientation    x    y  z   x'   y'   z'\n"
+    head += "--  ------------  -----------  ---  ---  -  ---  ---  ---\n"
+    lines = [f" {k}             1            1  {400 * k:3}    0  0  400  300  200" for k in range(2)]
+    (plan,) = load(tmp_path, "solution.txt", head + "\n".join(lines)).plans
+    np.testing.assert_allclose(plan.corner_mm, [[0, 0, 0], [400, 0, 0]])
+
+
+JSON_LINES = [json.dumps({"id": NAMES[k], **dict(zip(FIELDS, box, strict=True))}) for k, box in enumerate(PILE)]
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("pile.json", f'// pallet\n{{"boxes": [ // first\n{", /* next */".join(JSON_LINES)},]}}'),
+        ("pile.json5", "// pallet\n[" + ",".join(re.sub(r'"(\w+)":', r"\1:", line) for line in JSON_LINES) + ",]"),
+        (
+            "pile.edn",
+            ";; pallet\n{:boxes [" + " ".join(re.sub(r'"(\w+)":', r":\1", line) for line in JSON_LINES) + "]}",
+        ),
+    ],
+)
+def test_comments_in_nested_values(tmp_path: Path, name: str, text: str) -> None:
+    check_pile(load(tmp_path, name, text).plans[0])
+
+
+def test_damage_in_json_with_comments_is_named(tmp_path: Path) -> None:
+    text = "// pallet\n[" + ", // box\n".join(JSON_LINES) + "]"
+    (skipped,) = load(tmp_path, "pile.json", text.replace('"weight": 6.5', '"weight": 6q5', 1)).skipped
+    assert "not JSON at line 6, column " in skipped.message
+    began = time.process_time()
+    assert load(tmp_path, "long.json", "[" + "/*" * 100_000).skipped
+    assert load(tmp_path, "long.json", "[" + ", " * 100_000).skipped
+    assert time.process_time() - began < 5.0
+
+
+def test_an_empty_attribute_of_a_scene_is_named(tmp_path: Path) -> None:
+    body = '<body pos="0 0 .1"><freejoint/><geom type="box" size=".2 .2 .1" mass=""/></body>'
+    (skipped,) = load(tmp_path, "scene.xml", f"<mujoco><worldbody>\n{body}</worldbody></mujoco>").skipped
+    assert skipped.message.endswith("line 2: mass is missing")
 
 
 @pytest.mark.parametrize(
