@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final, Literal
@@ -387,6 +387,12 @@ def column_meanings(names: Sequence[str]) -> list[ColumnMeaning | None]:
     and depth.
     """
     return list(_meanings_of(tuple(names)))
+
+
+def known_meanings(names: Iterable[str]) -> dict[str, ColumnMeaning]:
+    """Name → meaning, for the names of columns that are known."""
+    names = tuple(names)
+    return {name: meaning for name, meaning in zip(names, _meanings_of(names), strict=True) if meaning is not None}
 
 
 @lru_cache(maxsize=1 << 8)

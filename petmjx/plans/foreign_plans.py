@@ -12,7 +12,7 @@ from typing import Final
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable, printable_name
 from petmjx.plans.box_columns import BoxColumns, box_columns
-from petmjx.plans.column_names import column_meanings
+from petmjx.plans.column_names import known_meanings
 from petmjx.plans.file_formats import NoBoxes, NoGeometry
 from petmjx.plans.foreign_plan_builder import ForeignPlans, PlanBuilder
 from petmjx.plans.header_and_total_rows import are_numbers
@@ -117,7 +117,7 @@ def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path |
     quantities = bool(kinds & {"quantity", "layers"})
     some_sizes = boxes.has_sizes or bool(kinds & {"size", "sizes"})
     n_sizes = max(
-        sum(meaning is not None and meaning.kind == "size" for meaning in column_meanings(other.boxes.table.header))
+        sum(meaning.kind == "size" for meaning in known_meanings(other.boxes.table.header).values())
         for other in (columns.source, *sources)
     )
     sized = some_sizes and n_sizes != 1  # a column for only one of the three sizes is probably not the size of a box

@@ -12,7 +12,7 @@ import numpy as np
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
-from petmjx.plans.column_names import OWN_COLUMNS, column_meanings, is_unit, plain_text, split_unit
+from petmjx.plans.column_names import OWN_COLUMNS, column_meanings, is_unit, known_meanings, plain_text, split_unit
 from petmjx.plans.raw_cells import cell_number, cell_text, is_number
 from petmjx.plans.raw_tables import MOST_COLUMNS, RawTable
 
@@ -102,7 +102,7 @@ def geometric_columns(header: Sequence[str]) -> list[int]:
 
 
 def has_places(names: Sequence[str]) -> bool:
-    kinds = {meaning.kind for meaning in column_meanings(names) if meaning is not None}
+    kinds = {meaning.kind for meaning in known_meanings(names).values()}
     return bool(kinds & {"position", "positions", "low", "corners"})
 
 
@@ -127,7 +127,7 @@ def with_groups(names: list[str], group: Sequence[Any]) -> list[str]:
 
 
 def _n_distinct(names: Sequence[str]) -> int:
-    return len({(meaning.kind, meaning.axis) for meaning in column_meanings(names) if meaning is not None})
+    return len({(meaning.kind, meaning.axis) for meaning in known_meanings(names).values()})
 
 
 _NO_MEASURE: Final = ("", "-", "#", "–", "°", "deg", "grad", "st", "pcs", "stk", "szt", "ud", "qty")
@@ -139,8 +139,7 @@ def is_unit_cell(cell: Any) -> bool:
 
 
 def names_unit(name: str) -> bool:
-    meaning = column_meanings([name])[0]
-    return meaning is not None and bool(meaning.unit)
+    return any(meaning.unit for meaning in known_meanings([name]).values())
 
 
 def distinct_names(names: Sequence[str]) -> list[str]:
@@ -154,7 +153,7 @@ def distinct_names(names: Sequence[str]) -> list[str]:
     for number, name in enumerate(names, start=1):
         name = name or f"column {number}"
         name_counts[name] += 1
-        if name_counts[name] == 2 and column_meanings([name])[0] is not None:
+        if name_counts[name] == 2 and known_meanings([name]):
             raise InputError(f"column {printable_name(name)} occurs twice")
         distinct.append(name if name_counts[name] == 1 else f"{name} again")
     return distinct

@@ -14,7 +14,7 @@ import numpy as np
 from petmjx.common.checked_records import reason
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable
-from petmjx.plans.column_names import column_meanings, word_set
+from petmjx.plans.column_names import column_meanings, known_meanings, word_set
 from petmjx.plans.foreign_formats import sources_of_bytes
 from petmjx.plans.json_reader import unpacked_bytes
 from petmjx.plans.known_forms import PACKINGSOLVER, BoxSource
@@ -138,12 +138,7 @@ def _with_weights_of(best: BoxSource, items: BoxSource) -> BoxSource | None:
     table, other = best.boxes.table, items.boxes.table
     weights = [index for index, meaning in enumerate(items.boxes.meanings) if meaning and meaning.kind in _OF_WEIGHT]
     rows = _rows_by_name(table, other) if weights and items.boxes.has_sizes else None
-    if rows is None:
-        return None
-    one, two = _sorted_sizes(table), _sorted_sizes(other)
-    pairs = [(one[row], two[item]) for row, item in enumerate(rows) if item is not None]
-    alike = sum(len(a) == len(b) and bool(np.allclose(a, b)) for a, b in pairs)
-    if alike < _MATCHED * len(rows):
+    if rows is None or not _agree(rows, _sorted_sizes(table), _sorted_sizes(other)):
         return None
     return _with_columns(best, other, rows, weights, f"weights from {items.boxes.path or 'the other table'}")
 
@@ -172,35 +167,34 @@ def _with_columns(
     return replace(best, boxes=replace(best.boxes, table=joined), notes=(*best.notes, note))
 
 
-def _sorted_sizes(table: RawTable) -> list[list[float]]:
-    """For each row, the numbers in columns of sizes, in ascending order."""
-    indices = [
-        index for index, meaning in enumerate(column_meanings(table.header)) if meaning and meaning.kind == "size"
-    ]
+def _sorted_sizes(table: RawTable, names: Sequence[str] = ()) -> list[list[float]]:
+    """For each row, the numbers in columns of sizes, in ascending order.
+
+    Args:
+        names: names of these columns, in capital letters; empty: all columns with sizes.
+    """
+    sizes = {name for name, meaning in known_meanings(table.header).items() if meaning.kind == "size"}
+    indices = [k for k, name in enumerate(table.header) if (name.upper() in names if names else name in sizes)]
     numbers = [[cell_number(row[index], table.decimal) for index in indices] for row in table.rows]
     return [sorted(number.value for number in row if number is not None) for row in numbers]
 
 
+def _agree(rows: Sequence[int | None], one: Sequence[Sequence[float]], two: Sequence[Sequence[float]]) -> bool:
+    """Whether the sizes ``one`` of nearly all boxes are the sizes ``two`` of their items, whose rows are ``rows``."""
+    pairs = [(one[row], two[item]) for row, item in enumerate(rows) if item is not None]
+    alike = sum(len(a) == len(b) and bool(np.allclose(a, b)) for a, b in pairs)
+    return alike >= _MATCHED * max(len(rows), 1)
+
+
 def _rows_by_number(table: RawTable, other: RawTable) -> list[int | None] | None:
-    upper = {name.upper(): index for index, name in enumerate(table.header)}
-    item_columns = {name.upper(): index for index, name in enumerate(other.header)}
-    if not {"X", "Y", "Z"} <= item_columns.keys():
+    if not {"X", "Y", "Z"} <= {name.upper() for name in other.header}:
         return None
-    rows: list[int | None] = []
-    alike = 0
-    for row in table.rows:
-        number = cell_number(row[upper["ID"]])
-        index = None if number is None or not 0 <= number.value < len(other.rows) else int(number.value)
-        rows.append(index)
-        if index is not None:
-            sides = ([row[upper[name]] for name in ("LX", "LY", "LZ")], table.decimal)
-            of_item = ([other.rows[index][item_columns[name]] for name in "XYZ"], other.decimal)
-            one, two = (
-                sorted(number.value for cell in cells if (number := cell_number(cell, decimal)))
-                for cells, decimal in (sides, of_item)
-            )
-            alike += len(one) == len(two) and bool(np.allclose(one, two))
-    return rows if alike >= _MATCHED * max(len(table.rows), 1) else None
+    ids = next(index for index, name in enumerate(table.header) if name.upper() == "ID")
+    numbers = [cell_number(row[ids]) for row in table.rows]
+    last = len(other.rows) - 1
+    rows = [int(number.value) if number is not None and 0 <= number.value <= last else None for number in numbers]
+    sizes = _sorted_sizes(table, ("LX", "LY", "LZ"))
+    return rows if _agree(rows, sizes, _sorted_sizes(other, ("X", "Y", "Z"))) else None
 
 
 def _naming_columns(table: RawTable) -> list[int]:

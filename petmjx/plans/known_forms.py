@@ -214,18 +214,12 @@ def _axis_above(boxes: BoxList, last_of_pallet: Mapping[int, int]) -> str:
         last_of_pallet: row of a pallet → the last row of its boxes.
     """
     axes = []
-    for axis in ("y", "z"):
-        index = next(
-            (
-                number
-                for number, meaning in enumerate(boxes.meanings)
-                if meaning is not None and meaning.kind in ("position", "low") and meaning.axis == axis
-            ),
-            None,
-        )
-        if index is None:
-            return ""
-        cells = [cell_number(cell, boxes.table.decimal) for cell in boxes.table.column(boxes.table.header[index])]
+    columns: dict[str, str] = {}
+    for name, meaning in zip(boxes.table.header, boxes.meanings, strict=True):
+        if meaning is not None and meaning.kind in ("position", "low"):
+            columns.setdefault(meaning.axis, name)
+    for axis in ("y", "z") if {"y", "z"} <= columns.keys() else ():
+        cells = [cell_number(cell, boxes.table.decimal) for cell in boxes.table.column(columns[axis])]
         values = [np.nan if number is None else number.value for number in cells]
         if all(
             values[row] > values[pallet]
@@ -308,13 +302,10 @@ def _of_d_wave(boxes: BoxList) -> BoxSource:
     if x is None or bins is None or len({row[bins] for row in table.rows}) < 2:
         return BoxSource(boxes, D_WAVE)
     numbers = [cell_number(row[x], table.decimal) for row in table.rows]
-    first: dict[Any, float] = {}
-    for row, number in zip(table.rows, numbers, strict=True):
-        if number is not None:
-            first[row[bins]] = min(first.get(row[bins], np.inf), number.value)
-    rows = []
-    for row, number in zip(table.rows, numbers, strict=True):
-        moved = row[x] if number is None else number.value - first[row[bins]]
-        rows.append((*row[:x], moved, *row[x + 1 :]))
+    values = np.array([np.nan if number is None else number.value for number in numbers])
+    for in_bin in rows_by_name([row[bins] for row in table.rows]).values():
+        values[in_bin] -= np.fmin.reduce(values[in_bin])
+    moved = [row[x] if np.isnan(value) else value for row, value in zip(table.rows, values.tolist(), strict=True)]
+    rows = [(*row[:x], cell, *row[x + 1 :]) for row, cell in zip(table.rows, moved, strict=True)]
     note = "bins stand one behind the other along x: each is moved to x = 0"
     return BoxSource(replace(boxes, table=replace(table, rows=rows)), D_WAVE, (note,))

@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from petmjx.plans.column_names import CONTAINER_WORDS, column_meanings, names_deck, word_set, words_of
+from petmjx.plans.column_names import CONTAINER_WORDS, known_meanings, names_deck, word_set, words_of
 from petmjx.plans.nested_fields import flattened
 from petmjx.plans.raw_cells import cell_number, cell_text
 
@@ -53,15 +53,15 @@ def fields_of_part(member: NestedBox) -> dict[str, Any]:
     step, holder = member.around[-1] if member.around else ("", {})
     if not (LAYERS | STACKS).intersection(words_of(step)):
         return {}
-    given = {(meaning.kind, meaning.axis) for meaning in column_meanings(list(flattened(member.value))) if meaning}
+    given = {(meaning.kind, meaning.axis) for meaning in known_meanings(flattened(member.value)).values()}
     if ("positions", "") in given or ("sizes", "") in given or not any(kind == "position" for kind, _ in given):
         return {}
     fields = {name: value for name, value in holder.items() if cell_number(value) is not None}
     lacking = {*(("position", axis) for axis in "xyz"), ("size", "height")} - given
     return {
         name: fields[name]
-        for name, meaning in zip(fields, column_meanings(list(fields)), strict=True)
-        if meaning is not None and (meaning.kind, meaning.axis) in lacking
+        for name, meaning in known_meanings(fields).items()
+        if (meaning.kind, meaning.axis) in lacking
     }
 
 
@@ -102,9 +102,7 @@ def _describes_article(holder: Mapping[str, Any]) -> bool:
     if any(CONTAINER_WORDS.intersection(words_of(_name_text(holder.get(name)))) for name in ("name", "id", "label")):
         return False
     flat = flattened({name: value for name, value in holder.items() if not isinstance(value, list | tuple)})
-    has_sizes = any(
-        meaning is not None and meaning.kind in ("size", "sizes") for meaning in column_meanings(list(flat))
-    )
+    has_sizes = any(meaning.kind in ("size", "sizes") for meaning in known_meanings(flat).values())
     return has_sizes or any(_ARTICLES.intersection(words_of(name)) for name in flat)
 
 
@@ -113,11 +111,7 @@ def _at_same_places(groups: Sequence[Sequence[Mapping[str, Any]]]) -> bool:
     places = []
     for group in groups:
         flats = [flattened(box) for box in group]
-        names = [
-            name
-            for name, meaning in zip(flats[0], column_meanings(list(flats[0])), strict=True)
-            if meaning is not None and meaning.kind in _PLACES
-        ]
+        names = [name for name, meaning in known_meanings(flats[0]).items() if meaning.kind in _PLACES]
         places.append({tuple(str(flat.get(name)) for name in names) for flat in flats} if names else set())
     counts = Counter(place for group in places for place in group)
     return len(groups) > 1 and all(any(counts[place] > 1 for place in group) for group in places)
@@ -132,8 +126,7 @@ def fields_of_article(member: NestedBox, articles: Collection[int]) -> tuple[dic
         articles: objects that are articles (``articles_around``).
     """
     own_fields = flattened(member.value)
-    box_meanings = dict(zip(own_fields, column_meanings(list(own_fields)), strict=True))
-    given = {meaning.kind for meaning in box_meanings.values() if meaning is not None}
+    given = {meaning.kind for meaning in known_meanings(own_fields).values()}
     if not given & _PLACES or "weight" in given:
         return {}, ""
     for step, holder in reversed(member.around):
@@ -145,8 +138,8 @@ def fields_of_article(member: NestedBox, articles: Collection[int]) -> tuple[dic
         if article is None or any(names_deck(text) for text in article.values() if isinstance(text, str)):
             continue
         flat = flattened({name: value for name, value in article.items() if not isinstance(value, list | tuple)})
-        meanings = dict(zip(flat, column_meanings(list(flat)), strict=True))
-        kinds = {meaning.kind for meaning in meanings.values() if meaning is not None and not meaning.of_container}
+        meanings = known_meanings(flat)
+        kinds = {meaning.kind for meaning in meanings.values() if not meaning.of_container}
         if (
             not kinds & {"weight", "size", "sizes"}
             or kinds & _PLACES
@@ -157,7 +150,7 @@ def fields_of_article(member: NestedBox, articles: Collection[int]) -> tuple[dic
         fields = {
             name: meaning.kind
             for name, meaning in meanings.items()
-            if meaning is not None and meaning.kind in lacking and name not in own_fields
+            if meaning.kind in lacking and name not in own_fields
         }
         taken = {"weights": "weight", "sizes": "size"}
         words = [word for word, kind in taken.items() if kind in {value.removesuffix("s") for value in fields.values()}]
@@ -310,9 +303,9 @@ def _sizes_in(value: Mapping[str, Any]) -> dict[str, float]:
     """Axis → size, from the fields of an object; empty unless there are three sizes."""
     flat = flattened(value)
     sizes: dict[str, float] = {}
-    for name, meaning in zip(flat, column_meanings(list(flat)), strict=True):
+    for name, meaning in known_meanings(flat).items():
         number = cell_number(flat[name])
-        if meaning is None or meaning.kind != "size" or number is None or number.value <= 0:
+        if meaning.kind != "size" or number is None or number.value <= 0:
             continue
         if meaning.axis not in "012" or name.endswith("]"):  # "dimension1" does not tell an axis
             sizes.setdefault(meaning.axis, number.value)

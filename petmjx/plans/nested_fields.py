@@ -12,7 +12,7 @@ import numpy as np
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
-from petmjx.plans.column_names import column_meanings, word_set, words_of
+from petmjx.plans.column_names import known_meanings, word_set, words_of
 from petmjx.plans.raw_cells import cell_number
 
 _LISTED: Final = 16
@@ -38,7 +38,7 @@ def rows_by_column(value: Mapping[str, Any]) -> list[dict[str, Any]] | None:
     if len(value) >= _LEAST_COLUMNS and all(isinstance(inner, Mapping) and inner for inner in value.values()):
         keys = max((inner.keys() for inner in value.values()), key=len)
         alike = all(inner.keys() <= keys for inner in value.values())
-        if alike and sum(meaning is not None for meaning in column_meanings(list(value))) >= _LEAST_COLUMNS:
+        if alike and len(known_meanings(value)) >= _LEAST_COLUMNS:
             return [{name: inner.get(key) for name, inner in value.items()} for key in keys]
         return None
     lists = {name: list(inner) for name, inner in value.items() if isinstance(inner, list | tuple | np.ndarray)}
@@ -47,7 +47,7 @@ def rows_by_column(value: Mapping[str, Any]) -> list[dict[str, Any]] | None:
         _check_lengths(lists)
     if len(lengths) != 1 or 0 in lengths or any(isinstance(inner[0], Mapping) for inner in lists.values()):
         return None
-    if sum(meaning is not None for meaning in column_meanings(list(lists))) < 2:
+    if len(known_meanings(lists)) < 2:
         return None
     flat = sum(3 if isinstance(inner[0], list | tuple) else 1 for inner in lists.values())
     if flat < _LEAST_COLUMNS:
@@ -57,11 +57,7 @@ def rows_by_column(value: Mapping[str, Any]) -> list[dict[str, Any]] | None:
 
 def _check_lengths(lists: Mapping[str, Sequence[Any]]) -> None:
     """Refuse lists for the sizes and places of boxes if one of them is longer or shorter than the others."""
-    known = [
-        name
-        for name, meaning in zip(lists, column_meanings(list(lists)), strict=True)
-        if meaning is not None and meaning.kind in ("size", "position")
-    ]
+    known = [name for name, meaning in known_meanings(lists).items() if meaning.kind in ("size", "position")]
     counts = Counter(len(lists[name]) for name in known)
     if len(known) < LEAST_NUMBERS or len(counts) != 2:
         return

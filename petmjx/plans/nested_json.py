@@ -17,7 +17,7 @@ import numpy as np
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable_name
-from petmjx.plans.column_names import column_meanings, names_unplaced, word_set, words_of
+from petmjx.plans.column_names import known_meanings, names_unplaced, word_set, words_of
 from petmjx.plans.header_and_total_rows import geometric_columns, geometric_names
 from petmjx.plans.json_reader import DuplicateFieldObject, any_integer, json_fault, json_object
 from petmjx.plans.nested_containers import (
@@ -316,13 +316,16 @@ def _box_list(path: str, members: Sequence[NestedBox]) -> BoxList | None:
         row.update(fields)
         sources.append(source)
     notes = list(filter(None, dict.fromkeys(sources)))
-    for left_out in (_without_static, _without_other_kinds, _without_floors):
-        members, flat, lines = left_out(members, flat)
-        notes += lines
+    for others_in in (_static_objects, _other_kinds, _floors):
+        others, note = others_in(flat)
+        if 0 < len(others) < len(flat):
+            kept = [number for number in range(len(flat)) if number not in others]
+            members, flat = [members[number] for number in kept], [flat[number] for number in kept]
+            notes.append(note)
     notes += _with_zeros(flat)
     _mark_long_lists(flat)
     header = tuple(dict.fromkeys(name for row in flat for name in row))
-    meanings = [meaning for meaning in column_meanings(header) if meaning is not None and not meaning.of_container]
+    meanings = [meaning for meaning in known_meanings(header).values() if not meaning.of_container]
     kinds = [meaning.kind for meaning in meanings]
     matrices = any(isinstance(row.get(name), list | tuple) for row in flat[:1] for name in header)
     numbered = any(name.startswith("column ") for name in header) and len(header) >= LEAST_NUMBERS
@@ -381,24 +384,19 @@ _KIND_FIELDS: Final = frozenset(("event", "type", "kind", "action", "record", "o
 """Names of fields that tell what kind of object a member of a list is."""
 
 
-def _without_other_kinds(
-    members: Sequence[NestedBox], flat: list[dict[str, Any]]
-) -> tuple[Sequence[NestedBox], list[dict[str, Any]], list[str]]:
-    """The boxes among the members of a list, their fields, and notes. Other members, such as events "start" and "end"
-    or the lights of a scene, are left out. A member is no box if it has no size (or, in a list without sizes, no
-    place), and if a field such as ``type`` gives it a kind that no box has."""
+def _other_kinds(flat: list[dict[str, Any]]) -> tuple[set[int], str]:
+    """The numbers of the members of a list that are no boxes, such as events "start" and "end" or the lights of a
+    scene, and a note. A member is no box if it has no size (or, in a list without sizes, no place), and if a field such
+    as ``type`` gives it a kind that no box has."""
     names = list(dict.fromkeys(name for row in flat for name in row))
     geometric = _named(names, _SIZE_KINDS) or _named(names, _GEOMETRIC)
     lacking = {number for number, row in enumerate(flat) if not geometric.intersection(row)}
-    if not lacking or len(lacking) == len(flat):
-        return members, flat, []
     for name in sorted(_KIND_FIELDS.intersection(names)):
         others = {str(flat[number].get(name, "")) for number in lacking}
         boxes = {str(row.get(name, "")) for number, row in enumerate(flat) if number not in lacking}
-        if others.isdisjoint(boxes) and "" not in others:
-            note = f"objects whose {name} is {first_names(sorted(others))} have no size, and are left out"
-            return *_but(lacking, members, flat), [note]
-    return members, flat, []
+        if lacking and others.isdisjoint(boxes) and "" not in others:
+            return lacking, f"objects whose {name} is {first_names(sorted(others))} have no size, and are left out"
+    return set(), ""
 
 
 _SIZE_KINDS: Final = ("size", "sizes", "high")
@@ -408,42 +406,26 @@ _GEOMETRIC: Final = (*_SIZE_KINDS, "position", "positions", "low")
 def _named(names: Sequence[str], kinds: Collection[str]) -> set[str]:
     """The names whose meaning is of one of these kinds."""
     return {
-        name
-        for name, meaning in zip(names, column_meanings(names), strict=True)
-        if meaning is not None and meaning.kind in kinds and not meaning.of_container
+        name for name, meaning in known_meanings(names).items() if meaning.kind in kinds and not meaning.of_container
     }
 
 
-def _but(
-    others: Collection[int], members: Sequence[NestedBox], flat: list[dict[str, Any]]
-) -> tuple[Sequence[NestedBox], list[dict[str, Any]]]:
-    """The members of a list, and their fields, without the members at the indices ``others``."""
-    kept = [number for number in range(len(flat)) if number not in others]
-    return [members[number] for number in kept], [flat[number] for number in kept]
-
-
-def _without_static(
-    members: Sequence[NestedBox], flat: list[dict[str, Any]]
-) -> tuple[Sequence[NestedBox], list[dict[str, Any]], list[str]]:
-    """The members of a list without those that a scene calls static, such as its floor and its pallet, and notes."""
+def _static_objects(flat: list[dict[str, Any]]) -> tuple[set[int], str]:
+    """The numbers of the members of a list that a scene calls static, such as its floor and its pallet, and a note."""
     static = {
         number
         for number, row in enumerate(flat)
         if any(name.lower() in _STATIC and str(value).lower() in ("true", "1") for name, value in row.items())
     }
-    if not static or len(static) == len(flat):
-        return members, flat, []
-    return *_but(static, members, flat), [f"{count_text(len(static), 'static object')} left out"]
+    return static, f"{count_text(len(static), 'static object')} left out"
 
 
 _STATIC: Final = frozenset(("static", "isstatic", "is_static"))
 """Names of fields, in lower case, that tell whether an object of a scene can move."""
 
 
-def _without_floors(
-    members: Sequence[NestedBox], flat: list[dict[str, Any]]
-) -> tuple[Sequence[NestedBox], list[dict[str, Any]], list[str]]:
-    """The members of a list without planes that are named as a floor, and notes. A plane has a size of 0."""
+def _floors(flat: list[dict[str, Any]]) -> tuple[set[int], str]:
+    """The numbers of the members of a list that are planes named as a floor, and a note. A plane has a size of 0."""
     sizes = _named(list(dict.fromkeys(name for row in flat for name in row)), _SIZE_KINDS)
     floors = {
         number
@@ -451,9 +433,7 @@ def _without_floors(
         if any(row.get(name) == 0 for name in sizes)
         and any(isinstance(value, str) and _FLOORS.intersection(words_of(value)) for value in row.values())
     }
-    if not floors or len(floors) == len(flat):
-        return members, flat, []
-    return *_but(floors, members, flat), [f"{count_text(len(floors), 'floor')} left out"]
+    return floors, f"{count_text(len(floors), 'floor')} left out"
 
 
 _FLOORS: Final = word_set("floor ground plane boden")
@@ -465,8 +445,8 @@ def _with_zeros(flat: list[dict[str, Any]]) -> list[str]:
     Returns a note if coordinates were filled."""
     names = list(dict.fromkeys(name for row in flat for name in row))
     by_axis: dict[str, list[str]] = {}
-    for name, meaning in zip(names, column_meanings(names), strict=True):
-        if meaning is not None and meaning.kind == "position" and not meaning.of_container and "[" not in name:
+    for name, meaning in known_meanings(names).items():
+        if meaning.kind == "position" and not meaning.of_container and "[" not in name:
             by_axis.setdefault(meaning.axis, []).append(name)
     columns = [by_axis[axis][0] for axis in "xyz" if len(by_axis.get(axis, ())) == 1]
     numbers = [[cell_number(row.get(name)) for row in flat] for name in columns]

@@ -19,7 +19,7 @@ import numpy as np
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
-from petmjx.plans.column_names import column_meanings
+from petmjx.plans.column_names import known_meanings
 from petmjx.plans.known_forms import ARRAY, MOST_BYTES, POSES, BoxSource, with_known_form
 from petmjx.plans.raw_tables import BoxList, RawTable, united, with_titles
 from petmjx.plans.workbooks import check_archive
@@ -118,9 +118,7 @@ def sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
     row_arrays = {name: array for name, array in arrays.items() if getattr(array, "ndim", 0) >= 1}
     for name, array in row_arrays.items():
         if array.dtype.names:
-            fields = _fields_of(array.ravel())
-            table = _table(tuple(fields), list(zip(*fields.values(), strict=True)), name)
-            return [with_known_form(BoxList(table, name), "a NumPy array")]
+            return [with_known_form(BoxList(_table(_cells_of({"": array.ravel()}), name), name), "a NumPy array")]
     containers = _containers_in(arrays)
     columns = {
         name: array
@@ -130,27 +128,15 @@ def sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
     lengths = Counter(len(array) for array in columns.values())
     if len(columns) > 1 and lengths and column_names_known(columns):
         n_rows = lengths.most_common(1)[0][0]
-        header_list: list[str] = []
-        stacked: list[Any] = []
-        for name, array in columns.items():
-            if len(array) != n_rows:
-                continue
-            if array.ndim == 3:
-                header_list.append(name)
-                stacked.append(array.tolist())
-                continue
-            flat = array.reshape(n_rows, -1)
-            header_list += [name] if array.ndim == 1 else [f"{name}[{index}]" for index in range(flat.shape[1])]
-            stacked += [flat[:, index].tolist() for index in range(flat.shape[1])]
-        table = _table(tuple(header_list), list(zip(*stacked, strict=True)))
-        return [with_known_form(BoxList(table, containers=containers), "NumPy arrays")]
+        cells = _cells_of({name: array for name, array in columns.items() if len(array) == n_rows})
+        return [with_known_form(BoxList(_table(cells), containers=containers), "NumPy arrays")]
     sources = []
     for name, array in row_arrays.items():
         if _is_container(name, array) or array.dtype.kind not in "fiu":
             continue
         if array.ndim == 3 and array.shape[1:] in ((4, 4), (3, 4)):
-            table = _table(("matrix",), [(matrix,) for matrix in array.tolist()], name)
-            sources.append(BoxSource(BoxList(table, name, containers=containers), POSES))
+            boxes = BoxList(_table({"matrix": array.tolist()}, name), name, containers=containers)
+            sources.append(BoxSource(boxes, POSES))
             continue
         if array.shape[1:] == (2, 3):  # sizes and places, or two corners, of each box
             array = array.reshape(len(array), 6)
@@ -175,8 +161,10 @@ def sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
     return _as_plans(sources)
 
 
-def _table(header: tuple[str, ...], rows: list[tuple[Any, ...]], title: str = "") -> RawTable:
-    return RawTable(header, rows, [f"row {index}" for index in range(len(rows))], title=title)
+def _table(cells: Mapping[str, list[Any]], title: str = "") -> RawTable:
+    """A table from the names and cells of its columns."""
+    rows = list(zip(*cells.values(), strict=True))
+    return RawTable(tuple(cells), rows, [f"row {index}" for index in range(len(rows))], title=title)
 
 
 def _as_plans(sources: Sequence[BoxSource]) -> list[BoxSource]:
@@ -195,19 +183,18 @@ def _as_plans(sources: Sequence[BoxSource]) -> list[BoxSource]:
 def column_names_known(columns: Mapping[str, Any]) -> bool:
     """Whether the names of arrays are known names of sizes and places."""
     names = [name if array.ndim == 1 else f"{name}[0]" for name, array in columns.items()]
-    kinds = {meaning.kind for meaning in column_meanings(names) if meaning is not None}
+    kinds = {meaning.kind for meaning in known_meanings(names).values()}
     posed = any(array.ndim == 3 for array in columns.values())
     return (posed or bool(kinds & {"position", "low"})) and bool(kinds & {"size", "high"})
 
 
-def _fields_of(array: Any, prefix: str = "") -> dict[str, list[Any]]:
-    """Name → cells, for the fields of a structured array. Fields that have fields or several numbers per row become
-    several columns, except matrices."""
+def _cells_of(arrays: Mapping[str, Any]) -> dict[str, list[Any]]:
+    """Name → cells, for arrays with a row per box. Arrays that have fields or several numbers per row become several
+    columns, except matrices."""
     fields: dict[str, list[Any]] = {}
-    for name in array.dtype.names:
-        values, path = array[name], f"{prefix}{name}"
+    for path, values in arrays.items():
         if values.dtype.names and values.ndim == 1:
-            fields |= _fields_of(values, f"{path}.")
+            fields |= _cells_of({f"{path}.{name}".lstrip("."): values[name] for name in values.dtype.names})
         elif values.ndim == 1 or values.shape[1:] in ((3, 3), (3, 4), (4, 4)):
             cells = values.tolist()
             fields[path] = [cell.decode("utf-8", "replace") if isinstance(cell, bytes) else cell for cell in cells]

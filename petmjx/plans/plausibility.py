@@ -201,21 +201,22 @@ def _outside(
     return corner, 0.0, "given"
 
 
-_POINTS: Final = ((0.0, 0.0), (0.5, 0.5), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0))
-"""Points of a box's base that coordinates may describe, as shares of its extents."""
+_POINTS: Final = ((0.0, 0.0), (0.5, 0.5), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (0.5, 1.0))
+"""Points of a box that coordinates may describe, as shares of its extents along two axes. The last one is the centre of
+the top, with y upwards."""
 
 
 def are_other_points(layout: Layout, mm: float, point: Sequence[float]) -> bool:
-    """Whether coordinates that were read as those of a certain corner of each box are probably those of the centre or
-    of another corner, with z or y upwards.
+    """Whether coordinates that were read as those of a certain point of each box are probably those of another one,
+    with z or y upwards.
 
     Two conditions must hold. Read as another point, the load begins at a corner of the deck, or is symmetric to the
-    origin, along both horizontal axes. Read as the given corner, it does neither. The origin may be a corner of the
+    origin, along both horizontal axes. Read as the given point, it does neither. The origin may be a corner of the
     deck, or the middle of a deck.
 
     Args:
         mm: millimetres of a unit of the layout.
-        point: the corner as which coordinates were read, as shares of the extents along x, y and z.
+        point: the point as which coordinates were read, as shares of the extents along x, y and z.
     """
     tolerance = _tolerance_of(layout)
     decks = [(long / mm, short / mm) for long, short in _DECKS_MM[:_PALLETS]]
@@ -234,14 +235,6 @@ def are_other_points(layout: Layout, mm: float, point: Sequence[float]) -> bool:
         if any(as_others) and not as_corners:
             return True
     return False
-
-
-def begins_half_a_box_along_y(layout: Layout) -> bool:
-    """Whether a load begins half a box away from the origin along y. If the coordinates were read as those of centres,
-    they are perhaps those of tops, with y upwards."""
-    tolerance = _tolerance_of(layout)
-    low, size = layout.low[:, 1], layout.size[:, 1]
-    return bool(abs(float((low - size / 2).min())) <= tolerance < abs(float(low.min())))
 
 
 def rises_sideways(layout: Layout) -> bool:

@@ -14,7 +14,7 @@ from typing import Any, Final, cast
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
-from petmjx.plans.column_names import column_meanings
+from petmjx.plans.column_names import known_meanings
 from petmjx.plans.nested_json import JsonLines
 from petmjx.plans.raw_tables import MOST_COLUMNS
 from petmjx.plans.table_sections import are_unplaced, begins_section, names_part, part_role
@@ -166,7 +166,7 @@ def values_of_lines(text: str) -> JsonLines | None:
     if len(used) < 2 or len(used) * 2 <= sum(map(bool, map(str.strip, lines))):
         return None
     names = {name for index in used for name in records[index]}
-    if sum(meaning is not None for meaning in column_meanings(sorted(names))) < 2:
+    if len(known_meanings(sorted(names))) < 2:
         return None
     values = JsonLines()
     above = [line.strip() for line in lines[: used[0]] if line.strip()]
@@ -251,9 +251,7 @@ def values_of_blocks(text: str) -> Any:
             title = section
         else:
             pairs |= _fields_of_title(title)
-    n_known = 0
-    if len(boxes) > 1 and len(boxes[0]) <= MOST_COLUMNS:
-        n_known = sum(meaning is not None for meaning in column_meanings(list(boxes[0])))
+    n_known = len(known_meanings(boxes[0])) if len(boxes) > 1 and len(boxes[0]) <= MOST_COLUMNS else 0
     if n_known < _LEAST_PAIRS:  # such as sections of a table, below "[Pallet 1]"
         return None
     if fault:

@@ -244,13 +244,7 @@ def _bins_of(value: Any) -> list[Any]:
     if isinstance(getattr(value, "bins", None), list):
         return [holder for holder in value.bins if getattr(holder, "items", None)]
     items = getattr(value, "items", None)
-    if (
-        isinstance(items, list)
-        and items
-        and all(hasattr(items[0], name) for name in ("position", "rotation_type", "width"))
-    ):
-        return [value]
-    return []
+    return [value] if isinstance(items, list) and items and hasattr(items[0], "rotation_type") else []
 
 
 def _value_of_bin(holder: Any) -> dict[str, Any]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.text import count_text
-from petmjx.plans.column_names import ColumnMeaning, column_meanings
+from petmjx.plans.column_names import ColumnMeaning, column_meanings, known_meanings
 from petmjx.plans.raw_cells import NO_WORDS, YES_WORDS, cell_text
 
 MOST_ROWS: Final = 1_000_000
@@ -159,7 +159,7 @@ class BoxList:
 
     @property
     def kinds(self) -> set[str]:
-        return {meaning.kind for meaning in self.meanings if meaning is not None and not meaning.of_container}
+        return {meaning.kind for meaning in known_meanings(self.table.header).values() if not meaning.of_container}
 
     @property
     def has_places(self) -> bool:

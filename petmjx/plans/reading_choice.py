@@ -20,7 +20,6 @@ from petmjx.plans.plan_fields import FARTHEST_MM
 from petmjx.plans.plausibility import (
     Layout,
     are_other_points,
-    begins_half_a_box_along_y,
     converted_share,
     deck_cost,
     density_cost,
@@ -54,9 +53,8 @@ _UNUSUAL: Final = 1.0
 """A reading is unusual if its prior exceeds the smallest prior by at least this value. An unusual reading that is also
 weak wins only if every other layout costs at least twice as much: the right reading may be one that is not tried."""
 _SHIFTED: Final = 3.6
-"""Cost of a reading with coordinates of corners if they are probably those of other points (``are_other_points``). A
-reading with coordinates of centres costs half as much if they are perhaps those of tops
-(``begins_half_a_box_along_y``), since only one axis shows this."""
+"""Cost of a reading with coordinates of corners if they are probably those of other points (``are_other_points``). With
+coordinates of centres, the cost is half as large: perhaps they are those of tops, with y upwards."""
 _ON_SIDE: Final = 1.0
 """Cost of a reading in which boxes are listed from one side to the other, but not from the ground up: the axis of these
 sides may be the vertical. The cost is that of y upwards in a file that does not name the vertical."""
@@ -187,10 +185,10 @@ def _order_cost(judged: _Judged, mm: float) -> float:
         mm: millimetres of a unit of the layouts.
     """
     anchor = judged.candidate.anchor
-    shifted = "corner" in anchor and all(are_other_points(layout, mm, ANCHORS[anchor]) for layout in judged.layouts)
-    are_tops = anchor == "centre" and all(map(begins_half_a_box_along_y, judged.layouts))
+    is_other = all(are_other_points(layout, mm, ANCHORS[anchor]) for layout in judged.layouts)
+    shifted = _SHIFTED * is_other * (1.0 if "corner" in anchor else 0.5)
     sideways = _ON_SIDE * all(map(rises_sideways, judged.layouts)) + _OF_WALL * any(map(is_wall, judged.layouts))
-    return _SHIFTED * (shifted + 0.5 * are_tops) + sideways
+    return shifted + sideways
 
 
 def _units(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[_Units]:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from petmjx.common.errors import InputError
-from petmjx.plans.column_names import column_meanings
+from petmjx.plans.column_names import known_meanings
 
 _QUOTED: Final = r"""(?:"(?:\\.|[^"\\])*"|'(?:''|[^'])*')"""
 _KEY: Final = re.compile(rf"""^((?:{_QUOTED}|[^\W_][\w .$/°-]*?|_\w+))\s*:(?:\s+(.*))?$""")
@@ -281,8 +281,7 @@ class _Reader:
 
 def _names(key: str) -> bool:
     """Whether the values of a key are names or ids."""
-    (meaning,) = column_meanings((key,))
-    return meaning is not None and meaning.kind in _NAMES
+    return any(meaning.kind in _NAMES for meaning in known_meanings([key]).values())
 
 
 def _unclosed(text: str) -> int:

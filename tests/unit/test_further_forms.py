@@ -1991,3 +1991,22 @@ def test_a_long_cell_in_the_first_row_has_no_unit() -> None:
         assert split_unit(name) == (name, "")
     assert time.process_time() - began < 2.0
     assert split_unit("length " * 20 + "[mm]") == (("length " * 20).strip(), "mm")
+
+
+def test_exact_corners_are_used_before_rounded_centres(tmp_path: Path) -> None:
+    """A tool writes centres in whole centimetres, so that boxes overlap."""
+    boxes = [
+        {
+            "position": dict(zip("xyz", [x / 10, y / 10, z / 10], strict=True)),
+            "center": dict(
+                zip("xyz", (round(value / 10) + 0.0 for value in centre(list(map(float, box)))), strict=True)
+            ),
+            "dimensions": {"w": box[3] / 10, "d": box[4] / 10, "h": box[5] / 10},
+            "weight": box[6],
+        }
+        for box in PILE
+        for x, y, z in [box[:3]]
+    ]
+    plan_set = load(tmp_path, "pile.json", json.dumps({"bins": [{"items": boxes}]}))
+    check_pile(plan_set.plans[0])
+    assert "coordinates of corners" in notes_of(plan_set)
