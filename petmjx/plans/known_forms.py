@@ -289,6 +289,8 @@ def _certificate(boxes: BoxList) -> BoxSource:
             notes.append(
                 f"container {cell_text(row[upper['BIN']])} stands for {copies.value:g} alike, and is read once"
             )
+    if containers and all(sizes == next(iter(containers.values())) for sizes in containers.values()):
+        containers = {"": next(iter(containers.values()))}
     item_boxes = rows_of(boxes, items)
     return BoxSource(replace(item_boxes, containers=containers), PACKINGSOLVER, tuple(notes))
 

@@ -273,7 +273,7 @@ def container_around(member: NestedBox, articles: Collection[int]) -> dict[str, 
             continue
         for name, inner in holder.items():
             words = words_of(str(name))
-            if isinstance(inner, list) and len(inner) == 1 and inner[0] is not member.value:
+            if str(name).lower() == "box" and isinstance(inner, list) and len(inner) == 1:
                 (inner,) = inner
             # In py3dbp's web API, the container "box" is beside the list of its boxes.
             is_box = isinstance(inner, Mapping) and str(name).lower() == "box"

@@ -253,8 +253,7 @@ def is_wall(layout: Layout) -> bool:
     return len(layout.low) >= _LEAST_OF_WALL and not is_flat[2] and is_narrow and bool(is_flat[:2].sum() == 1)
 
 
-_LEAST_OF_WALL: Final = 4
-"""Fewest boxes of a wall. Fewer boxes may be a bridge, which people build to try a simulator."""
+_LEAST_OF_WALL: Final = 4  # fewer boxes may be a bridge, which people build to try a simulator
 
 
 def same_layouts(one: Sequence[Layout], other: Sequence[Layout]) -> bool:

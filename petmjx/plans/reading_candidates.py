@@ -26,12 +26,8 @@ _SIX: Final = np.array([(0, 1, 2), (1, 0, 2), (1, 2, 0), (2, 1, 0), (2, 0, 1), (
 _PERMUTATIONS: Final = np.array(list(permutations(range(3))))
 """Number of a permutation of the three sizes → which of the sizes lies along each axis. The permutations are numbered
 in alphabetical order, as in files of other programs: 0 is XYZ, 1 is XZY, and so on (``ROTATION_RULES``)."""
-_ANCHOR_PRIOR: Final = dict.fromkeys(ANCHORS, 3.0) | {
-    "corner": 0.0,
-    "centre": 1.0,
-    "base-centre": 1.8,
-    "far-corner": 2.5,
-}
+_ANCHOR_PRIOR: Final = {"corner": 0.0, "centre": 1.0, "base-centre": 1.8, "far-corner": 2.5, "top-centre": 3.0}
+_OTHER_CORNER: Final = 3.0  # of a reading with coordinates of another corner
 _GUESSED_TURNS: Final = 2.0
 """Cost of a reading in which a column of unknown meaning has rotations."""
 _FIRM: Final = 3.0
@@ -154,15 +150,19 @@ def _ups(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tuple[
     return [*usual, ("x", UNUSUAL_UP)] if columns.source.boxes.containers else usual
 
 
-def sideways_candidates(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
-    """Yield all readings with x upwards, unless ``candidates`` has them, or names, the form or the caller give the
-    vertical."""
+def further_candidates(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
+    """Yield all readings with x upwards, unless ``candidates`` has them, and with coordinates of corners that
+    ``candidates`` does not try, unless names, the form or the caller give the vertical or the point."""
     free = [geometry for geometry in columns.geometries if not geometry.named_up and geometry.turn is None]
     form = columns.source.form
     is_known = wishes.up or form.up or form.rule == "py3dbp" or columns.source.boxes.containers
     if free and not is_known:
         for candidate in candidates(replace(columns, geometries=free), replace(wishes, up="x")):
             yield replace(candidate, prior=candidate.prior + UNUSUAL_UP)
+    free = [geometry for geometry in columns.geometries if not geometry.anchor and geometry.turn is None]
+    for corner in ANCHORS.keys() - _ANCHOR_PRIOR.keys() if free and not (wishes.anchor or form.anchor) else ():
+        for candidate in candidates(replace(columns, geometries=free), replace(wishes, anchor=corner)):
+            yield replace(candidate, prior=candidate.prior + _OTHER_CORNER)
 
 
 def _turning_axis(turn: FloatArray) -> str:

@@ -30,7 +30,7 @@ from petmjx.plans.plausibility import (
     same_layouts,
     side_cost,
 )
-from petmjx.plans.reading_candidates import Candidate, candidates, layout_of, sideways_candidates
+from petmjx.plans.reading_candidates import Candidate, candidates, further_candidates, layout_of
 from petmjx.plans.readings import AmbiguousFile, Evidence, Reading, Wishes, overlap_text, tie_text
 from petmjx.plans.size_and_place_columns import Geometry
 
@@ -149,10 +149,10 @@ def _are_positive(geometry: Geometry) -> NDArray[np.bool_]:
 
 
 def container_of(containers: Mapping[str, Mapping[str, float]], name: str) -> Mapping[str, float]:
-    """The container of a plan: the plan's own container, else the file's container, else an empty one. The name of a
-    plan may be the file's name and that of the container: "plans/2"."""
-    own = containers.get(name) or containers.get(name.rpartition("/")[2]) or containers.get("")
-    return own or (next(iter(containers.values())) if len(containers) == 1 else {})
+    """The container of a plan: the plan's own container, else the file's container, else an empty one."""
+    return (
+        containers.get(name) or containers.get("") or (next(iter(containers.values())) if len(containers) == 1 else {})
+    )
 
 
 def _judge(columns: BoxColumns, wishes: Wishes, candidate: Candidate, sample: _Sample) -> _Judged:
@@ -185,7 +185,8 @@ def _order_cost(judged: _Judged, mm: float) -> float:
         mm: millimetres of a unit of the layouts.
     """
     anchor = judged.candidate.anchor
-    is_other = all(are_other_points(layout, mm, ANCHORS[anchor]) for layout in judged.layouts)
+    is_close = judged.layout_cost <= 2 * WEAK  # other readings are hopeless anyway
+    is_other = is_close and all(are_other_points(layout, mm, ANCHORS[anchor]) for layout in judged.layouts)
     shifted = _SHIFTED * is_other * (1.0 if "corner" in anchor else 0.5)
     sideways = _ON_SIDE * all(map(rises_sideways, judged.layouts)) + _OF_WALL * any(map(is_wall, judged.layouts))
     return shifted + sideways
@@ -322,7 +323,7 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
         judged.append(_judge(columns, wishes, candidate, sample))
         lowest = min(lowest, judged[-1].cost)
     if judged and _may_lie(min(judged, key=lambda one: one.cost)):
-        for candidate in sorted(sideways_candidates(columns, wishes), key=lambda one: one.prior):
+        for candidate in sorted(further_candidates(columns, wishes), key=lambda one: one.prior):
             if candidate.prior + _LOWEST_UNIT_COST > lowest + WEAK_LEAD:
                 break
             other = _judge(columns, wishes, candidate, sample)
