@@ -22,7 +22,7 @@ from petmjx.repairs.drafts import Draft, Rules, key_of
 from petmjx.repairs.proposals import MOST_TARGETS, Proposal, Target, proposals, targets
 from petmjx.repairs.rebuilds import Failure, rebuilds
 from petmjx.repairs.repair_options import RepairOptions
-from petmjx.repairs.trials import Asked, Steps, Trial
+from petmjx.repairs.requests import Asked, Steps, Trial
 
 PILE: Final = 4.0
 """A box that falls is taken off together with all boxes that need it. So many of these boxes count as one needed

@@ -22,9 +22,10 @@ from petmjx.repairs.candidates import State
 from petmjx.repairs.changes import Change, Kind, applied, cost_of
 from petmjx.repairs.drafts import Draft
 from petmjx.repairs.repair_options import RepairOptions
+from petmjx.repairs.requests import Asked, Trial
 from petmjx.repairs.search import Search
 from petmjx.repairs.search_processes import run_searches
-from petmjx.repairs.trials import OF_RUN, SEARCHED, Asked, Question, Share, TimeLimit, Trial, TrialStream
+from petmjx.repairs.trials import OF_RUN, SEARCHED, Question, Share, TimeLimit, TrialStream
 from petmjx.results.notebook_tables import ShownColumn, block_as_html, table_as_html
 from petmjx.results.plan_lookup import plans_in_place
 from petmjx.results.share_intervals import wilson_interval

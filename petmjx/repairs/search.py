@@ -37,7 +37,7 @@ from petmjx.repairs.candidates import (
 from petmjx.repairs.changes import Film, Kind, LeaveOut, applied
 from petmjx.repairs.drafts import Draft, key_of
 from petmjx.repairs.proposals import lifted_with
-from petmjx.repairs.trials import ERROR_WORLDS, Steps, Together, Trial
+from petmjx.repairs.requests import ERROR_WORLDS, Steps, Together, Trial
 
 BEAM: Final = 4
 """Number of changed plans that are changed further at once."""

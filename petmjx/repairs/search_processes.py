@@ -17,12 +17,12 @@ from dataclasses import dataclass, field
 from typing import Any, Final, Protocol
 
 from petmjx.engines.subprocess.task_pipe import Child, next_of, own_pipes
+from petmjx.repairs.requests import Asked, OutOfTime, Steps, Together, TrialAnswer
 from petmjx.repairs.search import Search
-from petmjx.repairs.trials import Asked, OutOfTime, Steps, Together, TrialAnswer
 
 PLANS_EACH: Final = 4
-"""Smallest number of plans per process. A process takes two seconds to start, so it is not worth while for fewer
-plans."""
+"""Smallest number of plans per process. A process needs half a second of CPU time to start, so it is not worth while
+for fewer plans."""
 
 REQUEST_WAIT_S: Final = 0.005
 """While all processes are busy, and the engine is idle, messages are looked for at intervals of this length, s."""

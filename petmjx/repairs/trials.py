@@ -6,13 +6,13 @@ import math
 import time
 import warnings
 from collections import deque
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import repeat
 from pathlib import Path
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -35,6 +35,7 @@ from petmjx.plans.plan import Plan
 from petmjx.repairs.common_placements import CommonPlacements, Placement, World
 from petmjx.repairs.drafts import BoolArray, Draft
 from petmjx.repairs.repair_options import RepairOptions
+from petmjx.repairs.requests import ERROR_WORLDS, Asked, OutOfTime, Trial, TrialAnswer
 from petmjx.results.run_reader import RunResults
 from petmjx.runs.confidence import confidence_sweep
 from petmjx.runs.simulate import RunStart, Watcher, simulate
@@ -78,64 +79,6 @@ MOST_LISTED: Final = 1024
 SWITCH: Final = 4
 """Scores begin while drafts are being judged only if at least this many requests wait for them."""
 
-ERROR_WORLDS: Final = 8
-"""Largest number of worlds with random errors in which a repair is judged."""
-
-
-class Asked(NamedTuple):
-    """A draft to be simulated.
-
-    Attributes:
-        is_judged: whether the draft is only judged, that is, simulated once, until a box tilts by more than
-            ``JUDGED_TILT_DEG``. If False, the draft is scored.
-        world: number of the world with random errors in which the draft is judged, from 1 to ``ERROR_WORLDS``. If 0,
-            the draft is simulated without errors.
-        judged: the trial from an earlier judgement of this draft, which is now scored; None if the draft was not judged
-            before.
-    """
-
-    draft: Draft
-    is_judged: bool
-    world: int = 0
-    judged: Trial | None = None
-
-
-class Trial(NamedTuple):
-    """The simulation of one draft.
-
-    Attributes:
-        verdict, reason: as in the table ``worlds``.
-        culprit: number of the box that first crossed a limit; None if no box crossed one.
-        fallen: numbers of all boxes that crossed a threshold.
-        n_placed: number of boxes that were placed before the world ended.
-        n_held: number of boxes that were placed before the first box crossed a limit, as far as that is known.
-        margin: as in the table ``worlds``; NaN: no margin.
-        is_score: whether a score on the same engine would give this trial, so that the draft need not be simulated
-            again. This is true if a judged draft stands, and its boxes were at rest whenever a wait was over. (Waits of
-            a judged draft are shorter than those of a score only if a box crossed a threshold at a sample and came
-            back.)
-    """
-
-    verdict: str
-    reason: str
-    culprit: int | None
-    fallen: tuple[int, ...]
-    n_placed: int
-    n_held: int
-    margin: float
-    is_score: bool = False
-
-    @property
-    def stands(self) -> bool:
-        """Whether the plan stands."""
-        return self.verdict == Verdict.STABLE.value
-
-    @property
-    def progress(self) -> tuple[int, int]:
-        """How far a plan gets: number of boxes before the first one that crossed a limit, and number of placed boxes
-        that crossed none."""
-        return self.n_held, self.n_placed - len(self.fallen)
-
 
 class Share(NamedTuple):
     """Worlds with errors: the number with a verdict, and the number in which the plan stands."""
@@ -147,10 +90,6 @@ class Share(NamedTuple):
     def value(self) -> float:
         """The share that stands; NaN: no world has a verdict."""
         return self.n_standing / self.n_worlds if self.n_worlds else float("nan")
-
-
-class OutOfTime(Exception):
-    """The time for the search is up: what is known so far counts."""
 
 
 SEARCHED: Final = 0.7
@@ -174,18 +113,6 @@ class TimeLimit:
         """Raise ``OutOfTime`` if this share of the time is over."""
         if time.monotonic() - self._began_s - self.compiled_s > share * self.seconds:
             raise OutOfTime
-
-
-class Together(NamedTuple):
-    """Parts of a search that run side by side. The search goes on when all these parts have ended, and is sent the list
-    of the parts' results."""
-
-    parts: Sequence[Steps[Any]]
-
-
-Result = TypeVar("Result")
-Steps = Generator[list[Asked] | Together, Any, Result]
-"""A search, or a part of a search. It yields drafts and is sent the list of their trials; or it yields ``Together``."""
 
 
 class Question:
@@ -430,13 +357,6 @@ class Lane(NamedTuple):
         waits = self.sim.schedule is Schedule.ADAPTIVE and self.sim.check is Check.ONE_BY_ONE
         pauses = Capability.PAUSES in getattr(self.engine, "capabilities", Capability(0))
         return waits and pauses and self.engine.name != ON_A_GPU
-
-
-class TrialAnswer(NamedTuple):
-    """The trials of all drafts of a request."""
-
-    ticket: Any
-    trials: list[Trial]
 
 
 @dataclass(eq=False)

@@ -14,7 +14,8 @@ from petmjx.options.placing import Placing, Way
 from petmjx.repairs import common_placements
 from petmjx.repairs.drafts import Draft
 from petmjx.repairs.repair_options import RepairOptions
-from petmjx.repairs.trials import Asked, Lane, Question, Trial, TrialStream
+from petmjx.repairs.requests import Asked, Trial
+from petmjx.repairs.trials import Lane, Question, TrialStream
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene, build_scene
 from petmjx.world.variants import Distribution, PlacementChange, Variant, apply

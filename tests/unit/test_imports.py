@@ -176,6 +176,13 @@ def test_what_reads_results_loads_no_simulator() -> None:
     assert loaded_by(names, *(f"import {module}" for module in READERS), engine) == [f"{engine}: ['mujoco']"]
 
 
+def test_a_process_of_searches_loads_neither_tables_nor_simulators() -> None:
+    """So it starts in half a second."""
+    code = f"import sys, petmjx.repairs.search_processes\nprint(*{{'pandas', *{SIMULATORS}}} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == []
+
+
 def test_the_command_does_not_wait_for_the_warp_of_mjx() -> None:
     """Warp can still be imported later, and MJX prints no message about it."""
     pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")

@@ -28,19 +28,10 @@ from petmjx.repairs.proposals import Target, proposals
 from petmjx.repairs.rebuilds import Failure, rebuilds
 from petmjx.repairs.repair import Repaired
 from petmjx.repairs.repair_options import RepairOptions
+from petmjx.repairs.requests import Asked, OutOfTime, Steps, Together, Trial, TrialAnswer
 from petmjx.repairs.search import Search
 from petmjx.repairs.search_processes import Tasks, run_searches
-from petmjx.repairs.trials import (
-    Asked,
-    OutOfTime,
-    Question,
-    Steps,
-    TimeLimit,
-    Together,
-    Trial,
-    TrialAnswer,
-    TrialStream,
-)
+from petmjx.repairs.trials import Question, TimeLimit, TrialStream
 
 FAST_TRIALS = {"engine": "mujoco", "threads": 1}
 FALLS = Trial("unstable", "tilt", 1, (1,), 2, 2, 0.0)

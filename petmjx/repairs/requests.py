@@ -1,0 +1,93 @@
+"""What a search requests of an engine, and what it is sent: drafts and their trials.
+
+This module imports nothing of engines or tables, so that the processes of searches start fast.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+from typing import Any, Final, NamedTuple, TypeVar
+
+from petmjx.engines.verdict import Verdict
+from petmjx.repairs.drafts import Draft
+
+ERROR_WORLDS: Final = 8
+"""Largest number of worlds with random errors in which a repair is judged."""
+
+
+class Asked(NamedTuple):
+    """A draft to be simulated.
+
+    Attributes:
+        is_judged: whether the draft is only judged, that is, simulated once, until a box tilts by more than
+            ``trials.JUDGED_TILT_DEG``. If False, the draft is scored.
+        world: number of the world with random errors in which the draft is judged, from 1 to ``ERROR_WORLDS``. If 0,
+            the draft is simulated without errors.
+        judged: the trial from an earlier judgement of this draft, which is now scored; None if the draft was not judged
+            before.
+    """
+
+    draft: Draft
+    is_judged: bool
+    world: int = 0
+    judged: Trial | None = None
+
+
+class Trial(NamedTuple):
+    """The simulation of one draft.
+
+    Attributes:
+        verdict, reason: as in the table ``worlds``.
+        culprit: number of the box that first crossed a limit; None if no box crossed one.
+        fallen: numbers of all boxes that crossed a threshold.
+        n_placed: number of boxes that were placed before the world ended.
+        n_held: number of boxes that were placed before the first box crossed a limit, as far as that is known.
+        margin: as in the table ``worlds``; NaN: no margin.
+        is_score: whether a score on the same engine would give this trial, so that the draft need not be simulated
+            again. This is true if a judged draft stands, and its boxes were at rest whenever a wait was over. (Waits of
+            a judged draft are shorter than those of a score only if a box crossed a threshold at a sample and came
+            back.)
+    """
+
+    verdict: str
+    reason: str
+    culprit: int | None
+    fallen: tuple[int, ...]
+    n_placed: int
+    n_held: int
+    margin: float
+    is_score: bool = False
+
+    @property
+    def stands(self) -> bool:
+        """Whether the plan stands."""
+        return self.verdict == Verdict.STABLE.value
+
+    @property
+    def progress(self) -> tuple[int, int]:
+        """How far a plan gets: number of boxes before the first one that crossed a limit, and number of placed boxes
+        that crossed none."""
+        return self.n_held, self.n_placed - len(self.fallen)
+
+
+class OutOfTime(Exception):
+    """The time for the search is up: what is known so far counts."""
+
+
+class Together(NamedTuple):
+    """Parts of a search that run side by side. The search goes on when all these parts have ended, and is sent the list
+    of the parts' results."""
+
+    parts: Sequence[Steps[Any]]
+
+
+Result = TypeVar("Result")
+Steps = Generator[list[Asked] | Together, Any, Result]
+"""A search, or a part of a search. It yields drafts and is sent the list of their trials; or it yields ``Together``."""
+
+
+class TrialAnswer(NamedTuple):
+    """The trials of all drafts of a request."""
+
+    ticket: Any
+    trials: list[Trial]
