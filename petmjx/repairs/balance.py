@@ -57,7 +57,7 @@ class Balance(NamedTuple):
             its edge adds 1 if it is on the edge, and less further inside: 0 at ``SAFE_MM`` inside. A box that is
             lowered between two other boxes adds 1 if it has no room, and less with more room: 0 with ``ROOM_MM`` of
             room.
-        squeezed: numbers of the boxes that are lowered between two others with less room than ``ROOM_MM``.
+        order: numbers of the boxes in packing order.
         loads: the loads of all boxes. ``balances_with_last`` computes from them the loads of a draft with one more box.
         missing_room: (n,) part of ``weakness`` that each box contributes because it is lowered between two other boxes.
     """
@@ -70,9 +70,15 @@ class Balance(NamedTuple):
     last_mm: FloatArray
     trouble: float
     weakness: float
-    squeezed: tuple[int, ...]
+    order: IntArray
     loads: _Loads
     missing_room: FloatArray
+
+    @property
+    def squeezed(self) -> tuple[int, ...]:
+        """Numbers of the boxes that are lowered between two others with less room than ``ROOM_MM``."""
+        squeezed: tuple[int, ...] = tuple(self.order[self.missing_room > 0].tolist())
+        return squeezed
 
     def depth_of(self, box: int) -> float:
         """Distance of a box's load beyond an edge, mm; 0: inside."""
@@ -128,11 +134,36 @@ def _balances(
     drafts: Sequence[Draft], loads: _Loads, missing_room: Sequence[FloatArray], first: IntArray
 ) -> list[Balance]:
     """The balances of drafts from their loads. ``first``: (d + 1,) number of the first box of each draft."""
-    ends = np.searchsorted(loads.box, first)
-    return [
-        _balance(draft, loads.take(slice(*ends[k : k + 2]), int(first[k])), missing_room[k])
-        for k, draft in enumerate(drafts)
-    ]
+    order = np.concatenate([draft.rows for draft in drafts])
+    rows = (loads.least_mm < 0).nonzero()[0]
+    rows = rows[np.lexsort((order[loads.box[rows]], loads.step[rows]))]  # steps increase from draft to draft
+    depth_mm, steps = -loads.least_mm[rows], loads.step[rows].astype(np.intp)
+    weight = np.where(loads.is_sure[rows], 1.0, PERHAPS) * (1 + np.minimum(depth_mm / DEEP_MM, 1.0))
+    box, cause, last_mm = order[loads.box[rows]], order[steps], loads.last_mm[rows]
+    near = ((loads.least_mm >= 0) & (loads.least_mm < SAFE_MM)).nonzero()[0]
+    nearness = (1 - loads.least_mm[near] / SAFE_MM).tolist()
+    ends, beyond_ends, near_ends = (
+        np.searchsorted(sorted_numbers, first).tolist() for sorted_numbers in (loads.box, steps, loads.box[near])
+    )
+    results = []
+    for k, begin in enumerate(first[:-1].tolist()):
+        some = slice(beyond_ends[k], beyond_ends[k + 1])
+        results.append(
+            Balance(
+                box=box[some],
+                step=steps[some] - begin,
+                cause=cause[some],
+                depth_mm=depth_mm[some],
+                weight=weight[some],
+                last_mm=last_mm[some],
+                trouble=float(weight[some].sum()),
+                weakness=sum(nearness[near_ends[k] : near_ends[k + 1]], float(missing_room[k].sum())),
+                order=drafts[k].rows,
+                loads=loads.take(slice(ends[k], ends[k + 1]), begin),
+                missing_room=missing_room[k],
+            )
+        )
+    return results
 
 
 def scenes_of(drafts: Sequence[Draft], sim: Simulation) -> list[Scene]:
@@ -230,32 +261,6 @@ def _loads_with_last(bearing: Bearing, before: _Loads) -> _Loads:
     least_mm, last_mm = np.fmin(least_mm, now_mm), np.where(np.isnan(now_mm), last_mm, now_mm)
     of_all = _Loads(np.arange(n), step, least_mm, last_mm, is_sure, perhaps)
     return of_all.of(np.flatnonzero(~np.isnan(least_mm)))
-
-
-def _balance(draft: Draft, loads: _Loads, missing_room: FloatArray) -> Balance:
-    """The balance of a draft from its loads. ``missing_room``: (n,) as from ``_missing_room``."""
-    order = draft.rows
-    beyond = loads.least_mm < 0
-    weakness = float(missing_room.sum())
-    for edge_mm in loads.least_mm[~beyond & (loads.least_mm < SAFE_MM)].tolist():
-        weakness += 1 - edge_mm / SAFE_MM
-    rows = np.flatnonzero(beyond)
-    rows = rows[np.lexsort((order[loads.box[rows]], loads.step[rows]))]
-    depth_mm, steps = -loads.least_mm[rows], loads.step[rows].astype(np.intp)
-    weight = np.where(loads.is_sure[rows], 1.0, PERHAPS) * (1 + np.minimum(depth_mm / DEEP_MM, 1.0))
-    return Balance(
-        box=order[loads.box[rows]].astype(np.intp),
-        step=steps,
-        cause=order[steps].astype(np.intp),
-        depth_mm=depth_mm,
-        weight=weight,
-        last_mm=loads.last_mm[rows],
-        trouble=float(weight.sum()),
-        weakness=weakness,
-        squeezed=tuple(order[missing_room > 0].tolist()),
-        loads=loads,
-        missing_room=missing_room,
-    )
 
 
 def _missing_room(drafts: Sequence[Draft], *, only_last: bool = False) -> list[FloatArray]:

@@ -193,7 +193,7 @@ class Place(_OfBox):
             return None
         other_boxes = [box for box in draft.order if box not in moved]
         at = other_boxes.index(self.neighbour) + int(self.after)
-        return replace(draft, order=(*other_boxes[:at], *moved, *other_boxes[at:]))
+        return draft.in_order((*other_boxes[:at], *moved, *other_boxes[at:]))
 
     @property
     def words(self) -> str:
@@ -237,7 +237,7 @@ class Exchange(Change):
             draft = draft.with_turn(box, turned)
         swap = {self.first: self.second, self.second: self.first}
         draft = draft.with_places(self.boxes, np.array(self.corners_mm))
-        return replace(draft, order=tuple(swap.get(box, box) for box in draft.order))
+        return draft.in_order(tuple(swap.get(box, box) for box in draft.order))
 
     @property
     def words(self) -> str:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -19,7 +18,7 @@ import numpy as np
 from petmjx.common.units import FloatArray
 from petmjx.repairs.balance import ROOM_MM, Balance
 from petmjx.repairs.changes import Change, Exchange, Kind, LeaveOut, Move, Order, Place, Sheet, Turn
-from petmjx.repairs.drafts import TOLERANCE_MM, BoolArray, Draft, Rules
+from petmjx.repairs.drafts import TOLERANCE_MM, BoolArray, Draft, IntArray, Places, Rules
 from petmjx.repairs.repair_options import RepairOptions
 
 Proposal = tuple[Change, ...]
@@ -143,7 +142,7 @@ def _makers(
         (Kind.MOVE, lambda: _clearances(draft, rules, target, most_mm)),
         (Kind.MOVE, lambda: _moves(draft, rules, near, new, target, most_mm)),
         (Kind.MOVE, lambda: _pushes(draft, rules, target, most_mm)),
-        (Kind.TURN, lambda: _turns(draft, new)),
+        (Kind.TURN, lambda: _turns(draft, rules, new)),
         (Kind.EXCHANGE, lambda: _exchanges(draft, rules, new, done)),
         (Kind.PLACE, lambda: itertools.chain(_places(draft, rules, new), _props(draft, rules, target))),
         (Kind.SHEET, lambda: iter(()) if done else _sheets(draft, options.sheet_mm, options.sheet_kg_m2)),
@@ -214,7 +213,7 @@ def _tight(draft: Draft, target: Target) -> list[tuple[int, int, float]]:
     and gap, mm."""
     if not target.is_squeezed:
         return []
-    low, high = draft.corner_mm, draft.corner_mm + draft.size_mm
+    low, high = draft.corner_mm, draft.high_mm
     gap = np.maximum(low[target.box] - high, low - high[target.box])
     before = draft.rank < draft.rank[target.box]
     tight = []
@@ -227,7 +226,7 @@ def _tight(draft: Draft, target: Target) -> list[tuple[int, int, float]]:
 
 def _neighbours(draft: Draft, box: int) -> list[int]:
     """Boxes that stand beside a box, on the same supports or on the carrier."""
-    low, high = draft.corner_mm, draft.corner_mm + draft.size_mm
+    low, high = draft.corner_mm, draft.high_mm
     gap = np.maximum(low[box] - high, low - high[box])
     beside = (gap.max(axis=1) <= 5 * TOLERANCE_MM) & np.isfinite(draft.rank)
     beside[box] = False
@@ -281,7 +280,7 @@ def _pushes(draft: Draft, rules: Rules, target: Target, most_mm: float) -> Itera
 def _pushed(draft: Draft, box: int, dx_mm: float, dy_mm: float, *, alone: bool) -> set[int]:
     """Numbers of the boxes that move if a box does: the boxes on it (unless it is moved ``alone``), and the boxes in
     the way, with all boxes on those."""
-    low, high = draft.corner_mm, draft.corner_mm + draft.size_mm
+    low, high = draft.corner_mm, draft.high_mm
     way = np.array([dx_mm, dy_mm, 0.0])
     moved = np.arange(len(low)) == box
     front = moved if alone else moved | draft.bears[box]
@@ -296,7 +295,7 @@ def _pushed(draft: Draft, box: int, dx_mm: float, dy_mm: float, *, alone: bool) 
 
 def _free_ways_mm(draft: Draft, box: int, riders: Sequence[int]) -> tuple[float, float, float, float]:
     """Free ways of a box to the left, right, front and back until it meets another box; infinite: no box in the way."""
-    low, high = draft.corner_mm, draft.corner_mm + draft.size_mm
+    low, high = draft.corner_mm, draft.high_mm
     is_placed = np.isfinite(draft.rank)
     is_placed[[box, *riders]] = False
     ways = []
@@ -313,8 +312,9 @@ def _free_ways_mm(draft: Draft, box: int, riders: Sequence[int]) -> tuple[float,
     return ways[0], ways[1], ways[2], ways[3]
 
 
-def _turns(draft: Draft, near: Sequence[int]) -> Iterator[Proposal]:
+def _turns(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposal]:
     """Boxes turned about their middles, and about one of their corners."""
+    turns: list[Turn] = []
     for box in near:
         x, y = draft.corner_mm[box, :2].tolist()
         length, width = draft.size_mm[box, :2].tolist()
@@ -322,48 +322,66 @@ def _turns(draft: Draft, near: Sequence[int]) -> Iterator[Proposal]:
             continue
         more_x, more_y = x + length - width, y + width - length
         middle = round((x + more_x) / 2, 1), round((y + more_y) / 2, 1)
-        for corner in dict.fromkeys((middle, (x, y), (more_x, y), (x, more_y), (more_x, more_y))):
-            yield (Turn(box, *corner),)
+        corners = dict.fromkeys((middle, (x, y), (more_x, y), (x, more_y), (more_x, more_y)))
+        turns += [Turn(box, *corner) for corner in corners]
+    boxes = np.array([turn.box for turn in turns], np.intp)
+    corner = np.array([(turn.x_mm, turn.y_mm, draft.corner_mm[turn.box, 2]) for turn in turns]).reshape(-1, 3)
+    places = Places(
+        boxes[:, None],
+        corner[:, None],
+        draft.size_mm[boxes][:, None, [1, 0, 2]],
+        ~draft.turned[boxes][:, None],
+        draft.rank[boxes][:, None],
+    )
+    for turn, is_allowed in zip(turns, rules.allow_places(draft, places).tolist(), strict=True):
+        if is_allowed:
+            yield (turn,)
 
 
 def _exchanges(draft: Draft, rules: Rules, near: Sequence[int], done: Collection[int]) -> Iterator[Proposal]:
     """Boxes exchanged with any other box that is not ``done``. Both are turned or not, and stand at the left or the
     right of the other's place."""
-    for box, other in itertools.product(near, draft.order):
-        if other == box or other < rules.built or other >= draft.plan.n_boxes:
-            continue
-        if other in done or (other in near and other < box):
-            continue
-        uneven = abs(draft.size_mm[box, 2] - draft.size_mm[other, 2]) > TOLERANCE_MM
-        if _alike(draft, box, other) or (uneven and not (draft.is_bare[box] and draft.is_bare[other])):
-            # If boxes of different heights are exchanged, a box on top of one of them would float or overlap.
-            continue
-        for turn, other_turn in itertools.product((False, True), repeat=2):
-            size, other_size = _size(draft, box, turn), _size(draft, other, other_turn)
-            if (turn and size[0] == size[1]) or (other_turn and other_size[0] == other_size[1]):
-                continue
-            low, other_low = draft.corner_mm[box], draft.corner_mm[other]
-            spare, other_spare = draft.size_mm[other] - size, draft.size_mm[box] - other_size
-            if max(-spare[:2].min(), -other_spare[:2].min()) > max(size[:2].max(), other_size[:2].max()) / 2:
-                continue
-            for share in (0.0, 1.0):
-                corner = other_low + np.array([share, share, 0.0]) * spare
-                other_corner = low + np.array([share, share, 0.0]) * other_spare
-                yield (
-                    Exchange(
-                        box,
-                        other,
-                        (_triple(corner), _triple(other_corner)),
-                        (bool(draft.turned[box]) != turn, bool(draft.turned[other]) != other_turn),
-                        (turn, other_turn),
-                    ),
-                )
+    others = [other for other in draft.order if rules.built <= other < draft.plan.n_boxes and other not in done]
+    pairs = [(box, other) for box in near for other in others if other != box and (other not in near or other > box)]
+    places, turns = _exchanged_places(draft, np.array(pairs, np.intp).reshape(-1, 2))
+    for k in np.flatnonzero(rules.allow_places(draft, places)).tolist():
+        (box, other), (corner, other_corner) = places.boxes[k].tolist(), places.corner_mm[k]
+        turned, other_turned = places.turned[k].tolist()
+        turn, other_turn = turns[k].tolist()
+        corners = _triple(corner), _triple(other_corner)
+        yield (Exchange(box, other, corners, (turned, other_turned), (turn, other_turn)),)
 
 
-def _alike(draft: Draft, box: int, other: int) -> bool:
-    """Whether two boxes are equal except for their names, so that their exchange has no effect."""
-    same_size = (np.abs(draft.size_mm[box] - draft.size_mm[other]) <= TOLERANCE_MM).all()
-    return bool(same_size and abs(draft.mass_kg[box] / draft.mass_kg[other] - 1) < 0.01)
+def _exchanged_places(draft: Draft, pairs: IntArray) -> tuple[Places, BoolArray]:
+    """The places of pairs of boxes after their exchange, and (k, 2) whether each of the two is turned by it. Exchanges
+    without an effect, and of boxes of too different sizes, are left out. ``pairs``: (p, 2) the boxes."""
+    size, mass = draft.size_mm[pairs], draft.mass_kg[pairs]
+    differ = np.abs(size[:, 0] - size[:, 1])
+    uneven = differ[:, 2] > TOLERANCE_MM
+    # If boxes of different heights are exchanged, a box on top of one of them would float or overlap.
+    is_possible = ~uneven | draft.is_bare[pairs].all(axis=1)
+    alike = (differ <= TOLERANCE_MM).all(axis=1) & (np.abs(mass[:, 0] / mass[:, 1] - 1) < 0.01)
+    pairs = pairs[is_possible & ~alike]
+    # axes: pair; way to turn the two; end at which both stand; box of the pair; x, y and z
+    turns = np.array([[False, False], [False, True], [True, False], [True, True]])[:, None]
+    before, size = draft.size_mm[pairs][:, None, None], draft.size_mm[pairs][:, None, None]
+    size = np.where(turns[..., None], size[..., [1, 0, 2]], size)
+    spare = before[..., ::-1, :] - size
+    lack, longest = -spare[..., :2].min(axis=(-2, -1)), size[..., :2].max(axis=(-2, -1))
+    is_chosen = (lack <= longest / 2) & ~(turns & (size[..., 0] == size[..., 1])).any(axis=-1)
+    ends = np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 0.0]])[:, None]
+    corner = draft.corner_mm[pairs][:, None, None, ::-1] + ends * spare
+    pair, way = np.nonzero(is_chosen[..., 0])
+    boxes = np.repeat(pairs[pair], len(ends), axis=0)
+    turn = np.repeat(turns[way, 0], len(ends), axis=0)
+    places = Places(
+        boxes,
+        corner[pair, way].reshape(-1, 2, 3),
+        np.repeat(size[pair, way, 0], len(ends), axis=0),
+        draft.turned[boxes] != turn,
+        draft.rank[boxes[:, ::-1]],
+    )
+    return places, turn
 
 
 def _size(draft: Draft, box: int, turn: bool) -> FloatArray:
@@ -379,34 +397,50 @@ def _triple(values: FloatArray) -> tuple[float, float, float]:
 
 
 def _places(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposal]:
-    """Other places for boxes with free tops. Such a box is placed at the same time as before, or last. A floating box
-    is put where it would come to lie."""
-    free = draft.is_bare
+    """Other places for boxes. A box with a free top is placed at the same time as before, or last. A floating box is
+    put where it would come to lie. Any other box is put elsewhere together with all boxes that stand on it alone."""
+    places: list[Place] = []
     for box in near:
-        if not free[box]:
-            yield from _pile_places(draft, rules, box)
+        is_bare = draft.is_bare[box]
+        pile = [box] if is_bare else lifted_with(draft, box)
+        others = [number for number in draft.order if number not in pile]
+        is_fixed = len(pile) > MOST_TOGETHER or min(pile) < rules.built or max(pile) >= draft.plan.n_boxes
+        if not is_bare and (is_fixed or not others):
             continue
-        last = next(number for number in reversed(draft.order) if number != box) if len(draft.order) > 1 else None
-        for turn, corner in resting_corners(draft, rules, box):
-            if not turn and np.abs(draft.corner_mm[box] - corner).max() <= TOLERANCE_MM:
+        below = draft if is_bare else draft.in_order(tuple(others))
+        for turn, corner in resting_corners(below, rules, box):
+            if is_bare and not turn and np.abs(draft.corner_mm[box] - corner).max() <= TOLERANCE_MM:
                 continue  # to place the box here at another time is a change of order
+            if turn and not is_bare:
+                continue
             turned = bool(draft.turned[box]) != turn
-            yield (Place(box, corner, turned, differs=turn),)
-            if last is not None:
-                yield (Place(box, corner, turned, last, differs=turn),)
+            for last in (None, *others[-1:]):
+                places.append(Place(box, corner, turned, last, differs=turn, others=tuple(sorted(pile[1:]))))
+    for place, is_allowed in zip(places, rules.allow_places(draft, _places_of(draft, places)).tolist(), strict=True):
+        if is_allowed:
+            yield (place,)
 
 
-def _pile_places(draft: Draft, rules: Rules, box: int) -> Iterator[Proposal]:
-    """Other places for a box together with all boxes that stand on this box alone."""
-    pile = lifted_with(draft, box)
-    other_boxes = [number for number in draft.order if number not in pile]
-    if len(pile) > MOST_TOGETHER or not other_boxes or min(pile) < rules.built or max(pile) >= draft.plan.n_boxes:
-        return
-    riders = tuple(sorted(pile[1:]))
-    for turn, corner in resting_corners(replace(draft, order=tuple(other_boxes)), rules, box):
-        if not turn:
-            for last in (None, other_boxes[-1]):
-                yield (Place(box, corner, bool(draft.turned[box]), last, others=riders),)
+def _places_of(draft: Draft, places: Sequence[Place]) -> Places:
+    """The places that boxes have after each of several changes. If changes concern different numbers of boxes, some
+    boxes are listed more than once."""
+    most = max((len(place.boxes) for place in places), default=1)
+    boxes = np.array([place.boxes + place.boxes[:1] * (most - len(place.boxes)) for place in places], np.intp)
+    boxes = boxes.reshape(-1, most)
+    corner = np.array([place.corner_mm for place in places]).reshape(-1, 3)
+    way = corner - draft.corner_mm[boxes[:, 0]]
+    size, turned, rank = draft.size_mm[boxes], draft.turned[boxes], draft.rank[boxes]
+    is_box = boxes == boxes[:, :1]
+    turns = is_box & np.array([place.differs for place in places], bool)[:, None]
+    last = np.array([np.nan if place.neighbour is None else draft.rank[place.neighbour] for place in places])[:, None]
+    in_turn = 1 + rank / len(draft.order)  # between the neighbour and the next box, in the same order as before
+    return Places(
+        boxes,
+        draft.corner_mm[boxes] + way[:, None],
+        np.where(turns[..., None], size[..., [1, 0, 2]], size),
+        turned ^ turns,
+        np.where(np.isnan(last), rank, last + in_turn / 2),
+    )
 
 
 def resting_corners(
@@ -418,7 +452,7 @@ def resting_corners(
         below: number of the box below which the place must be; None if no box may be above the place.
     """
     other_boxes = np.array([number for number in draft.order if number not in (box, below)], int)
-    low, high = draft.corner_mm[other_boxes], (draft.corner_mm + draft.size_mm)[other_boxes]
+    low, high = draft.corner_mm[other_boxes], draft.high_mm[other_boxes]
     ceiling = math.inf if below is None else float(draft.corner_mm[below, 2])
     lower = low[:, 2] < ceiling - TOLERANCE_MM
     low, high = low[lower], high[lower]
@@ -446,7 +480,10 @@ def resting_corners(
             inside = (values >= rules.low_mm[axis] - TOLERANCE_MM) & (
                 values + size[axis] <= rules.high_mm[axis] + TOLERANCE_MM
             )
-            axes.append(np.unique(np.round(values[inside], 1)))
+            values = np.sort(values[inside].round(1))
+            is_new = np.ones(len(values), bool)
+            np.not_equal(values[1:], values[:-1], out=is_new[1:])
+            axes.append(values[is_new])  # as ``numpy.unique`` does, in half of the time
         spots: set[tuple[float, float, float]] = set()
         for x, y, z in _rests(axes[0], axes[1], size, low, high, fits):
             is_below = below is None or _shared_mm2(x, y, size, draft.corner_mm[below], draft.size_mm[below]) > 0
@@ -527,7 +564,7 @@ def _props(draft: Draft, rules: Rules, target: Target) -> Iterator[Proposal]:
 def _sheets(draft: Draft, thick_mm: float, kg_m2: float) -> Iterator[Proposal]:
     """Sheets at heights that no box crosses."""
     rows = list(draft.order)
-    low, high = draft.corner_mm[rows], (draft.corner_mm + draft.size_mm)[rows]
+    low, high = draft.corner_mm[rows], draft.high_mm[rows]
     for height in np.unique(np.round(high[:, 2], 1)).tolist():
         above = low[:, 2] >= height - TOLERANCE_MM
         if not above.any() or (~above & (high[:, 2] > height + TOLERANCE_MM)).any():

@@ -160,7 +160,7 @@ class _Pile:
         self._draft, self._rules = draft, rules
         self._distrusted, self._way, self._leaves_out = distrusted, way, leaves_out
         self._held = set(draft.order[:n_held])
-        self._pile = replace(draft, order=())
+        self._pile = draft.in_order(())
         self._balance: Balance | None = None  # of the pile; None: unknown
 
     def built(self) -> Judging[Proposal | None]:
@@ -190,7 +190,7 @@ class _Pile:
 
     def _keeps(self, box: int) -> Judging[bool]:
         """Put a box at its place, if it can keep this place. Returns whether it can."""
-        pile, after = replace(self._pile, order=(*self._pile.order, box)), None
+        pile, after = self._pile.in_order((*self._pile.order, box)), None
         if box >= self._rules.built:
             by_statics = self._way.strict and box not in self._held and bool(self._pile.order)
             before = (yield from self._known()) if by_statics else None
@@ -213,7 +213,7 @@ class _Pile:
             for turn, corner in resting_corners(self._pile, self._rules, box)
             if turn or box not in self._distrusted or np.abs(planned - corner).max() > TOLERANCE_MM
         ]
-        waiting = replace(self._pile, order=(*self._pile.order, box))
+        waiting = self._pile.in_order((*self._pile.order, box))
         in_the_way = self._in_the_way(places, later)
         queue = sorted(range(len(places)), key=lambda k: (in_the_way[k], places[k].corner_mm[2]))
         best: tuple[float, ...] | None = None

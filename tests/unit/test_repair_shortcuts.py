@@ -3,9 +3,10 @@ alone."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import islice
+from itertools import combinations, islice
 
 import numpy as np
 import pytest
@@ -16,9 +17,18 @@ from petmjx.packers.sample_plans import MOST_SAMPLES, generate
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_validation import parse_plan
 from petmjx.repairs.balance import Balance, balances, balances_with_last, scenes_of
-from petmjx.repairs.changes import Move, applied
+from petmjx.repairs.changes import Exchange, Move, Place, applied
 from petmjx.repairs.drafts import TOLERANCE_MM, Draft, Rules, key_of
-from petmjx.repairs.proposals import LEAST_SUPPORT, Proposal, Target, proposals, resting_corners
+from petmjx.repairs.proposals import (
+    LEAST_SUPPORT,
+    Proposal,
+    Target,
+    _exchanged_places,
+    _places_of,
+    _triple,
+    proposals,
+    resting_corners,
+)
 from petmjx.repairs.rebuilds import Failure, rebuilds
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.world.scene import OF_BOXES, build_scene
@@ -78,6 +88,56 @@ def test_a_box_whose_support_is_moved_away_floats() -> None:
     rules.high_mm[0] = 2000.0
     assert rules.allow([away], [[0]], start).tolist() == [False]
     assert rules.allow([away], [[0]]).tolist() == [True], "without the draft before, only the box itself is checked"
+
+
+def test_places_are_checked_without_drafts_as_drafts_are(some_plans: list[Plan]) -> None:
+    """Exchanges, turns and other places, of single boxes and of piles, now and last."""
+    allowed, forbidden = Counter[str](), Counter[str]()
+    for plan in some_plans:
+        rules = Rules(plan, SIM, 2000.0, built=0)
+        for parent in parents(plan, rules):
+            boxes = [box for box in parent.order if box < plan.n_boxes]
+            pairs = np.array([*combinations(boxes[-12:], 2)])
+            exchanged, turns = _exchanged_places(parent, pairs)
+            corners = [(_triple(corner), _triple(other)) for corner, other in exchanged.corner_mm]
+            rows = zip(exchanged.boxes.tolist(), corners, exchanged.turned.tolist(), turns.tolist(), strict=True)
+            exchanges = [
+                Exchange(*pair, corner, (one, other), tuple(turn)) for pair, corner, (one, other), turn in rows
+            ]
+            moved = [
+                Place(box, (x, y, z), bool(parent.turned[box]) != turn, last, differs=turn, others=tuple(riders))
+                for box in boxes[::4]
+                for riders in ((), sorted({*parent.above(box)} & {*boxes})[:3])
+                for x, y, z in (parent.corner_mm[box] + (5.0, 0.0, 0.0), (0.0, 0.0, 0.0), (300.0, 0.0, 400.0))
+                for turn in ((False,) if riders else (False, True))
+                for last in (None, boxes[-1])
+                if last not in (box, *riders)
+            ]
+            for places, changes in ((exchanged, exchanges), (_places_of(parent, moved), moved)):
+                drafts = [change.applied(parent) for change in changes]
+                checked = rules.allow([one for one in drafts if one is not None], [{*c.boxes} for c in changes], parent)
+                assert rules.allow_places(parent, places).tolist() == checked.tolist()
+                for change, is_allowed in zip(changes, checked, strict=True):
+                    (allowed if is_allowed else forbidden)[change.kind] += 1
+    assert min(min(counts["exchange"], counts["place"]) for counts in (allowed, forbidden)) > 10
+
+
+def test_changes_of_places_that_are_proposed_are_allowed(some_plans: list[Plan]) -> None:
+    kinds = Counter[str]()
+    for plan in some_plans:
+        rules, draft = Rules(plan, SIM, 2000.0, 0), Draft.of(plan)
+        for changed, (*_, change) in proposed(draft, rules, (plan.n_boxes - 4, plan.n_boxes // 2)):
+            if change.kind in ("exchange", "turn") or (isinstance(change, Place) and change.after):
+                kinds[change.kind] += 1
+                assert rules.allow([changed])[0]
+    assert set(kinds) == {"exchange", "turn", "place"}
+
+
+def test_the_key_of_first_boxes_is_the_beginning_of_the_key(some_plans: list[Plan]) -> None:
+    draft, other = Draft.of(some_plans[0]), _shifted(some_plans[0])
+    assert all(key_of(draft).startswith(key_of(draft, n)) for n in range(len(draft.order) + 1))
+    assert key_of(replace(draft)) == key_of(draft)
+    assert not key_of(other).startswith(key_of(draft, 1)), "the first box is at another place"
 
 
 def test_only_moves_that_are_not_allowed_have_no_room(some_plans: list[Plan]) -> None:
