@@ -305,17 +305,27 @@ def _repaired(plans: Iterable[Plan], question: Question, options: RepairOptions)
     while group := list(islice(waiting, AT_ONCE)):
         searches = [Search(plan, question.sim, options, question.film_turns, question.is_wide) for plan in group]
         try:
+            if question.is_wide and options.profile is None:
+                _begin(searches, question)
             stream = TrialStream(question, limit, SEARCHED if options.worlds else 1.0)
-            run_searches(searches, stream, question.threads)
-            late = [search for search in searches if search.before is None]
-            drafts = [Asked(Draft.of(search.plan, question.film_turns), is_judged=False) for search in late]
-            for search, trial in zip(late, question.trials(drafts) if late else [], strict=True):
-                search.begin(trial)
+            run_searches([search for search in searches if not search.complete], stream, question.threads)
+            _begin(searches, question)
             results = _with_shares(searches, question, options, limit)
         except KeyboardInterrupt:  # the engine was stopped at an unknown point, so it simulates nothing more
             yield from (_repaired_by(search, _first(search), None, None) for search in searches if search.complete)
             raise
         yield from results
+
+
+def _begin(searches: Sequence[Search], question: Question) -> None:
+    """Score the plans that were not scored yet. On a GPU, all plans are scored before the searches begin: while plans
+    are scored, no changed plans are judged, so many such runs would keep the searches waiting."""
+    unknown = [search for search in searches if search.before is None]
+    if not unknown:
+        return
+    drafts = [Asked(Draft.of(search.plan, question.film_turns), is_judged=False) for search in unknown]
+    for search, trial in zip(unknown, question.trials(drafts), strict=True):
+        search.begin(trial)
 
 
 def _with_shares(

@@ -19,7 +19,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 from petmjx.engines.verdict import Verdict
 from petmjx.repairs.candidates import (
@@ -48,6 +48,12 @@ further."""
 
 FIRST_AT_ONCE: Final = 4
 """Number of changed plans that are judged first. If one change is enough, statics usually ranks it among the best."""
+
+WIDE_AT_ONCE: Final = (8, 16, 24, 48)
+"""Number of changed plans that are judged at once on a GPU in the first four rounds of a search, and then in each round
+as in the fourth. The longer a search takes, the more a GPU waits for it, since other searches have ended. So it goes on
+in fewer and wider rounds: four rounds spend the trials of ``ALONE``. The numbers do not depend on
+other searches, and neither do the results."""
 
 MOST_LIFTED: Final = 3
 """The boxes of at most this many faults are taken off one after the other. Each time, the search waits for a
@@ -100,7 +106,7 @@ MOST_LOST: Final = 3
 
 WIDE: Final = 2
 """A GPU judges many plans as fast as a few. So there a search judges this many times as many plans at once, and goes on
-in fewer rounds."""
+in fewer rounds (single changes: ``WIDE_AT_ONCE``)."""
 
 STRENGTHENED: Final = 0.33
 """Share of all trials in which a repair is changed further, so that it stands in more worlds with errors."""
@@ -125,7 +131,8 @@ class Search(Candidates):
 
     Attributes:
         plan: the plan.
-        before: the trial of the unchanged plan; None before its simulation has ended.
+        before: the score of the unchanged plan, which may be known before the search begins; None before its simulation
+            has ended.
         repairs: the repairs, the best first. The best one may have additional changes for worlds with errors; the
             others have the fewest changes with which the plan stands. Empty: there is no repair. Each change of a
             repair is needed: without it, the plan falls, is not allowed, or stands in too few worlds with errors.
@@ -150,6 +157,13 @@ class Search(Candidates):
         """Factor by which more plans are judged at once, if the engine judges many plans as fast as a few."""
         return WIDE if self.is_wide else 1
 
+    def _at_once(self, n_rounds: int, *, is_late: bool) -> int:
+        """Number of changed plans that are judged at once after so many rounds. ``is_late``: whether plans are built
+        anew."""
+        if self.is_wide:
+            return WIDE * LATE_AT_ONCE if is_late else WIDE_AT_ONCE[min(n_rounds, len(WIDE_AT_ONCE) - 1)]
+        return FIRST_AT_ONCE if self.before is None else LATE_AT_ONCE if is_late else AT_ONCE
+
     def begin(self, before: Trial) -> None:
         """Note the simulation of the plan as it is."""
         self.before = before
@@ -158,16 +172,18 @@ class Search(Candidates):
 
     def run(self) -> Steps[None]:
         """Yields drafts to be simulated, and is sent their trials."""
-        is_driven = self.options.profile is not None
+        is_driven, is_scored = self.options.profile is not None, self.before is not None
         (trial,) = yield from self._simulated([self._start], judged=not is_driven)
         if is_driven:
             self.begin(trial)
-        elif trial.stands:
+        elif trial.stands and not is_scored:
             yield from self._begun(trial)
         elif trial.culprit is not None and max(trial.culprit + 1, trial.n_placed) <= self.rules.built:
             yield from self._begun_with_built(trial)
         if not (self._stands or self.built_falls):
-            yield from self._mended(State(self._start, (), self.before or trial))
+            # a plan that falls is changed where it fell when it was judged, as changed plans are
+            known = trial if is_scored and not trial.stands else self.before or trial
+            yield from self._mended(State(self._start, (), known))
             if self.before is None:
                 yield from self._begun(trial)
             assert self.before is not None
@@ -187,7 +203,8 @@ class Search(Candidates):
         """Score the plan as it is, and its built boxes alone, after a built box fell when no other boxes were placed.
         Every changed plan begins with the same placements, so no change helps if the built boxes fall alone."""
         alone = replace(self._start, order=self._start.order[: self.rules.built])
-        _, (trial,) = yield Together([self._begun(judged), self._simulated([alone])])
+        parts: list[Steps[Any]] = [self._begun(judged)] if self.before is None else []
+        *_, (trial,) = yield Together([*parts, self._simulated([alone])])
         assert self.before is not None
         self.built_falls = not self.before.stands and trial.verdict == Verdict.UNSTABLE.value
 
@@ -255,6 +272,7 @@ class Search(Candidates):
         standing: list[State] = []
         judged: list[State] = []  # states that stand
         is_late = is_widened = False
+        n_rounds = 0
         while self.n_trials < last and not self._stands:
             nodes.sort(key=lambda node: node.key)
             useful = nodes
@@ -266,13 +284,14 @@ class Search(Candidates):
                 standing = yield from self._nearly(nodes)
                 if standing:
                     break
-            at_once = FIRST_AT_ONCE if self.before is None else LATE_AT_ONCE if is_late else AT_ONCE
+            at_once = self._at_once(n_rounds, is_late=is_late)
             unchanged = [node for node in nodes if node.queue and not node.state.changes]
             if standing and fewest == PAIR + 1 and unchanged and not is_widened:
-                is_widened, useful, at_once = True, unchanged, PAIRS_AT_ONCE
+                is_widened, useful, at_once = True, unchanged, self._scale * PAIRS_AT_ONCE
                 last = min(end, self.n_trials + int(PAIRS * most_trials))
             queues = self._queues(useful, kinds, anew=is_late)
-            batch = batch_of(queues, min(self._scale * at_once, last - self.n_trials))
+            batch = batch_of(queues, min(at_once, last - self.n_trials))
+            n_rounds += 1
             if not batch:  # no queue is left, or fewer trials are left than there are queues
                 break
             parts = [self._judged(batch), self._count_faults(nodes)]

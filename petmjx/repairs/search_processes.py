@@ -24,6 +24,10 @@ PLANS_EACH: Final = 4
 """Smallest number of plans per process. A process needs half a second of CPU time to start, so it is not worth while
 for fewer plans."""
 
+NICE: Final = 5
+"""Niceness (lower priority) of the processes. The process that has the engine keeps its priority, because it must keep
+the engine busy."""
+
 REQUEST_WAIT_S: Final = 0.005
 """While all processes are busy, and the engine is idle, messages are looked for at intervals of this length, s."""
 
@@ -221,7 +225,7 @@ class _Pipe:
     """The simulator of a process: the other process simulates."""
 
     def __init__(self) -> None:
-        self._tasks, self._answers = own_pipes(0)
+        self._tasks, self._answers = own_pipes(NICE)
         self._requests: list[tuple[int, Sequence[Asked]]] = []
         self._n_open = 0
 

@@ -29,7 +29,7 @@ from petmjx.repairs.rebuilds import Failure, rebuilds
 from petmjx.repairs.repair import Repaired
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.requests import Asked, OutOfTime, Steps, Together, Trial, TrialAnswer
-from petmjx.repairs.search import Search
+from petmjx.repairs.search import WIDE_AT_ONCE, Search
 from petmjx.repairs.search_processes import Tasks, run_searches
 from petmjx.repairs.trials import Question, TimeLimit, TrialStream
 
@@ -896,7 +896,54 @@ def test_a_gpu_judges_more_plans_at_once() -> None:
     result_of(search.run(), ask)
     assert search.repairs[0].trial.stands
     assert len(search.repairs[0].changes) == 2
-    assert AT_ONCE < max(sizes) <= 2 * AT_ONCE, "twice as many as on CPU threads"
+    assert AT_ONCE < max(sizes) <= max(WIDE_AT_ONCE), "more than on CPU threads"
+
+
+def test_a_search_on_a_gpu_goes_on_in_wider_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever is changed, the first box of a plan falls."""
+    falls, widths = Trial("unstable", "tilt", 0, (0,), 6, 0, -1.0), list[int]()
+
+    def counted(queues: Sequence[list[Candidate]], count: int) -> list[Candidate]:
+        widths.append(count)
+        return batch_of(queues, count)
+
+    monkeypatch.setattr("petmjx.repairs.search.batch_of", counted)
+    search = Search(make_plan(boxes=stack(6)), Simulation(), RepairOptions(worlds=0), is_wide=True)
+    search.begin(falls)
+    node = Node(State(Draft.of(search.plan), (), falls), (Fault(0, 1.0),))
+    standing, _ = result_of(search._changed([node], search.options.kinds, 600), lambda some: [falls] * len(some))
+    assert standing == []
+    assert tuple(widths[: len(WIDE_AT_ONCE)]) == WIDE_AT_ONCE
+    assert WIDE_AT_ONCE[0] < WIDE_AT_ONCE[-1] == search._at_once(30, is_late=False)
+
+
+def test_on_a_gpu_all_plans_are_scored_before_their_searches(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plan that stands when scored is not searched, although it falls when judged."""
+    plans = [make_plan("falls", boxes=COUNTERWEIGHT), make_plan("leans", boxes=COUNTERWEIGHT), make_plan("stands")]
+    judge, scores, requests = Question.trials, list[list[str]](), list[tuple[str, bool, bool]]()
+
+    def trials(question: Question, asked: Sequence[Asked], limit: TimeLimit | None = None) -> list[Trial]:
+        assert not any(one.is_judged for one in asked)
+        scores.append([one.draft.plan.plan_id for one in asked])
+        known = dict(zip((one.draft.plan.plan_id for one in asked), judge(question, asked, limit), strict=True))
+        known["leans"] = known["leans"]._replace(verdict="stable")
+        return [*known.values()]
+
+    def jobs(question: Question, asked: Sequence[Asked]) -> list[Any]:
+        requests.extend((one.draft.plan.plan_id, one.is_judged, one.draft.order == (0, 1, 2, 3)) for one in asked)
+        return make_jobs(question, asked)
+
+    make_jobs = Question.jobs
+    monkeypatch.setattr(Question, "is_wide", True)
+    monkeypatch.setattr(Question, "trials", trials)
+    monkeypatch.setattr(Question, "jobs", jobs)
+    falls, leans, stands = petmjx.repair(plans, engine="mjx-warp-cpu", worlds=0, trials=40).each
+    assert scores == [["falls", "leans", "stands"]]
+    assert (falls.trial_before.stands, len(falls.changes), falls.stands) == (False, 1, True)
+    assert (leans.changes, leans.n_trials, leans.complete) == ((), 0, True)
+    assert (stands.changes, stands.n_trials) == ((), 0)
+    of_searches = requests[len(plans) :]
+    assert {name for name, *_ in of_searches} == {"falls"}
 
 
 def test_other_ways_to_change_a_plan_come_between_the_amounts_of_one_way() -> None:
