@@ -38,10 +38,9 @@ simulation of a pallet with trembling boxes takes three times as long."""
 
 STIFF_INTERVAL_S = 0.2
 """In attempts with stiff contacts and the schedule ``adaptive``, the longest of the short waits
-(``Simulation.interval_s``), s. In stiff contacts, boxes of high piles chatter for good, and each step takes 20 to 30
-iterations of the solver. With the usual 0.7 s, a pile that is not quiet would wait for 0.7 s before each further box.
-0.2 s are twice the time for which a box counts as landing. The last wait of a world stays long, so a box that tips
-slowly is still found."""
+(``Simulation.interval_s``), s. A pile with a trembling box may never be quiet for ``STIFF_QUIET_STEPS``. With the usual
+0.7 s, such a pile would wait for 0.7 s before each further box. 0.2 s are twice the time for which a box counts as
+landing. The last wait of a world stays long, so a box that tips slowly is still found."""
 
 
 def stiffened(sim: Simulation, share: float, timestep_divisor: int = 1) -> Simulation:

@@ -40,14 +40,17 @@ class Status:
 class State(NamedTuple):
     """The states of worlds between two steps. Steps are counted from the end of the soft start."""
 
-    # MuJoCo's arrays of free bodies, with boxes and carrier in separate arrays. The arrays are positions, velocities,
-    # accelerations of the last step, and accelerations from which mjx-warp's solver starts in the next step. Other
-    # solvers start from the accelerations of the last step.
+    # MuJoCo's arrays of free bodies, with boxes and carrier in separate arrays. The arrays are poses, what single
+    # precision leaves off the positions (on mjx-warp; else 0), velocities, accelerations of the last step, and
+    # accelerations from which mjx-warp's solver starts in the next step. Other solvers start from the accelerations of
+    # the last step.
     qpos: Float[Array, "world box 7"]
+    qpos_remainder: Float[Array, "world box 3"]
     qvel: Float[Array, "world box 6"]
     qacc: Float[Array, "world box 6"]
     qacc_warmstart: Float[Array, "world box 6"]
     carrier_qpos: Float[Array, "world 7"]
+    carrier_qpos_remainder: Float[Array, "world 3"]
     carrier_qvel: Float[Array, "world 6"]
     carrier_qacc: Float[Array, "world 6"]
     carrier_qacc_warmstart: Float[Array, "world 6"]
@@ -193,10 +196,12 @@ def fresh_state(worlds: Worlds, *, all_placed: bool, ends: Int[Array, " world"],
     upright = jnp.broadcast_to(jnp.array(IDENTITY_QUAT), (n, 4))
     return State(
         qpos=worlds.start,
+        qpos_remainder=jnp.zeros((n, width, 3)),
         qvel=jnp.zeros((n, width, 6)),
         qacc=jnp.zeros((n, width, 6)),
         qacc_warmstart=jnp.zeros((n, width, 6)),
         carrier_qpos=jnp.concatenate([worlds.carrier_pos, upright], axis=-1),
+        carrier_qpos_remainder=jnp.zeros((n, 3)),
         carrier_qvel=jnp.zeros((n, 6)),
         carrier_qacc=jnp.zeros((n, 6)),
         carrier_qacc_warmstart=jnp.zeros((n, 6)),

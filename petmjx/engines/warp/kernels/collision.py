@@ -11,12 +11,17 @@ import warp as wp
 from petmjx.engines.warp.kernels.bed import bed_of
 from petmjx.engines.warp.kernels.block_threads import any_of_all, prefix_sums, wait_for_all, warp_by_warp
 from petmjx.engines.warp.kernels.compliance import compliance_of_pair, spring_of_bed, spring_of_pair
-from petmjx.engines.warp.kernels.motion import ROOM, body_of, first_geom, geom_half, skin_of
+from petmjx.engines.warp.kernels.contact_distances import exact_distance, exact_place, exact_turn
+from petmjx.engines.warp.kernels.motion import ROOM, body_of, doubled, first_geom, geom_half, skin_of
 from petmjx.engines.warp.kernels.mujoco_warp import box_box, mat83f, plane_box, vec8f
-from petmjx.engines.warp.world_arrays import Model, Ref, Thread, Workspace, Worlds
+from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Workspace, Worlds
 
 NEAR = wp.constant(1e-5)
 """Margin by which bounding boxes of geoms are enlarged, m, so that no contact is lost by rounding."""
+
+ROUNDING = wp.constant(1e-6)
+"""Largest error of the distances that colliders compute in single precision, m. For boxes of up to 0.6 m the largest
+error seen is 0.08 µm."""
 
 APART = wp.constant(2.0 * ROOM + 3.0 * NEAR)
 """Largest distance of two geoms' bounding boxes, m, at which the pair is listed. The list stays valid until a body has
@@ -106,6 +111,8 @@ def collide(
     # Model:
     model: Ref[Model],
     worlds: Ref[Worlds],
+    # Data in:
+    state: Ref[State],
     # In:
     at: Thread,
     npair: int,
@@ -138,26 +145,39 @@ def collide(
         lower_skin = skin_of(model, worlds, at.world, one)
         skin = skin_of(model, worlds, at.world, two)
         half = geom_half(worlds, at.world, two) + wp.vec3(skin, skin, skin)
+        lower_half = wp.vec3(0.0, 0.0, 0.0)
         margin = -lower_skin - skin
+        # The collider gets places relative to the first geom, since errors of small numbers are small.
+        lower_turn = exact_turn(worlds, state, at.world, one)
+        turn = exact_turn(worlds, state, at.world, two)
+        apart = exact_place(worlds, state, at.world, two, turn) - exact_place(worlds, state, at.world, one, lower_turn)
+        place = wp.vec3(float(apart[0]), float(apart[1]), float(apart[2]))
         if one == 0:
             distances, places, normal = plane_box(
-                normal, work.geom_xpos[block, 0], work.geom_xpos[block, two], work.geom_xmat[block, two], half
+                normal, wp.vec3(0.0, 0.0, 0.0), place, work.geom_xmat[block, two], half
             )
         else:
+            lower_half = geom_half(worlds, at.world, one) + wp.vec3(lower_skin, lower_skin, lower_skin)
             n_points, distances, places, normal = box_box(
-                work.geom_xpos[block, one],
+                wp.vec3(0.0, 0.0, 0.0),
                 work.geom_xmat[block, one],
-                geom_half(worlds, at.world, one) + wp.vec3(lower_skin, lower_skin, lower_skin),
-                work.geom_xpos[block, two],
+                lower_half,
+                place,
                 work.geom_xmat[block, two],
                 half,
-                margin,
+                margin + ROUNDING,
             )
+        direction = wp.normalize(doubled(normal))
         count = int(0)
         for i in range(n_points):
-            distance = distances[i] - margin
+            if distances[i] > margin + ROUNDING:
+                continue
+            touch = wp.vec3(places[i, 0], places[i, 1], places[i, 2])
+            gap = exact_distance(lower_half, lower_turn, half, turn, apart, direction, doubled(touch), distances[i])
+            distance = gap - margin
             if distance < 0.0:
-                work.pair_points[block, pair, count] = wp.vec4(places[i, 0], places[i, 1], places[i, 2], distance)
+                touch += work.geom_xpos[block, one]
+                work.pair_points[block, pair, count] = wp.vec4(touch[0], touch[1], touch[2], distance)
                 count += 1
         if at.gives != 0:
             give = compliance_of_pair(worlds, at.world, one, two)

@@ -77,12 +77,31 @@ def moments(half: wp.vec3, mass: float) -> wp.vec3:
 
 
 @wp.func
+def doubled(v: wp.vec3) -> wp.vec3d:
+    """The same vector in double precision."""
+    return wp.vec3d(wp.float64(v[0]), wp.float64(v[1]), wp.float64(v[2]))
+
+
+@wp.func
 def center(state: Ref[State], world: int, body: int) -> wp.vec3:
     """Centre of mass of a body, m."""
     if body == 0:
         return wp.vec3(state.carrier_qpos[world, 0], state.carrier_qpos[world, 1], state.carrier_qpos[world, 2])
     box = body - 1
     return wp.vec3(state.qpos[world, box, 0], state.qpos[world, box, 1], state.qpos[world, box, 2])
+
+
+@wp.func
+def exact_center(state: Ref[State], world: int, body: int) -> wp.vec3d:
+    """Centre of mass of a body in double precision, m."""
+    place = center(state, world, body)
+    remainder = wp.vec3(0.0, 0.0, 0.0)
+    for i in range(3):
+        if body == 0:
+            remainder[i] = state.carrier_qpos_remainder[world, i]
+        else:
+            remainder[i] = state.qpos_remainder[world, body - 1, i]
+    return doubled(place) + doubled(remainder)
 
 
 @wp.func
@@ -138,6 +157,18 @@ def rotation(q: wp.vec4) -> wp.mat33:
         s * fused(y, z, wx),
         1.0 - s * (xx + yy),
     )
+
+
+@wp.func
+def exact_rotation(q: wp.vec4) -> wp.mat33d:
+    """``rotation`` in double precision."""
+    w = wp.float64(q[0])
+    v = doubled(wp.vec3(q[1], q[2], q[3]))
+    s = wp.float64(2.0) / (w * w + wp.dot(v, v))
+    turn = s * wp.outer(v, v) + s * w * wp.skew(v)
+    for i in range(3):
+        turn[i, i] = wp.float64(1.0) - s * (wp.dot(v, v) - v[i] * v[i])
+    return turn
 
 
 @wp.func
@@ -275,9 +306,13 @@ def end_step(
         for i in range(3):
             linear[i] = linear[i] + model.timestep * qacc[i]
             spin[i] = spin[i] + model.timestep * qacc[3 + i]
-        where = center(state, world, body)
+        exact = exact_center(state, world, body)
+        where = wp.vec3(0.0, 0.0, 0.0)
+        remainder = wp.vec3(0.0, 0.0, 0.0)
         for i in range(3):
-            where[i] = where[i] + model.timestep * linear[i]
+            exact[i] = exact[i] + wp.float64(model.timestep) * wp.float64(linear[i])
+            where[i] = float(exact[i])
+            remainder[i] = float(exact[i] - wp.float64(where[i]))
         speed = wp.length(spin)
         angle = model.timestep * speed
         sine = model.timestep * 0.5
@@ -299,6 +334,7 @@ def end_step(
         if body == 0:
             for i in range(3):
                 state.carrier_qpos[world, i] = where[i]
+                state.carrier_qpos_remainder[world, i] = remainder[i]
                 state.carrier_qvel[world, i] = linear[i]
                 state.carrier_qvel[world, 3 + i] = spin[i]
             for i in range(4):
@@ -310,6 +346,7 @@ def end_step(
             box = body - 1
             for i in range(3):
                 state.qpos[world, box, i] = where[i]
+                state.qpos_remainder[world, box, i] = remainder[i]
                 state.qvel[world, box, i] = linear[i]
                 state.qvel[world, box, 3 + i] = spin[i]
             for i in range(4):

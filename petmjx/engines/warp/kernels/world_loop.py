@@ -156,7 +156,7 @@ def advance(
                 on = False
     go_together()
     if on and begins:
-        changed = collide(model, worlds, at, npair, anew, work)
+        changed = collide(model, worlds, state, at, npair, anew, work)
         ncon = work.pair_conadr[at.block, npair]
         if at.thread == 0:
             work.ncon[at.block] = ncon
