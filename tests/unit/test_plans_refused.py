@@ -171,7 +171,7 @@ FILE_FAULTS = [
     (b"hello", "p.json: not JSON at line 1, column 1 (expected {)"),
     (b"{\n  hello", "p.json: not JSON at line 2, column 3 (Expecting property name enclosed in double quotes)"),
     (b"\n\n{} x", "p.json: not JSON at line 3, column 4 (more text after its end)"),
-    (b'{"boxes": [{"x": 0}, ]}', "p.json: not JSON at line 1, column 22 (Expecting value)"),
+    (b'{"boxes": [{"x": 0} {"x": 1}]}', "p.json: not JSON at line 1, column 21 (Expecting ',' delimiter)"),
     (b"{}\0\0", "p.json: ends in 2 NUL bytes; was the file written whole?"),
     (
         b'{"flb_coordinates": []}\0\0',
