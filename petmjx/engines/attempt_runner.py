@@ -129,7 +129,7 @@ class AttemptRunner(Generic[AnyWorld]):
 
     def engine_for(self, world: AnyWorld) -> Engine:
         """The engine that simulates a world at this attempt: the engine of the run, or its fallback engine."""
-        return self.engines.for_job(world.job, self.sim, doubles=self.attempt.doubles, soft=self.is_soft(world))
+        return self.engines.for_job(world.job, self.sim, self.attempt, soft=self.is_soft(world))
 
     def is_soft(self, world: AnyWorld) -> bool:
         """Whether this attempt simulates boxes of the world as soft bodies."""

@@ -341,8 +341,8 @@ class _AttemptTasks(Generic[AnyWorld]):
     def begin(self, attempt: AttemptRecipe, pending: Pending[AnyWorld]) -> bool:
         """Begin an attempt at a world as a task. Returns False if the engine of the run must make the attempt."""
         runner, (world, _, _) = self.runner_of(attempt), pending
-        traits = {"doubles": attempt.doubles, "soft": runner.is_soft(world), "few": self.are_few(attempt, pending)}
-        name = self.engines.beside(world.job, runner.sim, **traits)
+        soft, few = runner.is_soft(world), self.are_few(attempt, pending)
+        name = self.engines.beside(world.job, runner.sim, attempt, soft=soft, few=few)
         if name is not None:
             self._ask(runner, pending, name)
         return name is not None

@@ -82,6 +82,13 @@ class AttemptRecipe:
     has boxes that may sink into each other, many of these worlds need the attempt."""
 
     @property
+    def needs(self) -> Capability:
+        """The precision that an engine needs for this attempt."""
+        if self.doubles:
+            return Capability.FLOAT64
+        return Capability(0) if self.stiff is None else Capability.FINE_DISTANCES
+
+    @property
     def joins(self) -> bool:
         """Whether the attempt differs from the first attempt only in the stiffness of contacts (``Job.stiff``). Such an
         attempt can run together with first attempts."""
@@ -172,11 +179,14 @@ def may_go_on(outcome: Outcome, sim: Simulation) -> bool:
 FALLBACKS: Final = {"mjx-jax": "mujoco", "mjx-warp": "mujoco", "mjx-warp-cpu": "mujoco"}
 """Name of an engine → name of its fallback engine."""
 
+_STIFFER_NOTE: Final = "worlds were simulated again on {}, with stiffer contacts"
+
 _FALLBACK_NOTES: Final = {
     Capability.SOFT: "worlds with soft boxes were simulated on {}",
     Capability.SHEETS: "worlds with interlayer sheets or pallets among their boxes were simulated on {}",
     Capability.KINETIC_PAIRS: "worlds with kinetic friction by pairs of materials were simulated on {}",
     Capability.FLOAT64: "worlds were simulated again on {}, in double precision",
+    Capability.FINE_DISTANCES: _STIFFER_NOTE,
     Capability.CG: "worlds were simulated on {}, the only engine with the solver cg",
 }
 """Capability that an engine lacks → the note about the worlds that the fallback engine simulated for this reason."""
@@ -208,11 +218,10 @@ class Engines:
         name = FALLBACKS.get(self.primary.name)
         return make_engine(name) if name is not None else None
 
-    def for_job(self, job: Job, sim: Simulation, *, doubles: bool, soft: bool = False) -> Engine:
-        """The engine that simulates a job.
+    def for_job(self, job: Job, sim: Simulation, attempt: AttemptRecipe, *, soft: bool = False) -> Engine:
+        """The engine that simulates a job at an attempt.
 
         Args:
-            doubles: whether the attempt needs double precision.
             soft: whether the attempt has soft boxes.
         """
         if not self.has_fallback:
@@ -221,7 +230,7 @@ class Engines:
             Capability.SOFT: soft,
             Capability.SHEETS: bool(job.scene.pieces),
             Capability.KINETIC_PAIRS: job.scene.pair_kinetic is not None,
-            Capability.FLOAT64: doubles,
+            attempt.needs: True,
             Capability.CG: sim.solver is Solver.CG,
         }
         missing = [need for need, needed in needs.items() if needed and need not in self.primary.capabilities]
@@ -233,7 +242,7 @@ class Engines:
             self.note(_FALLBACK_NOTES[missing[0]].format(self.fallback.name))
         return self.fallback
 
-    def beside(self, job: Job, sim: Simulation, *, doubles: bool, soft: bool, few: bool) -> str | None:
+    def beside(self, job: Job, sim: Simulation, attempt: AttemptRecipe, *, soft: bool, few: bool) -> str | None:
         """Name of the engine that makes a further attempt at a job beside the engine of the run. If the result is None,
         the engine of the run makes the attempt.
 
@@ -244,7 +253,7 @@ class Engines:
         """
         if self.primary.name not in (*BESIDE, BESIDE_ITSELF):
             return None
-        engine = self.for_job(job, sim, doubles=doubles, soft=soft)
+        engine = self.for_job(job, sim, attempt, soft=soft)
         if self.primary.name == BESIDE_ITSELF:
             return BESIDE_ITSELF if engine is self.primary and few and not job.settles else None
         if engine is not self.primary:
@@ -252,7 +261,7 @@ class Engines:
         if not few or job.settles:
             return None
         name = BESIDE[self.primary.name]
-        self.note(f"worlds were simulated again on {name}, with stiffer contacts")
+        self.note(_STIFFER_NOTE.format(name))
         return name
 
     @cached_property

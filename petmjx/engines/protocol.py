@@ -105,6 +105,9 @@ class Capability(enum.Flag):
 
     FLOAT64 = enum.auto()
     """The engine computes in double precision."""
+    FINE_DISTANCES = enum.auto()
+    """Distances at contacts have double precision. In stiffer contacts (attempt 6), boxes sink by less than single
+    precision resolves, and would never come to rest."""
     CG = enum.auto()
     """The engine supports the solver ``cg``."""
     SHEETS = enum.auto()
@@ -125,12 +128,13 @@ class Capability(enum.Flag):
 
 
 _PAIRS: Final = Capability.SHEETS | Capability.KINETIC_PAIRS
-_PHYSICS: Final = Capability.FLOAT64 | Capability.CG | _PAIRS
+_PHYSICS: Final = Capability.FLOAT64 | Capability.FINE_DISTANCES | Capability.CG | _PAIRS
+_WARP: Final = Capability.FINE_DISTANCES | _PAIRS | Capability.STIFF_JOBS
 PHYSICS: Final[Mapping[str, Capability]] = {
     "mujoco": _PHYSICS | Capability.SOFT,
     "mjx-jax": Capability(0),
-    "mjx-warp": _PAIRS | Capability.STIFF_JOBS,
-    "mjx-warp-cpu": _PAIRS | Capability.STIFF_JOBS,
+    "mjx-warp": _WARP,
+    "mjx-warp-cpu": _WARP,
 }
 """Name of an engine → its capabilities. An engine in a worker process has the same capabilities. An engine with any
 other name is assumed to have all capabilities except soft boxes.

@@ -21,7 +21,7 @@ from petmjx.common.errors import InputError, PlanWarning
 from petmjx.common.machine import cpu_threads, why_no_warp, why_no_warp_on_cpu
 from petmjx.common.text import printable_name
 from petmjx.engines.attempt_runner import outcomes_of_stream
-from petmjx.engines.attempts import Engines, may_go_on
+from petmjx.engines.attempts import ATTEMPTS, Engines, may_go_on
 from petmjx.engines.contact_penetration import note_penetration
 from petmjx.engines.engine_choice import make_engine, options_of
 from petmjx.engines.job_stream import JobBounds, JobStream
@@ -244,7 +244,7 @@ class Question:
 
     def lane(self, one: Asked, job: Job) -> Lane:
         """The engine and the options with which a draft is judged."""
-        engine = self._engines.for_job(job, self.sim, doubles=False, soft=job.scene.soft is not None)
+        engine = self._engines.for_job(job, self.sim, ATTEMPTS[0], soft=job.scene.soft is not None)
         return Lane(engine, self._quick[int(one.world > 0)])
 
     def judged(self, outcome: Outcome, one: Asked, job: Job, sim: Simulation) -> Trial:

@@ -83,6 +83,17 @@ def scored(
     return results, list(progress.notes)
 
 
+def test_an_engine_whose_distances_are_too_coarse_for_stiff_contacts_leaves_attempt_6_to_c_mujoco(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    engine, c_engine = (Scripted(name, never, Reason.SINKING) for name in ("mjx-jax", "mujoco"))
+    results, notes = scored(engine, c_engine, monkeypatch)
+    engines = {(a.attempt, a.engine) for result in results for a in result.attempts}
+    assert {(1, "mjx-jax"), (6, "mujoco")} <= engines
+    assert (6, "mjx-jax") not in engines
+    assert "worlds were simulated again on mujoco, with stiffer contacts" in notes
+
+
 def test_what_an_engine_leaves_unanswered_goes_to_c_mujoco(monkeypatch: pytest.MonkeyPatch) -> None:
     results, notes = scored(Scripted("mjx-warp", in_run(1)), Scripted("mujoco", never), monkeypatch)
     assert sorted(result.outcome.engine for result in results) == ["mjx-warp", "mujoco", "mujoco"]

@@ -15,7 +15,7 @@ from petmjx.engines import attempt_stream
 from petmjx.engines.attempt_stream import score_worlds
 from petmjx.engines.cost_model import Work
 from petmjx.engines.engine_choice import make_engine
-from petmjx.engines.protocol import Capability, Engine, Progress, says_at_hand, takes_stream
+from petmjx.engines.protocol import PHYSICS, Capability, Engine, Progress, says_at_hand, takes_stream
 from petmjx.engines.run_engine import engine_for
 from petmjx.engines.verdict import Outcome
 from petmjx.engines.world_prefetch import WorldPrefetch
@@ -71,7 +71,7 @@ def test_a_lent_engine_keeps_what_it_has() -> None:
 
 def test_what_it_leaves_out_is_as_of_any_engine() -> None:
     engine = lent(Bare())
-    assert engine.capabilities == Capability.FLOAT64 | Capability.CG | Capability.SHEETS | Capability.KINETIC_PAIRS
+    assert engine.capabilities == PHYSICS["mujoco"] & ~Capability.SOFT
     assert engine.devices == 1
     assert not engine.tells
     with pytest.raises(InputError, match="engine bare has no open worlds"):
