@@ -44,7 +44,7 @@ from support.worlds import simulate
 from petmjx.engines.warp import contact_buffers
 from petmjx.engines.warp import engine as mjx_warp
 from petmjx.engines.warp.block_launch import Launch
-from petmjx.engines.warp.block_pool import BlockPool
+from petmjx.engines.warp.block_pool import MIN_BLOCKS, BlockPool
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.kernel_launcher import KernelLauncher
 from petmjx.engines.warp.time_slices import Rollout
@@ -99,7 +99,7 @@ def test_fewer_blocks_than_are_usually_worth_while_are_as_the_user_wants(
     monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
     tried = small_device(monkeypatch, lambda *_: True)
-    few = mjx_warp.MIN_BLOCKS // 4
+    few = MIN_BLOCKS // 4
     outcomes = simulate(MjxWarpEngine(few, allow_cpu=True), tiny_scenes(("hand-one-box",)), SHORT)
     assert_equal_worlds(outcomes, crowd)
     assert tried == [few]

@@ -3,12 +3,16 @@ memory."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from petmjx.engines.mjx.world_constants import NEVER
 from petmjx.engines.warp import world_arrays
 from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.contact_buffers import pairs_and_contacts
+
+MIN_BLOCKS = 16
+"""If memory is short, the number of thread blocks is halved, but not below this number, since still fewer blocks would
+save hardly any memory."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +46,11 @@ class BlockPool:
     def of(cls, launch: Launch, blocks: int, n_boxes: int, boards: int, room: int) -> BlockPool:
         """A pool whose buffers have room for the contacts and pairs of ``room`` boxes in each world."""
         return cls(launch, blocks, n_boxes, boards, *pairs_and_contacts(room + boards - 1))
+
+    def halved(self) -> BlockPool:
+        """The same pool with half the number of blocks, but not fewer than ``MIN_BLOCKS``. Smaller pools do not
+        change."""
+        return replace(self, blocks=min(self.blocks, max(self.blocks // 2, MIN_BLOCKS)))
 
     @property
     def is_extra(self) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,6 @@ from petmjx.engines.protocol import GPU_WORLDS, Capability, Engine, Progress, Ru
 from petmjx.engines.verdict import Outcome
 from petmjx.engines.warp.beginnings import beginnings
 from petmjx.engines.warp.block_launch import Launch
-from petmjx.engines.warp.block_pool import BlockPool
 from petmjx.engines.warp.block_pools import BlockPools
 from petmjx.engines.warp.block_queues import Queues
 from petmjx.engines.warp.continued_worlds import ContinuedWorlds
@@ -38,15 +36,6 @@ from petmjx.world.scene import Scene
 GPU_SLICE_NS = 100_000_000
 """Length of a time slice (one call of the kernels) on a GPU, ns. With longer slices, the CPU waits for worlds; with
 shorter slices, the GPU waits for calls."""
-
-MIN_BLOCKS = 16
-"""If memory is short, the number of thread blocks is halved, but not below this number, since still fewer blocks would
-save hardly any memory."""
-
-
-def _half_pool(pool: BlockPool) -> BlockPool:
-    """The same pool with half the number of blocks, but not fewer than ``MIN_BLOCKS``. Smaller pools do not change."""
-    return replace(pool, blocks=min(pool.blocks, max(pool.blocks // 2, MIN_BLOCKS)))
 
 
 class MjxWarpEngine(Engine):
@@ -280,7 +269,7 @@ class MjxWarpEngine(Engine):
                 if not self._kept and any(pool.is_extra for pool in pools):
                     pools = tuple(pool for pool in pools if not pool.is_extra)
                 elif not self._kept:
-                    more, pools = pools, tuple(_half_pool(pool) for pool in pools)
+                    more, pools = pools, tuple(pool.halved() for pool in pools)
                     if pools == more:
                         if len(pools) > 1:
                             raise  # the caller tries each size alone, since one may fit in memory
