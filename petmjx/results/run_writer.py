@@ -36,7 +36,7 @@ from petmjx.results.plan_table import PLACEMENTS
 from petmjx.results.resume import CompletedWorlds, resume_state
 from petmjx.results.run_file import write_run_file
 from petmjx.results.run_folder import OF_WORLDS, RUN_FILE, check_run_folder, make_room, tidy
-from petmjx.results.run_info import RUNNING, RunInfo, now
+from petmjx.results.run_json import RUNNING, RunInfo, now
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import FINISHED, RunResults, load_run
 from petmjx.results.run_tables import LISTED, Parts
