@@ -29,7 +29,7 @@ from petmjx.engines.protocol import Capability, Engine, Progress
 from petmjx.engines.subprocess.attempt_process import AttemptProcess, AttemptSimulator
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.options.physics import Cone
-from petmjx.options.simulation import Attempts, Simulation, Solver
+from petmjx.options.simulation import MOST_ITERATIONS, Attempts, Simulation, Solver
 from petmjx.world.job import Excitation, Job, KeptState
 
 CAREFUL_ITERATIONS = 400
@@ -129,7 +129,7 @@ class AttemptRecipe:
             quiet = {name: getattr(sim.quiet, name) * factor for name in _COUNTED_IN_STEPS}
             update["quiet"] = sim.quiet.model_copy(update=quiet)
             if sim.iteration_limit is not None:
-                update["iteration_limit"] = sim.iteration_limit * factor
+                update["iteration_limit"] = min(sim.iteration_limit * factor, MOST_ITERATIONS)
         changed = sim.changed(**update) if update else sim
         return changed if self.stiff is None else stiffened(changed, self.stiff, self.timestep_divisor)
 

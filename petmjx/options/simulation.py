@@ -30,7 +30,7 @@ LONGEST_S: Final = 600.0
 timestep and 512 boxes."""
 MOST_STEPS: Final = 100_000
 MOST_ITERATIONS: Final = 1_000_000_000
-"""Largest ``iteration_limit``. Twice this number fits into 32 bits, for attempts with half the timestep."""
+"""Largest ``iteration_limit``, also in attempts with a smaller timestep. It fits into 32 bits."""
 
 SOFT_START_STEPS: Final = 100
 """Number of steps in each half of the soft start, which precedes a simulation's time 0. In the first half, there is no
@@ -280,8 +280,8 @@ class Simulation(CheckedRecord):
     iteration_limit: Annotated[int | None, within(1, MOST_ITERATIONS), CliFlag("--iteration-limit", "N")] = Field(
         None,
         gt=0,
-        description="largest number of solver iterations of a world; a drive has as many again; a world that needs "
-        "more ends, without a verdict unless a box has dropped or tilted too far; none: no limit",
+        description="largest number of solver iterations of a world; a drive has as many again; a world that has "
+        "taken so many ends, without a verdict unless a box has dropped or tilted too far; none: no limit",
     )
     solver_tolerance: Annotated[float | None, within(0, 1)] = Field(
         None, gt=0, description="MuJoCo's opt.tolerance; none: the engine's own choice"

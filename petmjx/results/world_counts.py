@@ -9,7 +9,11 @@ from typing import Any, Final
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from petmjx.common.text import count_text
 from petmjx.engines.verdict import Flag, Reason, Verdict
+
+NO_VERDICT: Final = "no verdict for"
+"""How the warning about the limit of iterations begins."""
 
 COUNTED: Final = ("verdict", "reason", "attempt", "flags")
 """The columns of ``worlds`` whose values are counted."""
@@ -50,6 +54,14 @@ class WorldCounts:
 
     def __add__(self, other: WorldCounts) -> WorldCounts:
         return WorldCounts(*(getattr(self, entry.name) + getattr(other, entry.name) for entry in fields(self)))
+
+    def iteration_limit_warning(self, limit: int | None) -> str | None:
+        """The warning about the worlds that have used up their iterations; None if there are none."""
+        count = self.verdicts[Verdict.INVALID, Reason.ITERATION_LIMIT]
+        if not count:
+            return None
+        worlds = count_text(count, "world")
+        return f"{NO_VERDICT} {worlds} with iteration_limit={limit}; a larger limit, or none, allows more"
 
     def as_json(self) -> dict[str, Any]:
         """The numbers as plain JSON values: all worlds by verdict, and worlds that are not stable also by reason."""

@@ -24,6 +24,7 @@ from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import RunResults, is_chain, load_run, split_warnings
 from petmjx.results.run_writer import RunWriter
 from petmjx.results.schema import Param, summary_table
+from petmjx.results.world_counts import NO_VERDICT
 from petmjx.runs.chain_summary import ChainColumns, write_chain
 from petmjx.runs.confidence import write_confidence
 from petmjx.runs.sweep_summary import ShareColumns, summarise_shares
@@ -200,7 +201,11 @@ def _note_input(writer: RunWriter, infos: Sequence[Mapping[str, Any]]) -> None:
         writer.skip(skipped_plan)
     warnings = [split_warnings(info) for info in infos]
     for warning in itertools.chain.from_iterable(about_run for about_run, _ in warnings):
-        writer.warn(warning)
+        if not warning.startswith(NO_VERDICT):  # its number is that of one shard
+            writer.warn(warning)
+    limit = infos[0]["config"]["simulation"].get("iteration_limit")
+    if warning_of_all := writer.counts.iteration_limit_warning(limit):
+        writer.warn(warning_of_all)
     writer.odd_plans += dict.fromkeys(itertools.chain.from_iterable(about_plans for _, about_plans in warnings))
 
 

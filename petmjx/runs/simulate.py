@@ -21,7 +21,7 @@ from petmjx.engines.engine_choice import Choice
 from petmjx.engines.metrics import BoxMetrics
 from petmjx.engines.protocol import Engine, Progress
 from petmjx.engines.run_engine import engine_for, engine_warmup
-from petmjx.engines.verdict import Reason, Verdict
+from petmjx.engines.verdict import Reason
 from petmjx.options.physics import Physics
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
@@ -242,7 +242,8 @@ class _Run:
             if options.force_intervals:
                 writer.timings["intervals_s"] = round(self.intervals_s, 3)
             writer.flush()
-            self._note_iteration_limit(writer)
+            if warning := writer.counts.iteration_limit_warning(study.sim.iteration_limit):
+                writer.warn(warning)
             if study.plans:  # a shard may have no plans
                 study.summarise(writer)
         return writer.results(held)
@@ -275,14 +276,6 @@ class _Run:
             variant = f", variant {index}" if study.params else ""
             failed = "failed: " if world.outcome.reason is Reason.FAILED else ""
             writer.warn(f"plan {printable_name(plan.plan_id)}{variant}: {failed}{world.outcome.message}")
-
-    def _note_iteration_limit(self, writer: RunWriter) -> None:
-        """If worlds used up their iterations, add a warning with their number."""
-        if count := writer.counts.verdicts[Verdict.INVALID, Reason.ITERATION_LIMIT]:
-            limit = f"iteration_limit={self.study.sim.iteration_limit}"
-            writer.warn(
-                f"no verdict for {count_text(count, 'world')} with {limit}; a larger limit, or none, allows more"
-            )
 
     def _interval_n(self, world: FinishedWorld) -> FloatArray | None:
         """(n, 2) the smallest and the largest possible force on the top of each box, N; None if intervals are not

@@ -47,6 +47,7 @@ def outcomes(
             n = job.scene.n_boxes
             driven = job.drive is not None and bool(host.driven_from[i] <= host.step[i])
             drops, pose = m.drop_step[i, :n], np.asarray(host.qpos[i, :n], np.float64)
+            pose[:, :3] += host.qpos_remainder[i, :n]
             boxes = BoxMetrics.measured(
                 n,
                 **of_boxes(m, measured, i, n, driven),
@@ -103,7 +104,9 @@ def _put_at_rest(jobs: Sequence[Job], host: State) -> None:
         if job.poses is None:
             continue
         pos, quat = job.poses[:, :3], job.poses[:, 3:]
-        host.qpos[row, : len(pos)] = np.concatenate([job.scene.frames(pos, quat), quat], axis=1)
+        frames = job.scene.frames(pos, quat)
+        host.qpos[row, : len(pos)] = np.concatenate([frames, quat], axis=1)
+        host.qpos_remainder[row, : len(pos)] = frames - host.qpos[row, : len(pos), :3].astype(np.float64)
         for moving in (host.qvel, host.qacc, host.qacc_warmstart):
             moving[row] = 0.0
 

@@ -50,6 +50,26 @@ def times(a: float, b: float) -> float: ...
 def fused(a: float, b: float, c: float) -> float: ...
 
 
+@wp.func_native("return petmjx::times(a, b);")
+def times_double(a: wp.float64, b: wp.float64) -> wp.float64: ...
+
+
+@wp.func_native("return petmjx::fused(a, b, c);")
+def fused_double(a: wp.float64, b: wp.float64, c: wp.float64) -> wp.float64: ...
+
+
+@wp.func
+def dot_double(a: wp.vec3d, b: wp.vec3d) -> wp.float64:
+    """The product of two vectors, rounded alike in all kernels."""
+    return fused_double(a[0], b[0], fused_double(a[1], b[1], times_double(a[2], b[2])))
+
+
+@wp.func
+def applied_double(matrix: wp.mat33d, v: wp.vec3d) -> wp.vec3d:
+    """matrix·v, rounded alike in all kernels."""
+    return wp.vec3d(dot_double(matrix[0], v), dot_double(matrix[1], v), dot_double(matrix[2], v))
+
+
 @wp.func
 def difference(a: float, x: wp.vec3, b: float, y: wp.vec3) -> wp.vec3:
     """a·x − b·y."""

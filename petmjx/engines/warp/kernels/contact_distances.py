@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from petmjx.engines.warp.kernels.block_threads import applied_double, dot_double, fused_double
 from petmjx.engines.warp.kernels.motion import body_of, doubled, exact_center, exact_rotation, orientation
 from petmjx.engines.warp.world_arrays import Ref, State, Worlds
 
@@ -32,9 +33,8 @@ def exact_place(worlds: Ref[Worlds], state: Ref[State], world: int, geom: int, t
     if geom == 0:
         return doubled(wp.vec3(0.0, 0.0, worlds.floor_z[world]))
     offset = worlds.shape_pos[world, geom - 1]
-    return exact_center(state, world, body_of(worlds, world, geom)) + turn * doubled(
-        wp.vec3(offset[0], offset[1], offset[2])
-    )
+    place = exact_center(state, world, body_of(worlds, world, geom))
+    return place + applied_double(turn, doubled(wp.vec3(offset[0], offset[1], offset[2])))
 
 
 @wp.func
@@ -47,12 +47,12 @@ def _reach(half: wp.vec3, turn: wp.mat33d, along: wp.vec3d, point: wp.vec3d) -> 
         along: the direction in the box's frame, of unit length.
         point: the collider's point, relative to the centre. It is moved onto the faces to which it belongs.
     """
-    local = wp.transpose(turn) * point
+    local = applied_double(wp.transpose(turn), point)
     for i in range(3):
         extent = wp.float64(half[i])
         if wp.abs(wp.abs(local[i]) - extent) < ON_FACE:
             local[i] = wp.where(local[i] > wp.float64(0.0), extent, -extent)
-    return wp.dot(along, local)
+    return dot_double(along, local)
 
 
 @wp.func
@@ -78,9 +78,14 @@ def exact_distance(
             the two surfaces.
         distance: the collider's distance, m.
     """
-    to_surface = wp.float64(0.5 * distance) * normal
-    gap = wp.dot(normal, apart)
-    gap += _reach(half_two, turn_two, wp.transpose(turn_two) * normal, touch + to_surface - apart)
+    ahead = wp.float64(0.5 * distance)
+    on_one = wp.vec3d()
+    on_two = wp.vec3d()
+    for i in range(3):
+        on_one[i] = fused_double(-ahead, normal[i], touch[i])
+        on_two[i] = fused_double(ahead, normal[i], touch[i])
+    gap = dot_double(normal, apart)
+    gap += _reach(half_two, turn_two, applied_double(wp.transpose(turn_two), normal), on_two - apart)
     if half_one[2] > 0.0:
-        gap -= _reach(half_one, turn_one, wp.transpose(turn_one) * normal, touch - to_surface)
+        gap -= _reach(half_one, turn_one, applied_double(wp.transpose(turn_one), normal), on_one)
     return float(gap)

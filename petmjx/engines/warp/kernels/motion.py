@@ -12,7 +12,7 @@ import warp as wp
 
 from petmjx.engines.mjx import top_forces as force_metrics
 from petmjx.engines.mjx.rules import UNBELIEVABLE
-from petmjx.engines.warp.kernels.block_threads import cross, fused, times
+from petmjx.engines.warp.kernels.block_threads import cross, fused, fused_double, times, times_double
 from petmjx.engines.warp.kernels.contact_rows import number_of
 from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Workspace, Worlds
 
@@ -163,12 +163,28 @@ def rotation(q: wp.vec4) -> wp.mat33:
 def exact_rotation(q: wp.vec4) -> wp.mat33d:
     """``rotation`` in double precision."""
     w = wp.float64(q[0])
-    v = doubled(wp.vec3(q[1], q[2], q[3]))
-    s = wp.float64(2.0) / (w * w + wp.dot(v, v))
-    turn = s * wp.outer(v, v) + s * w * wp.skew(v)
-    for i in range(3):
-        turn[i, i] = wp.float64(1.0) - s * (wp.dot(v, v) - v[i] * v[i])
-    return turn
+    x = wp.float64(q[1])
+    y = wp.float64(q[2])
+    z = wp.float64(q[3])
+    one = wp.float64(1.0)
+    xx = times_double(x, x)
+    yy = times_double(y, y)
+    zz = times_double(z, z)
+    wx = times_double(w, x)
+    wy = times_double(w, y)
+    wz = times_double(w, z)
+    s = wp.float64(2.0) / fused_double(w, w, xx + yy + zz)
+    return wp.mat33d(
+        fused_double(-s, yy + zz, one),
+        times_double(s, fused_double(x, y, -wz)),
+        times_double(s, fused_double(x, z, wy)),
+        times_double(s, fused_double(x, y, wz)),
+        fused_double(-s, xx + zz, one),
+        times_double(s, fused_double(y, z, -wx)),
+        times_double(s, fused_double(x, z, -wy)),
+        times_double(s, fused_double(y, z, wx)),
+        fused_double(-s, xx + yy, one),
+    )
 
 
 @wp.func
@@ -310,7 +326,7 @@ def end_step(
         where = wp.vec3(0.0, 0.0, 0.0)
         remainder = wp.vec3(0.0, 0.0, 0.0)
         for i in range(3):
-            exact[i] = exact[i] + wp.float64(model.timestep) * wp.float64(linear[i])
+            exact[i] = fused_double(wp.float64(model.timestep), wp.float64(linear[i]), exact[i])
             where[i] = float(exact[i])
             remainder[i] = float(exact[i] - wp.float64(where[i]))
         speed = wp.length(spin)

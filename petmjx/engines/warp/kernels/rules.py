@@ -162,8 +162,6 @@ def place_next(
         start = worlds.start[world, box, i] + wp.where(i == 2, come_down, 0.0)
         state.qpos[world, box, i] = start
         state.still_qpos[world, box, i] = start
-    for i in range(3):
-        state.qpos_remainder[world, box, i] = 0.0
     for i in range(6):
         state.qvel[world, box, i] = 0.0
         state.qacc[world, box, i] = 0.0
