@@ -58,6 +58,15 @@ def test_a_run_tells_which_worlds_used_up_their_iterations(engine: str, tmp_path
         assert warning == "no verdict for 1 world with iteration_limit=150; a larger limit, or none, allows more"
 
 
+def test_a_merged_run_has_one_warning_about_the_limit(tmp_path: Path) -> None:
+    plans = [make_plan(f"p{number}", stack(2)) for number in range(3)]
+    for share in (1, 2):
+        petmjx.score(plans, engine="mujoco", iteration_limit=1, shard=f"{share}/2", out=tmp_path / str(share))
+    merged = petmjx.merge_runs([tmp_path / "1", tmp_path / "2"], tmp_path / "merged")
+    (warning,) = [line for line in merged.info["warnings"] if "iteration" in line]
+    assert warning.startswith("no verdict for 3 worlds with iteration_limit=1;")
+
+
 def test_what_has_fallen_by_then_is_unstable() -> None:
     """Also without early stop. Until then, the world is the same as without a limit."""
     job, patient = Job(build_scene(FALLS, SHORT)), SHORT.changed(early_stop=False, rest_window_s=0.2)
