@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from petmjx.common.errors import InputError
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
-from petmjx.plans.column_extraction import LAST_CELLS
+from petmjx.plans.column_extraction import LAST_CELLS, XYZ
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS
 from petmjx.plans.input_conventions import ANCHORS
 from petmjx.plans.plan_fields import FARTHEST_MM
@@ -284,11 +284,14 @@ def choose_reading(
     return replace(reading, alternatives=alternatives), best.candidate
 
 
-def _may_lie(best: _Judged) -> bool:
-    """Whether boxes overlap, float, are outside or are listed from one side to the other in the most plausible reading,
-    so that another axis may be the vertical."""
+def _is_doubtful(best: _Judged) -> bool:
+    """Whether another axis may be the vertical, or coordinates may be those of another corner. In the most plausible
+    reading, boxes overlap, float, are outside or are listed from one side to the other, or the sizes do not lie along
+    the axes that name them."""
     evidence = best.evidence
-    return evidence.n_overlapping + evidence.n_floating + evidence.n_outside > 0 or best.order_cost >= _ON_SIDE
+    is_odd = evidence.n_overlapping + evidence.n_floating + evidence.n_outside > 0
+    is_exchanged = best.candidate.geometry.axes == XYZ and best.candidate.pair != (0, 1, 2)
+    return is_odd or is_exchanged or best.order_cost >= _ON_SIDE
 
 
 def _stands_alone(other: _Judged, best: _Judged) -> bool:
@@ -322,7 +325,7 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
             break
         judged.append(_judge(columns, wishes, candidate, sample))
         lowest = min(lowest, judged[-1].cost)
-    if judged and _may_lie(min(judged, key=lambda one: one.cost)):
+    if judged and _is_doubtful(min(judged, key=lambda one: one.cost)):
         for candidate in sorted(further_candidates(columns, wishes), key=lambda one: one.prior):
             if candidate.prior + _LOWEST_UNIT_COST > lowest + WEAK_LEAD:
                 break

@@ -61,7 +61,8 @@ class WorldCounts:
         if not count:
             return None
         worlds = count_text(count, "world")
-        return f"{NO_VERDICT} {worlds} with iteration_limit={limit}; a larger limit, or none, allows more"
+        shares = "shares leave them out, and may be wrong"
+        return f"{NO_VERDICT} {worlds} with iteration_limit={limit}: {shares}; a larger limit, or none, allows more"
 
     def as_json(self) -> dict[str, Any]:
         """The numbers as plain JSON values: all worlds by verdict, and worlds that are not stable also by reason."""

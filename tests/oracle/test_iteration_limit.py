@@ -55,7 +55,10 @@ def test_a_run_tells_which_worlds_used_up_their_iterations(engine: str, tmp_path
         assert results.info["config"]["simulation"]["iteration_limit"] == LIMIT
         assert results.info["counts"]["by_reason"]["invalid"] == {"iteration-limit": 1}
         (warning,) = [line for line in results.info["warnings"] if "iteration" in line]
-        assert warning == "no verdict for 1 world with iteration_limit=150; a larger limit, or none, allows more"
+        assert warning == (
+            "no verdict for 1 world with iteration_limit=150: shares leave them out, and may be wrong; a larger limit, "
+            "or none, allows more"
+        )
 
 
 def test_a_merged_run_has_one_warning_about_the_limit(tmp_path: Path) -> None:
@@ -64,7 +67,7 @@ def test_a_merged_run_has_one_warning_about_the_limit(tmp_path: Path) -> None:
         petmjx.score(plans, engine="mujoco", iteration_limit=1, shard=f"{share}/2", out=tmp_path / str(share))
     merged = petmjx.merge_runs([tmp_path / "1", tmp_path / "2"], tmp_path / "merged")
     (warning,) = [line for line in merged.info["warnings"] if "iteration" in line]
-    assert warning.startswith("no verdict for 3 worlds with iteration_limit=1;")
+    assert warning.startswith("no verdict for 3 worlds with iteration_limit=1: ")
 
 
 def test_what_has_fallen_by_then_is_unstable() -> None:

@@ -1390,6 +1390,19 @@ def test_texts_of_other_programs_are_named(text: str, kind: str, tmp_path: Path)
     assert kind in skipped.message
 
 
+def test_sizes_are_not_exchanged_where_places_are_those_of_another_corner(tmp_path: Path) -> None:
+    """With the height and the length along y exchanged, no box of this layer overlaps or floats, either."""
+    rows = [(0, 0, 600, 400), (600, 0, 200, 400), (800, 0, 400, 400), (0, 400, 300, 200), (300, 400, 200, 200)]
+    rows += [(500, 400, 700, 200), (0, 600, 600, 200), (600, 600, 600, 200)]
+    boxes = [
+        {"x": x, "y": y + length, "z": 0, "dx": width, "dy": length, "dz": 200, "weight": 4}
+        for x, y, width, length in rows
+    ]
+    (tmp_path / "layer.json").write_text(json.dumps({"boxes": boxes}))
+    (plan,) = petmjx.load_plans(tmp_path / "layer.json").plans
+    np.testing.assert_allclose(plan.size_mm, [(width, length, 200) for *_, width, length in rows])
+
+
 def test_centres_of_bases_are_not_taken_for_corners(tmp_path: Path) -> None:
     """Two loads from the corner of the deck, and one in its middle: no names tell that the places are those of centres
     of bases, or of tops."""

@@ -15,7 +15,7 @@ from petmjx.runs.transport_limits import hopeless_profiles
 from petmjx.show.report.chart_frame import Frame, Scale
 from petmjx.show.report.charts import histogram
 from petmjx.show.sweep_tables import answers_table, laboratory_table, levels_table, turns_table
-from petmjx.show.table_layout import FittedTable, print_renderables
+from petmjx.show.table_layout import FittedTable, count_of, print_renderables
 
 
 def printed(table: FittedTable, capsys: pytest.CaptureFixture[str]) -> str:
@@ -114,3 +114,8 @@ def test_film_secures_a_load(tmp_path: Path) -> None:
         (tmp_path / f"{name}.toml").write_text(text)
         lines = hopeless_profiles(load_sweep(tmp_path / f"{name}.toml", plans_given=True))
         assert any("no unsecured load stays in place" in line for line in lines) == is_hopeless, name
+
+
+def test_no_worlds_are_a_count_of_0() -> None:
+    """If no world has a verdict, pandas has no row to count, and joins NaN."""
+    assert [count_of("n")({"n": count}) for count in (float("nan"), 0, 1234.0)] == ["0", "0", "1,234"]
