@@ -186,7 +186,7 @@ def text_of(column: str) -> Cell:
 
 def count_of(column: str) -> Cell:
     """A cell with the whole number in a column of rows; NaN, which stands for no worlds, is 0."""
-    return lambda row: "0" if row[column] != row[column] else f"{int(row[column]):,}"
+    return lambda row: "0" if pd.isna(row[column]) else f"{int(row[column]):,}"
 
 
 def number_of(column: str, form: str | None = None, unit: str = "", factor: float = 1.0) -> Cell:

@@ -29,6 +29,7 @@ from petmjx.show.report.charts import (
 from petmjx.show.report.markup import NOTHING, Markup, element, joined_markup, table
 from petmjx.show.report.report_runs import Kind, ReportRun
 from petmjx.show.report.verdict_shares import ORDER, link, plan_link
+from petmjx.show.table_layout import count_of
 
 DIRECTION: Final = "direction_deg"
 STRENGTHS: Final = {"level_g": ("level", "g"), "scale": ("scale", "")}
@@ -370,9 +371,10 @@ def _share_row(name: str, row: Mapping[Any, Any]) -> tuple[str, float, float, fl
 def _remedies(remedies: pd.DataFrame) -> Markup:
     rows = []
     for row in remedies.sort_values("gain", ascending=False, kind="stable").to_dict("records"):
+        gain = "" if pd.isna(row["gain"]) else f"{100 * row['gain']:+.1f}"
         span = "" if pd.isna(row["gain_low"]) else f"{100 * row['gain_low']:+.1f} to {100 * row['gain_high']:+.1f}"
-        paired = (f"{int(row[name]):,}" for name in ("only_with", "only_without"))
-        rows.append([str(row["remedy"]), percent(row["share"]), f"{100 * row['gain']:+.1f}", span, *paired])
+        paired = (count_of(name)(row) for name in ("only_with", "only_without"))
+        rows.append([str(row["remedy"]), percent(row["share"]), gain, span, *paired])
     head = ["remedy", "share that arrives", "gain, points", "95 %", "arrive only with it", "only without it"]
     return table(head, rows, caption="What would help: the same worlds with a remedy")
 
