@@ -134,7 +134,7 @@ def _cli_story(plan_id: str, source: list[Path], variant: int | None, forces: bo
 
 
 def _show(story: Story, files: list[Path], look: dict[str, Any], viewer: bool) -> None:
-    from petmjx.show.story_text import how_to_draw, story_tables
+    from petmjx.show.story_tables import how_to_draw, story_tables
     from petmjx.show.table_layout import print_renderables
 
     if not files and not viewer:

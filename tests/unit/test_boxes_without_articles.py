@@ -21,7 +21,7 @@ from petmjx.show.pages.still_svg import still_svg
 from petmjx.show.pictures.colours import colouring
 from petmjx.show.pictures.picture_options import Colour
 from petmjx.show.run_tables import worlds_table
-from petmjx.show.story_text import story_tables
+from petmjx.show.story_tables import story_tables
 
 HOLE = re.compile(r"\(\s*[,)]|\s\(\d+\)$|:\s*[,;)]|\bof article (?!\w)")
 STATIC = Path(__file__).resolve().parents[2] / "petmjx" / "show" / "pages" / "static"

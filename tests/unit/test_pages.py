@@ -32,7 +32,7 @@ from petmjx.show.pages.palette import OKABE_ITO, article_colours, category, ramp
 from petmjx.show.pages.still_svg import drawing_order, still_svg
 from petmjx.show.pages.story_data import framed_corners, placed_s, story_blocks, story_info
 from petmjx.show.pages.story_page import story_page
-from petmjx.show.story_text import story_tables
+from petmjx.show.story_tables import story_tables
 from petmjx.world.history import Contacts
 
 NASTY = "</script><!--<script>alert(1)</script>\u2028&\"'<img src=x onerror=alert(2)>💥,\n"

@@ -373,7 +373,7 @@ def _remedies(remedies: pd.DataFrame) -> Markup:
     for row in remedies.sort_values("gain", ascending=False, kind="stable").to_dict("records"):
         gain = "" if pd.isna(row["gain"]) else f"{100 * row['gain']:+.1f}"
         span = "" if pd.isna(row["gain_low"]) else f"{100 * row['gain_low']:+.1f} to {100 * row['gain_high']:+.1f}"
-        paired = (count_of(name)(row) for name in ("only_with", "only_without"))
+        paired = (str(count_of(name)(row)) for name in ("only_with", "only_without"))
         rows.append([str(row["remedy"]), percent(row["share"]), gain, span, *paired])
     head = ["remedy", "share that arrives", "gain, points", "95 %", "arrive only with it", "only without it"]
     return table(head, rows, caption="What would help: the same worlds with a remedy")

@@ -10,7 +10,7 @@ import warp as wp
 
 from petmjx.engines.warp.kernels.block_threads import cross, fused, prefix_sums, times, wait_for_all
 from petmjx.engines.warp.kernels.compliance import spring_law
-from petmjx.engines.warp.kernels.contact_rows import is_new, put_number
+from petmjx.engines.warp.kernels.efc import is_new, put_number
 from petmjx.engines.warp.kernels.elimination_order import free_position
 from petmjx.engines.warp.kernels.motion import angular_velocity, body_of, center, first_geom, linear_velocity
 from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Workspace, Worlds

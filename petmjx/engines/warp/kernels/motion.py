@@ -13,7 +13,7 @@ import warp as wp
 from petmjx.engines.mjx import top_forces as force_metrics
 from petmjx.engines.mjx.rules import UNBELIEVABLE
 from petmjx.engines.warp.kernels.block_threads import cross, fused, fused_double, times, times_double
-from petmjx.engines.warp.kernels.contact_rows import number_of
+from petmjx.engines.warp.kernels.efc import number_of
 from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Workspace, Worlds
 
 VERTICAL_COSINE = wp.constant(force_metrics.VERTICAL_COSINE)

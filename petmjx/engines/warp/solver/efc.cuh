@@ -47,7 +47,7 @@ inline CUDA_CALLABLE float& number_of(const Array& efc, int lane, int contact, i
     return of_lane[Numbers::STRIDE * contact + Numbers(of_lane, efc.shape[1], contact).place(number)];
 }
 
-// See kernels/contact_rows.py.
+// See kernels/efc.py.
 inline CUDA_CALLABLE bool is_new(int pair, int last_pair) {
 #if defined(__CUDA_ARCH__)
     return true;
