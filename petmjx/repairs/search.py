@@ -52,8 +52,8 @@ FIRST_AT_ONCE: Final = 4
 WIDE_AT_ONCE: Final = (8, 16, 24, 48)
 """Number of changed plans that are judged at once on a GPU in the first four rounds of a search, and then in each round
 as in the fourth. The longer a search takes, the more a GPU waits for it, since other searches have ended. So it goes on
-in fewer and wider rounds: four rounds spend the trials of ``ALONE``. The numbers do not depend on
-other searches, and neither do the results."""
+in fewer and wider rounds: four rounds spend the trials of ``ALONE``. The numbers do not depend on other searches, and
+neither do the results."""
 
 MOST_LIFTED: Final = 3
 """The boxes of at most this many faults are taken off one after the other. Each time, the search waits for a
