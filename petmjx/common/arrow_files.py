@@ -34,7 +34,7 @@ def open_for_arrow(path: Path) -> pa.NativeFile:
     following reason.
 
     Arrow reads Parquet in its own threads. A thread may free its buffers only after the table has been returned. To
-    free a buffer that belongs to Python, such a thread must get the lock of Python's interpreter. If the interpreter is
+    free a buffer that belongs to Python, the thread must get the lock of Python's interpreter. If the interpreter is
     shutting down at that moment, the process aborts ("terminate called without an active exception") or hangs:
     https://github.com/apache/arrow/issues/34314 and https://github.com/apache/arrow/issues/50482.
 
@@ -153,7 +153,7 @@ def _is_text(kind: pa.DataType) -> bool:
 
 
 def _length_of(coded: pa.Array) -> int:
-    """Total number of bytes of the texts in a column, whose texts may be given as dictionary codes."""
+    """Total number of bytes of the texts in a column. The column may hold dictionary codes instead of texts."""
     if not pa.types.is_dictionary(coded.type):
         return int(coded.nbytes)
     lengths = np.asarray(pc.binary_length(coded.dictionary).fill_null(0))

@@ -157,8 +157,9 @@ def no_collection(*, lasting: bool = False) -> Iterator[None]:
     cycles: otherwise, the collector would scan these objects again and again.
 
     Args:
-        lasting: whether most of these objects last until the process ends, as those of imported libraries do. In the
-            command ``petmjx``, later collections then do not scan the objects that exist at the end of the body.
+        lasting: whether most of the objects that the body makes last until the process ends, as those of imported
+            libraries do. In the command ``petmjx``, later collections then do not scan the objects that exist at the
+            end of the body.
     """
     enabled = gc.isenabled()
     gc.disable()

@@ -88,7 +88,7 @@ _pipes: _Pipes | None = None
 def named_pipes(words: Iterable[str]) -> Iterator[None]:
     """Context of the command line, in which pipes that are arguments of the command are read like files: ``<(…)`` of a
     shell, FIFOs, and ``/dev/stdin``. A pipe is read once, to its end; its content stays in memory until the context
-    ends. This works only on Linux. On other systems, pipes are refused."""
+    ends. Pipes are read only on Linux, and are refused on other systems."""
     global _pipes
     parts = {part for word in words for part in (word, *re.split(r"[=,]", word))}
     before, _pipes = _pipes, _Pipes(frozenset(parts - {""}))

@@ -49,13 +49,13 @@ def machine_code(name: str) -> ModuleType | None:
     compiled, or loaded as they were compiled before. The result is None if Warp is not installed, or cannot compile
     the kernels."""
     if why_no_warp_on_cpu() is None:
-        with suppress(Exception):  # whatever Warp raises, the caller has NumPy
+        with suppress(Exception):  # if Warp raises anything, the caller uses NumPy
             import warp
 
             module = importlib.import_module(name)
             set_up_warp()
             for kernel in module.KERNELS:
-                warp.load_module(kernel.module, device="cpu")  # several threads launch a kernel, but one must load it
+                warp.load_module(kernel.module, device="cpu")  # only one thread may load what several will launch
             return module
     return None
 

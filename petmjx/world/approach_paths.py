@@ -53,8 +53,8 @@ axis."""
 class ApproachPath(NamedTuple):
     """The paths on which the n boxes of a scene reach their places.
 
-    For several stackable scenes, every array has an additional first axis, with one entry per scene. Positions are
-    those of the boxes' middles, m.
+    For several scenes with arrays of equal shapes, every array has an additional first axis, with one entry per scene.
+    Positions are those of the boxes' middles, m.
 
     Attributes:
         lift: (n, 3) vector from each box's place to the end of its path, m. The box is released at the end of its path.
@@ -253,7 +253,7 @@ def _neighbour_mask(place: FloatArray, half: FloatArray, placing: Placing, room:
     """
     near_m = most_aside_m(placing)
     lifted_m = placing.height_mm / MM_PER_M
-    # for each axis, the distance from the box of the row to the box of the column
+    # one matrix per axis: the distance from the box of the row to the box of the column
     between = [place[..., None, :, axis] - place[..., :, None, axis] for axis in range(3)]
     gap = [np.abs(between[axis]) - (half[..., None, :, axis] + half[..., :, None, axis]) for axis in range(3)]
     before = np.tri(place.shape[-2], k=-1, dtype=bool)

@@ -25,9 +25,8 @@ Nonsmooth Dynamical Systems", 2008, section 3.9):
 
     aref_n ← aref_n − μ · e,    e = max(|j_t| − R_t · |f_t| − slack, 0)
 
-The excess e depends on accelerations and forces, which in turn depend on e. So the excess is found by iteration.
-Without the iteration, the pressure in contacts of landing boxes was too low, and these boxes slid two to three times as
-far.
+The *slip excess* e depends on accelerations and forces, which in turn depend on e. So e is found by iteration. Without
+the iteration, the pressure in contacts of landing boxes was too low, and these boxes slid two to three times as far.
 
 **Landing.** With the law of contacts at rest, a landing box would sink centimetres into its support and would not
 bounce. MuJoCo's contacts have reference accelerations: the relative accelerations that the two bodies would have if the
@@ -103,11 +102,11 @@ def cone_factor(physics: Physics, one: FloatArray | float, two: FloatArray | flo
 
 
 SLACK_M_S2: Final = 5.0
-"""Part of the excess e of a sliding contact (see the module's docstring) that is not corrected, m/s²: the excess of a
-slip of 1 cm/s if the time constant of friction is 4 ms. An excess of ``SLACK_M_S2`` raises a contact by less than a
-hundredth of a millimetre, a depth at which contacts are soft. Since this part (the slack) is left out, pallets at rest
-are bit-identical with and without the correction. Stiff contacts are not soft at any depth, so their whole excess is
-corrected."""
+"""Part of the slip excess of a sliding contact (see the module's docstring) that is not corrected, m/s². A slip of 1
+cm/s has this slip excess if the time constant of friction is 4 ms. Without a correction, a slip excess of
+``SLACK_M_S2`` raises a contact by less than a hundredth of a millimetre, a depth at which contacts are soft. So pallets
+at rest are bit-identical with and without the correction. Stiff contacts are not soft at any depth, so their whole slip
+excess is corrected."""
 
 STICKS_M_S: Final = 0.01
 """Slip speed up to which a contact has its static friction, m/s. At twice this speed and above, the contact has its
@@ -115,40 +114,41 @@ kinetic friction. Between the two speeds, friction falls linearly, so that it do
 at rest are far slower (``petmjx.Quiet``)."""
 
 RELAXATION: Final = 0.8
-"""Relaxation factor: the share of the change of an excess e (see the module's docstring) that one iteration applies.
-Let p be μ² × (inverse mass along the tangent) / (inverse mass along the normal). If the whole change were applied, the
-iteration would converge only if p is below 1. For tall boxes with friction above 0.5, p is larger than 1. With the
-factor ``RELAXATION``, the iteration also converges for p up to 1.5, and otherwise takes hardly more rounds than with
-the whole change."""
+"""Relaxation factor: the share of the computed change of a slip excess (see the module's docstring) that one iteration
+applies. Let p be μ² × (inverse mass along the tangent) / (inverse mass along the normal). If the whole change were
+applied, the iteration would converge only if p is below 1. For tall boxes with friction above 0.5, p is larger than 1.
+With the factor ``RELAXATION``, the iteration also converges for p up to 1.5, and otherwise takes hardly more rounds
+than with the whole change."""
 
 ENOUGH_M_S2: Final = 0.1
-"""The iteration that finds the excesses (see the module's docstring) ends when no reference acceleration along a normal
-changes by more than this value, m/s²: a hundredth of gravity. With a limit of 5 m/s², a box that tipped against its
-neighbour slid twice as far as with 0.1 m/s². With a limit of 1 m/s², this box slid 3 % less far than with 0.1 m/s²."""
+"""The iteration that finds the slip excesses (see the module's docstring) ends when no reference acceleration along a
+normal changes by more than this value, m/s²: a hundredth of gravity. With a limit of 5 m/s², a box that tipped against
+its neighbour slid twice as far as with 0.1 m/s². With a limit of 1 m/s², this box slid 3 % less far than with 0.1
+m/s²."""
 
 MOST_ROUNDS: Final = 6
-"""Largest number of iterations per step. An iteration updates the excess between two calls of a solver. Bricks that
-slide and tip need two iterations on average. In a heap in which all boxes slide at once, the median error of an excess
-is still 1 m/s² after twenty iterations."""
+"""Largest number of iterations per step. An iteration updates the slip excesses between two calls of a solver. Bricks
+that slide and tip need two iterations on average. In a heap in which all boxes slide at once, the median error of a
+slip excess is still 1 m/s² after twenty iterations."""
 
 
 FIRST_SHARE: Final = 1.1
 """Relaxation factor of the first iteration of a step, if ``next_share`` chooses the factors of later iterations: the
-iteration changes an excess by this multiple of the computed change. With this value, bricks that slide and tip need 2.4
-calls of the solver per step; with 0.8, 2.6 calls; with the constant factor ``RELAXATION``, 3.1 calls."""
+iteration changes a slip excess by this multiple of the computed change. With this factor, bricks that slide and tip
+need 2.4 calls of the solver per step; with 0.8, 2.6 calls; with the constant factor ``RELAXATION``, 3.1 calls."""
 
 LEAST_M_S2: Final = ENOUGH_M_S2 / 10
-"""Smallest change of an excess from which the next iteration's share is estimated, m/s². Smaller changes are within the
-solver's tolerance."""
+"""Smallest change of a slip excess from which the relaxation factor of the next iteration is estimated, m/s². Smaller
+changes are within the solver's tolerance."""
 
 MOST_LEFT: Final = 0.6
-"""Largest part of the change of an excess that is assumed to remain after an iteration. If a larger part seems to
-remain, other contacts have changed the excess."""
+"""Largest part of the change of a slip excess that is assumed to remain after an iteration. If a larger part seems to
+remain, other contacts have changed the slip excess."""
 
 
 def slack_m_s2(physics: Physics) -> float:
-    """Part of the excess e of a sliding contact (see the module's docstring) that is not corrected, m/s²; infinite if
-    no contact is corrected."""
+    """Part of the slip excess of a sliding contact (see the module's docstring) that is not corrected, m/s²; infinite
+    if no contact is corrected."""
     if physics.cone is not Cone.ELLIPTIC or not physics.slip_correction:
         return math.inf
     return 0.0 if is_stiff(physics) else SLACK_M_S2
@@ -160,16 +160,16 @@ def kinetic_share(physics: Physics) -> float:
 
 
 def next_share(share: FloatArray, change: FloatArray, last: FloatArray) -> FloatArray:
-    """(k,) relaxation factor of the next iteration for each contact: the share of the change of the contact's excess e
-    (see the module's docstring) that the iteration applies.
+    """(k,) relaxation factor of the next iteration for each contact: the share of the change of the contact's slip
+    excess (see the module's docstring) that the iteration applies.
 
     With this factor, the last iteration would have left no change, provided that the change is a linear function of the
-    excess (Aitken's delta-squared process).
+    slip excess (Aitken's delta-squared process).
 
     Args:
         share: (k,) share of the change that the last iteration applied.
-        change: (k,) change of the excess that the last iteration has left to be made, m/s².
-        last: (k,) change of the excess before the last iteration, m/s²; 0 before the first iteration.
+        change: (k,) change of the slip excess that the last iteration has left to be made, m/s².
+        last: (k,) change of the slip excess before the last iteration, m/s²; 0 before the first iteration.
     """
     left = np.divide(change, last, out=np.zeros_like(change), where=np.abs(last) > LEAST_M_S2)
     return share / (1.0 - np.clip(left, -1.0, MOST_LEFT))

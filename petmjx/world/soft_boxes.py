@@ -60,8 +60,8 @@ trembles four times as much. With 0.999, the box takes 0.1 s to give way under a
 
 MOST_RATE: Final = 0.05
 """Largest k·dt² of an edge, where k is the stiffness of the edge's constraint and dt the timestep. The limit is needed
-since MuJoCo integrates these constraints explicitly. If a box should be stiffer than k allows, the impedance of its
-edges is increased instead."""
+since MuJoCo integrates these constraints explicitly. For a stiffer box than the largest k allows, the impedance of the
+edges' constraints is increased instead."""
 
 CONTACT_SOLREF: Final = (0.004, 1.0)
 CONTACT_SOLIMP: Final = (MOST_IMPEDANCE, MOST_IMPEDANCE, 0.001)
@@ -298,8 +298,8 @@ class SoftFriction:
     of_carrier: float | None
 
     def of_geom(self, body: str) -> float | None:
-        """Coefficient of sliding friction of the geoms of the body with this name. None: each geom keeps its own
-        coefficient."""
+        """Coefficient of sliding friction of the geoms of the body with this name. If the result is None, each geom
+        keeps its own coefficient."""
         if body == "carrier":
             return self.of_carrier
         return float(self.of_boxes[int(body.removeprefix("box_"))]) if body.startswith("box_") else None

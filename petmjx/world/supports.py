@@ -401,9 +401,8 @@ class Bearing:
 
     @cached_property
     def borne_together(self) -> list[IntArray]:
-        """For each group of ``levels``, numbers of contacts. Of the group's upper boxes, those with several supports
-        are chosen; the numbers are those of all contacts below the chosen boxes, including contacts with the
-        carrier."""
+        """For each group of ``levels``, the numbers of all contacts below those of the group's upper boxes that have
+        several supports. Contacts with the carrier are included."""
         groups = []
         upper = self.upper[self.together]
         for between in self.levels:

@@ -64,7 +64,7 @@ class Distribution:
         (1, …), and no generator is used.
 
         Standard random numbers are drawn and then scaled. So with the same generator, twice the spread gives each box
-        twice the error, and levels of a sweep can be compared pair by pair.
+        twice the error, and worlds at two levels of a sweep can be compared pair by pair.
         """
         if self.random and self.shape is DistributionShape.NORMAL:
             return self.centre + self.spread * np.array([rng.standard_normal(shape) for rng in rngs])
