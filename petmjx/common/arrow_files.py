@@ -101,7 +101,7 @@ def read_within(
         needed = decoded_bytes(file, columns)
         if needed > allowed:
             raise OversizedFile(
-                f"its {metadata.num_rows:,} rows would take {size(needed)}, too much for a file of this size"
+                f"the {metadata.num_rows:,} rows would take {size(needed)}, too much for a file of this size"
             )
         names = schema.names if columns is None else list(columns)
         for name in names:
@@ -119,7 +119,7 @@ def read_within(
         for batch in coded.iter_batches(_FEW_ROWS if few else _ROWS, columns=names):
             long += sum(_length_of(batch.column(name)) for name in texts)
             if needed + long > allowed:
-                raise OversizedFile(f"its texts would take more than {size(allowed)}, too much for a file of this size")
+                raise OversizedFile(f"the texts would take more than {size(allowed)}, too much for a file of this size")
             batches.append(_decoded_columns(batch, schema))
         selected_schema = pa.schema([schema.field(name) for name in names], metadata=schema.metadata)
         return pa.Table.from_batches(batches, schema=selected_schema)

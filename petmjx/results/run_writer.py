@@ -1,4 +1,4 @@
-"""Writes the folder of a run while worlds are simulated. petmjx.results.run_folder describes its layout.
+"""Writes the folder of a run while worlds are simulated. petmjx.results.run_folder describes the layout of the folder.
 
 One thread owns the folder. Other threads put finished worlds and requests into a queue, and the owning thread processes
 the queue in order. The owning thread collects worlds into parts (files), and writes each part once: when the part is
@@ -161,7 +161,7 @@ class RunWriter(RunInfo):
         # The queues are implemented in C, so an interruption of the main thread leaves none of them locked or half
         # changed.
         self._queue: SimpleQueue[Row | _Request] = SimpleQueue()
-        self._room: SimpleQueue[None] = SimpleQueue()  # gets an entry at each try to write; ``add`` waits for it
+        self._room: SimpleQueue[None] = SimpleQueue()  # gets an entry at each try to write; ``add`` waits for an entry
         self._thread = threading.Thread(target=self._work, name="petmjx-writer", daemon=True)
         self._added_bytes = 0  # changed only by the thread that adds worlds
         self._cut_short = False  # set only by the main thread
