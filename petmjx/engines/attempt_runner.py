@@ -158,7 +158,7 @@ class AttemptRunner(Generic[AnyWorld]):
                     raise
                 refused = isinstance(error, PetmjxError) or self.engines.fallback is None
                 if self.attempt.number == 1 and refused:
-                    raise  # the user can change the refused worlds, or mend an engine that has no fallback
+                    raise  # the user must change the refused worlds, or the engine that has no fallback
                 if not stream.taken:  # the engine would refuse the jobs again
                     stream.take(sys.maxsize, least=1)
                 unanswered = list(stream.in_flight.values())
@@ -253,8 +253,8 @@ class AttemptRunner(Generic[AnyWorld]):
             if outcome.state is not None and not isinstance(outcome.state, KeptState):
                 outcome.state = KeptState(outcome.engine, outcome.state)
             records = (*records, Attempt.of(outcome, self.sim.physics.timestep_s))
-            if before is not None and outcome.reason is Reason.ITERATION_LIMIT:  # this attempt has shown nothing
-                outcome = before
+            if before is not None and outcome.reason is Reason.ITERATION_LIMIT:
+                outcome = before  # an attempt without a verdict changes nothing
             elif before is not None and self.attempt.checks:
                 outcome = self._checked(world, before, outcome)
             yield world, outcome, records

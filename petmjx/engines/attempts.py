@@ -7,9 +7,9 @@ The first attempts are those of the PET-Physics paper. In the paper's reference 
 repeats the first, deterministic simulation. In petmjx, a second attempt gives the solver up to ``CAREFUL_ITERATIONS``
 iterations and the tolerance ``CAREFUL_TOLERANCE``, which help if the solver stopped too early.
 
-C MuJoCo is the *fallback* of the MJX engines (``FALLBACKS``): it simulates the worlds that they cannot simulate, and
-those for which they returned no outcome because of an error. ``mujoco`` itself and engines that users wrote have no
-fallback.
+C MuJoCo is the *fallback* of the MJX engines (``FALLBACKS``): it simulates the worlds that an MJX engine cannot
+simulate, and the worlds for which an MJX engine returned no outcome because of an error. ``mujoco`` itself and engines
+that users wrote have no fallback.
 """
 
 from __future__ import annotations

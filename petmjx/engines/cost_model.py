@@ -367,7 +367,8 @@ class ThreadCosts:
         return max(float(plans_s.sum()) / threads, float(longest_s.max()))
 
     def placing_s(self, work: Work, way: WayOfPlacing | None = None) -> FloatArray:
-        """(n,) time of one placement of each plan, s. ``way``: None: as planned."""
+        """(n,) time of one placement of each plan, s. ``way``: how boxes are placed. If ``way`` is None, boxes are
+        placed as planned."""
         way = way or work.ways[0]
         boxes = np.asarray(work.boxes, dtype=float) * work.share
         one_by_one = work.sim.check is Check.ONE_BY_ONE
@@ -496,12 +497,12 @@ class Costs:
         """(n,) for each job, the number of steps from which on its world counts as long (``LONG_PLACEMENT``,
         ``LONG_DRIVE``). The number depends neither on the machine nor on the other jobs."""
         steps = np.full(len(jobs), float(seconds_to_steps(sim.rest_window_s, sim.physics.timestep_s)))
-        for settles in (False, True):  # if any job settles, _expected_work takes all for placements before drives
+        for settles in (False, True):  # _expected_work takes no jobs of both kinds together
             rows = [row for row, job in enumerate(jobs) if job.settles is settles]
             some = [jobs[row] for row in rows]
             work, drive_steps = _expected_work(some, sim)
             placing = _of_placements(some, *(work.placement_steps(way) for way in work.ways))
-            if sim.check is Check.ONE_BY_ONE:  # each box waits until all are quiet, even if ``interval_s`` is short
+            if sim.check is Check.ONE_BY_ONE:  # each box waits for a quiet pallet, even if ``interval_s`` is short
                 placing = np.where(placing > 0, np.maximum(placing, sim.quiet.steps * np.array(work.boxes)), 0.0)
             long_placement = np.where(placing > 0, np.maximum(LONG_PLACEMENT * placing, FALL_STEPS), 0.0)
             steps[rows] += long_placement + LONG_DRIVE * drive_steps

@@ -82,9 +82,10 @@ class UserEngine(Engine):
 
 @contextmanager
 def engine_warmup(options: RunOptions, plans: object, sim: Simulation) -> Iterator[WorkerStartup | None]:
-    """Prepares the engine while plans are read. If ``mjx-warp`` will be the engine of this process, this starts JAX and
-    Warp on the GPU and compiles kernels. If workers are requested, they are started, and yielded for
-    ``resolve_engine``. Starting libraries and workers is mostly waiting, so plans are read meanwhile."""
+    """Prepares the engine while plans are read. If ``mjx-warp`` will be the engine of this process, the context starts
+    JAX and Warp on the GPU and compiles kernels. If workers are requested, the context starts them, and yields the
+    started workers for ``resolve_engine``. Starting libraries and workers is mostly waiting, so plans are read
+    meanwhile."""
     if options.asked_workers is not None and isinstance(options.engine, str):
         from petmjx.engines.remote.worker_choice import WorkerStartup  # most runs have no workers
 

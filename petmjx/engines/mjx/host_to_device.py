@@ -144,7 +144,8 @@ def let_go(bodies: FreeBodies, sim: Simulation, rows: int, width: int) -> tuple[
     requested step.
 
     Args:
-        rows: number of rows of the tables, at least one per world; spare rows hold worlds that have already ended.
+        rows: number of rows of the tables, at least one per world; all further rows hold worlds that have already
+            ended.
         width: number of box columns.
     """
     n, k = bodies.velocity.shape[:2]

@@ -11,13 +11,13 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 PIECES: Final = 4
-"""Used for engines that simulate job after job. The expected time of the jobs that a thread may hold is the expected
-time of all waiting jobs, divided by this number and by the number of threads. So all threads end at about the same
-time, although expected times are estimates."""
+"""Limits the jobs of a thread of an engine that simulates job after job: the expected time of these jobs is at most the
+expected time of all waiting jobs, divided by ``PIECES`` and by the number of threads. So all threads end at about the
+same time, although expected times are estimates."""
 
 MOST_JOBS: Final = 64
 """Largest number of jobs per thread of a worker whose engine simulates job after job, so that little work is lost if
-the worker dies. With a reserve, a worker may hold twice as many."""
+the worker dies. A worker that holds jobs in reserve (``PLENTY``) may hold twice as many."""
 
 PLENTY: Final = 4
 """Workers hold jobs in reserve while more than this number of jobs per thread is waiting. With fewer waiting jobs, a
@@ -37,8 +37,8 @@ class Hand:
         ready: whether the worker can take jobs.
         begun: whether the worker has got jobs in this run.
         costs: number of a job → its expected time, for the jobs without an outcome.
-        suspects: number of jobs in the group of suspects that the worker got; 0 if it holds no suspects. Until all of
-            them have outcomes, the worker gets no other jobs.
+        suspects: number of jobs in the group of suspects (jobs whose workers have died twice) that the worker got; 0 if
+            it holds no suspects. Until all of them have outcomes, the worker gets no other jobs.
     """
 
     threads: int = 1

@@ -169,7 +169,7 @@ class Worker:
             outcomes = _checked_outcomes(answered, jobs.sim, check_pool, wait=not going or not jobs.unanswered)
             if outcomes or not going or progress.message != last_message:
                 last_message = progress.message
-                # copies, since the engine keeps writing into these
+                # copies, since the engine goes on changing the originals
                 so_far = replace(progress, extra=dict(progress.extra), notes=dict(progress.notes))
                 yield pickle.dumps(Report(outcomes, so_far, jobs.error))
 

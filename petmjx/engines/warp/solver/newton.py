@@ -54,9 +54,9 @@ FEW_PANELS = 40
 kernels factor two panels at a time (panel_pairs.cuh)."""
 
 SLIP_ROUNDS = 12
-"""Number of iterations after the first that may change the excess of sliding contacts (petmjx/world/contact_laws.py).
-The other engines change the excess between two calls of their solver. With 12 rounds, steps of bricks that slide and
-tip take 6.6 iterations (7.4 without the law of sliding), and steps of a heap take 24.9 (21.8 without the law). With 40
+"""Number of iterations after the first that may change the slip excess of contacts (petmjx/world/contact_laws.py). The
+other engines change slip excesses between two calls of their solver. With 12 rounds, steps of bricks that slide and tip
+take 6.6 iterations (7.4 without the law of sliding), and steps of a heap take 24.9 (21.8 without the law). With 40
 rounds, steps of a heap take 40 iterations."""
 
 SLIP_MACROS = {
