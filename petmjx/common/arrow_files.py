@@ -25,8 +25,9 @@ _FEW_ROWS: Final = 1 << 8
 small, and ``_ROWS`` is for all other files."""
 
 _PREFIXED: Final = "DELTA_BYTE_ARRAY"
-"""Name of a Parquet encoding. With this encoding, a file stores for each text the length of the prefix that the text
-shares with the previous text, and the rest of the text. So a few stored bytes can stand for a long text."""
+"""Name of a Parquet encoding. With the encoding DELTA_BYTE_ARRAY, a file stores for each text the length of the prefix
+that the text shares with the previous text, and the rest of the text. So a few stored bytes can stand for a long
+text."""
 
 
 def open_for_arrow(path: Path) -> pa.NativeFile:

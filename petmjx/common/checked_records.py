@@ -211,8 +211,9 @@ def within(low: float, high: float) -> AfterValidator:
 
 
 def _fields_with(record: CheckedRecord, values: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields of a record, with new values for some of them. The values are not checked here. The outermost record
-    checks all values together later, so that an error message gives the path of the field from the outermost record.
+    """The fields of a record, with new values for some of them. This function does not check the values. The outermost
+    record checks all values together later, so that an error message gives the path of the field from the outermost
+    record.
     """
     fields = {name: getattr(record, name) for name in type(record).model_fields}
     for name, value in values.items():

@@ -22,8 +22,8 @@ from petmjx.common.text import printable
 Kind = Literal["jax", "warp"]
 
 VARIABLES: Final[dict[Kind, str]] = {"jax": "JAX_COMPILATION_CACHE_DIR", "warp": "WARP_CACHE_PATH"}
-"""The variables in which JAX and Warp themselves look for the folder of their compiled programs. These variables take
-precedence over ``PETMJX_CACHE_DIR``."""
+"""The variables in which JAX and Warp themselves look for the folder of their compiled programs. The variables of JAX
+and Warp take precedence over ``PETMJX_CACHE_DIR``."""
 
 
 def wanted_folder(kind: Kind) -> Path:

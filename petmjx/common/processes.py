@@ -69,8 +69,8 @@ boxes on 2,048 pallets took 155 ms with one thread, 118 ms with two, 141 ms with
 CPU of a machine with an H200 GPU."""
 
 _FEW: Final = 2
-"""Largest number of pieces that the calling thread processes alone. With this number of pieces or fewer, other threads
-would start too late to help."""
+"""Largest number of pieces that the calling thread processes alone. With two pieces or fewer, other threads would start
+too late to help."""
 
 Piece = TypeVar("Piece")
 Result = TypeVar("Result")
@@ -140,8 +140,8 @@ def claim_process() -> None:
 
 
 def is_command() -> bool:
-    """Whether this process runs nothing but the command ``petmjx``. If so, petmjx may change modules and settings that
-    the whole process shares."""
+    """Whether this process runs nothing but the command ``petmjx``. In such a process, petmjx may change modules and
+    settings that the whole process shares."""
     return _is_command
 
 

@@ -40,8 +40,8 @@ BESIDE_WAIT_S: Final = 0.02
 attempts run, in other processes or threads."""
 
 FIRST_WORLDS: Final = 1600
-"""Number of worlds with which a GPU begins. This number of worlds is enough to keep all thread blocks for worlds of few
-boxes busy (``small_world_blocks``). The other worlds start on the GPU later."""
+"""Number of worlds with which a GPU begins. 1,600 worlds are enough to keep all thread blocks for worlds of few boxes
+busy (``small_world_blocks``). Further worlds start on the GPU later."""
 
 
 def check_pool_for(engine: Engine, worlds: int) -> CheckPool[Any] | None:

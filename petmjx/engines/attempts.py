@@ -90,8 +90,8 @@ class AttemptRecipe:
 
     @property
     def joins(self) -> bool:
-        """Whether the attempt differs from the first attempt only in the stiffness of contacts (``Job.stiff``). Such an
-        attempt can run together with first attempts."""
+        """Whether the attempt differs from the first attempt only in the stiffness of contacts (``Job.stiff``). An
+        attempt of this kind can run together with first attempts."""
         return self.stiff is not None and self.timestep_divisor == 1 and not self.doubles
 
     def is_for(self, outcome: Outcome, sim: Simulation) -> bool:
@@ -197,8 +197,8 @@ need further attempts."""
 
 BESIDE_ITSELF: Final = "mjx-warp-cpu"
 """Name of the engine that makes further attempts itself if few worlds need them: on additional threads of the same
-process, while the run goes on. Without these threads, most threads of the engine would be idle while the last world is
-simulated."""
+process, while the run goes on. Without additional threads, most threads of the engine would be idle while the last
+world is simulated."""
 
 
 @dataclass(eq=False)

@@ -3,8 +3,9 @@
 On a CPU thread, a step of a pallet at rest takes one iteration of Newton's method. The cost of a step grows somewhat
 faster than the number of boxes. While boxes land or slide, a step takes more iterations. An iteration is expensive if
 boxes stand on several other boxes, since this ties the columns of a pallet into one system of equations. So the
-additional cost of a landing grows with the square of the number of standing boxes, and with the number of these ties.
-If each box stands on only one other, as in a block of columns, landings cost next to nothing.
+additional cost of a landing grows with the square of the number of standing boxes, and with the number of ties
+(supports of a box beyond its first support). If each box stands on only one other, as in a block of columns, landings
+cost next to nothing.
 
 On a device, the cost of a step of a full stack grows with the square of its boxes, too. But a plan with more boxes is
 at rest in a larger share of its steps, so the cost of a run grows more slowly.
@@ -25,8 +26,8 @@ from petmjx.options.simulation import SOFT_START_STEPS, Check, Schedule, Simulat
 from petmjx.world.job import Drive, Job
 
 STEP_SHARE = 0.072
-"""Steps of the adaptive schedule as a share of the fixed schedule's steps, for physics ``pallet``. The value is the
-mean of 2,000 generated plans and of 63 third-party plans of 16 to 241 boxes."""
+"""Steps of the adaptive schedule as a share of the fixed schedule's steps, for physics ``pallet``. The share is the
+mean over 2,000 generated plans and 63 third-party plans of 16 to 241 boxes."""
 
 SOFT_STARTS = 2 * SOFT_START_STEPS
 """Number of steps of the soft starts, which come before the first box of a placement. The steps of soft starts are not

@@ -204,8 +204,8 @@ class Engine(MinimalEngine, Protocol):
 
     def beginnings(self, scenes: Sequence[Scene], sim: Simulation) -> list[list[bytes]]:
         """For each scene of n boxes, the keys 0 to n of its world. Key k stands for the carrier and the first k boxes.
-        If two worlds have the same key k, they are the same to the last bit until the next box is placed. So they can
-        start from the same state (``Job.pauses_after``).
+        If two worlds have the same key k, they are the same to the last bit until the next box is placed. So the two
+        worlds can start from the same state (``Job.pauses_after``).
 
         Raises:
             InputError: this engine does not have ``Capability.PAUSES``.

@@ -51,8 +51,8 @@ WORLDS_PER_PART: Final = 5_000
 make 200 parts."""
 
 BYTES_PER_PART: Final = 64 << 20
-"""Memory of the waiting rows at which a part is full and is written, bytes. This memory holds 4,000 worlds of 43 boxes,
-60 worlds with histories, or 20 worlds with detailed histories."""
+"""Memory of the waiting rows at which a part is full and is written, bytes. 64 MiB hold 4,000 worlds of 43 boxes, 60
+worlds with histories, or 20 worlds with detailed histories."""
 
 SECONDS_PER_PART: Final = 60.0
 """Longest time for which a finished world waits until its part is written, s, even if no other world finishes."""

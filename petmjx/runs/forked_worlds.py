@@ -1,5 +1,6 @@
 """Settled placements (simulations in which all boxes are placed and at rest), and the simulations that start from their
-states: drives (motions of the carrier), and the legs of a chain. Also limits for their numbers in memory."""
+states: drives (motions of the carrier), and the legs of a chain. This module also limits the numbers of simulations and
+states in memory."""
 
 from __future__ import annotations
 

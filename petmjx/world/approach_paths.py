@@ -26,12 +26,12 @@ MOST_WAY_S: Final = 2.0
 faster."""
 
 FREE_M: Final = 0.0003
-"""Largest overlap of two boxes that is ignored, m. The value is twice the distance by which soft contacts may move
-neighbours that stand flush. Such a small overlap does not visibly push neighbours apart."""
+"""Largest overlap of two boxes that is ignored, m. Soft contacts may move neighbours that stand flush by half of this
+distance. An overlap of 0.3 mm does not visibly push neighbours apart."""
 
 MOST_TILTED: Final = 0.5
-"""Largest angle by which tines (of a fork that carries boxes) tilt a box, as a share of the tilt threshold. With this
-limit, the tilt of a box that tines have just released does not count as a sign of failure."""
+"""Largest angle by which tines (of a fork that carries boxes) tilt a box, as a share of the tilt threshold. With a
+larger angle, the tilt of a box that tines have just released might count as a sign of failure."""
 
 MOST_SIDESTEPS: Final = 8
 """Largest number of times that the start of a path is moved aside because a box is in the way. If a box is still in the

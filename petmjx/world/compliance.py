@@ -43,9 +43,9 @@ POINTS_PER_BED: Final = 4
 EDGE_SHARE: Final = 2 / 3
 """Share of the common area of two faces. As long as a larger share of this area is pressed, the stiffness of the
 contact is proportional to the pressed share. If less of the area is pressed, the springs are as stiff as if
-``EDGE_SHARE`` of the area were pressed. Without this limit, a load near an edge would sink without limit. A real carton
-spreads such a load, and its edges carry more than its middle. The limit has no effect if the load acts at most 0.28 ×
-the width away from the middle of the area."""
+``EDGE_SHARE`` of the area were pressed. If stiffness were always proportional to the pressed share, a load near an edge
+would sink without limit. A real carton spreads such a load, and its edges carry more than its middle. ``EDGE_SHARE``
+has no effect if the load acts at most 0.28 × the width away from the middle of the area."""
 
 OUTWARD: Final = 0.6
 """Factor by which the pressure on a face moves outward if only a small share of the face is pressed. If the pressed

@@ -33,7 +33,8 @@ bounce. MuJoCo's contacts have reference accelerations: the relative acceleratio
 contact were hard. With the physics ``pallet``, contacts are nearly hard. So the law of landing sets the reference
 acceleration, whatever the masses of the bodies: a constant deceleration to the velocity of the rebound (Newton's law of
 impact). During a landing, all contacts of the world have the stiffness that they have at depths beyond ``solimp``'s
-width. Without this stiffness, boxes below would be pressed in before their contacts became stiff.
+width. With their lower stiffness at small depths, boxes below the landing box would be pressed in before their contacts
+became stiff.
 """
 
 from __future__ import annotations
@@ -53,8 +54,8 @@ CONTACTS_PER_FACE = 4
 """Number of contacts that MuJoCo makes between two faces: the corners of their common rectangle."""
 
 MOST_IMPEDANCE = 0.9999
-"""Largest impedance that MuJoCo accepts (mjMAXIMP). With this impedance, contacts are 10 times as stiff as with an
-impedance of 0.999."""
+"""Largest impedance that MuJoCo accepts (mjMAXIMP). Contacts with an impedance of 0.9999 are 10 times as stiff as with
+an impedance of 0.999."""
 
 DEPTHS_M = np.geomspace(1e-9, 1e3, 2000)
 """Depths of a contact at which its force is computed, m. For other depths, the force is interpolated, with an error of
@@ -134,8 +135,8 @@ slip excess is still 1 m/s² after twenty iterations."""
 
 FIRST_SHARE: Final = 1.1
 """Relaxation factor of the first iteration of a step, if ``next_share`` chooses the factors of later iterations: the
-iteration changes a slip excess by this multiple of the computed change. With this factor, bricks that slide and tip
-need 2.4 calls of the solver per step; with 0.8, 2.6 calls; with the constant factor ``RELAXATION``, 3.1 calls."""
+iteration changes a slip excess by this multiple of the computed change. Bricks that slide and tip need 2.4 calls of the
+solver per step if the first factor is 1.1; 2.6 calls if it is 0.8; 3.1 calls if all factors are ``RELAXATION``."""
 
 LEAST_M_S2: Final = ENOUGH_M_S2 / 10
 """Smallest change of a slip excess from which the relaxation factor of the next iteration is estimated, m/s². Smaller
@@ -163,8 +164,8 @@ def next_share(share: FloatArray, change: FloatArray, last: FloatArray) -> Float
     """(k,) relaxation factor of the next iteration for each contact: the share of the change of the contact's slip
     excess (see the module's docstring) that the iteration applies.
 
-    With this factor, the last iteration would have left no change, provided that the change is a linear function of the
-    slip excess (Aitken's delta-squared process).
+    With the returned factor, the last iteration would have left no change, provided that the change is a linear
+    function of the slip excess (Aitken's delta-squared process).
 
     Args:
         share: (k,) share of the change that the last iteration applied.
@@ -186,7 +187,7 @@ FAST_M_S: Final = 0.1
 AT_REST: Final = 2.0
 """Depth of contacts at the end of a landing, as a multiple of ``solimp``'s width. The depth of contacts at rest is 1.3
 times the width. At the end of a landing, contacts are deeper than at rest, since they still push a little while the box
-rises out of them. With this value, the restitution of boxes that fall 10 mm differs by at most 0.03 from the
+rises out of them. With ``AT_REST``, the restitution of boxes that fall 10 mm differs by at most 0.03 from the
 restitution that was set (0.1 to 0.3), at whatever moment of a timestep the boxes land. With a restitution of 0.1, a box
 that fell 10 mm rises by a tenth of a millimetre."""
 

@@ -50,7 +50,7 @@ longer shrink to half in a step, because very near an edge, rounding prevents be
 
 _RIDGE: Final = 1e-13
 """Factor of a small term, (1 + the trace), that is added to the diagonal of the matrix of second derivatives. Without
-this term, the matrix would be singular if only one corner carries load."""
+the added term, the matrix would be singular if only one corner carries load."""
 
 
 def pulls(force: FloatArray, low: FloatArray, high: FloatArray, load: FloatArray) -> NDArray[np.bool_]:

@@ -231,7 +231,7 @@ MIN_SIZE_FRACTION = 0.1
 """Smallest random extent of a box, as a share of its planned extent. Extents must stay positive."""
 
 LARGEST_SIZE_M = 7.0
-"""Largest random extent of a box, m. The limit is needed since boxes that are not yet placed hang 8 m apart."""
+"""Largest random extent of a box, m. Boxes that are not yet placed hang 8 m apart, so larger boxes might touch."""
 
 MIN_MASS_FRACTION = 0.1
 """Smallest random mass of a box, as a share of its mass without errors. MuJoCo refuses bodies without mass."""

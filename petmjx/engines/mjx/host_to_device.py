@@ -135,8 +135,8 @@ def _state_shapes(rows: int, width: int) -> State:
 
 
 _HELD: Final = Drive(Excitation("held", ACCELERATION, np.zeros((0, 3))), scale=0.0, rest_s=0.0)
-"""A drive without excitation. Like all drives of the kind ``acceleration``, this drive holds the carrier. It has no
-other effect."""
+"""A drive without excitation. Like all drives of the kind ``acceleration``, this drive holds the carrier. The drive has
+no other effect."""
 
 
 def let_go(bodies: FreeBodies, sim: Simulation, rows: int, width: int) -> tuple[Worlds, State]:

@@ -77,10 +77,10 @@ class JobDealer:
     A worker begins with at least ``begin_with`` jobs, unless no more jobs come.
 
     The first death of a worker may have an outside cause, so its jobs are given out again like other jobs. Jobs whose
-    workers have died twice are *suspects*. They wait until no other jobs are left. If n suspects come from the death of
-    one worker, they are given out in groups of √n jobs, each group to a worker that holds no other job. If a worker
-    dies again, the jobs of its group are given out one by one. A job is given up if it was the only job in a worker
-    that died.
+    workers have died twice are *suspects*. Suspects wait until no other jobs are left. If n suspects come from the
+    death of one worker, they are given out in groups of √n jobs, each group to a worker that holds no other job. If a
+    worker dies again, the jobs of its group are given out one by one. A job is given up if it was the only job in a
+    worker that died.
 
     Args:
         least: if there are fewer jobs than this number, one worker gets all jobs. None: the engine simulates job after
@@ -195,8 +195,8 @@ class JobDealer:
         hand.suspects = hand.suspects if hand.costs else 0
 
     def died(self, hand: Hand) -> list[int]:
-        """Record that a worker died. Its jobs wait again, except for jobs that are given up. Returns the numbers of the
-        jobs that are given up."""
+        """Record that a worker died. The worker's jobs wait again, except for jobs that are given up. Returns the
+        numbers of the jobs that are given up."""
         jobs = [*hand.costs]
         self._deaths.update(jobs)
         if hand.suspects == 1:
@@ -212,7 +212,7 @@ class JobDealer:
         return []
 
     def put_back(self, hand: Hand) -> None:
-        """Record that a worker died before it started the jobs that it holds. These jobs wait again."""
+        """Record that a worker died before it started the jobs that it holds. The jobs of the worker wait again."""
         if hand.suspects:
             self._suspects.appendleft(tuple(hand.costs))
             return

@@ -246,7 +246,7 @@ class _RunJobs:
         self.stream.followed()
 
     def answered(self, outcome: Outcome, engine: str) -> None:
-        """Take an outcome of the engine. Its stream number becomes the number that the pool gave the job."""
+        """Take an outcome of the engine. The outcome's stream number becomes the number that the pool gave the job."""
         try:
             outcome.job, job = self.stream.answered(outcome.job)
         except KeyError:

@@ -93,7 +93,7 @@ def _restored_process() -> Iterator[None]:
 def _restored_sigterm() -> Iterator[None]:
     """Restores the handler of SIGTERM. Ray's own handler prints a list of addresses when the process ends, or ends the
     process silently once Ray has ended. In Python, only the main thread may set handlers, and it may be busy reading
-    plans. So this class calls C's ``sigaction``."""
+    plans. So ``_restored_sigterm`` calls C's ``sigaction``."""
     libc, saved_action = ctypes.CDLL(None), ctypes.create_string_buffer(_SIGACTION_BYTES)
     libc.sigaction(int(signal.SIGTERM), None, saved_action)
     try:

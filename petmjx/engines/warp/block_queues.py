@@ -85,7 +85,7 @@ class Queues:
 
     def examine(self, jobs: Sequence[Job], live: NDArray[np.bool_]) -> None:
         """Find out in which worlds loads act beyond or near edges, for as many worlds as ``EXAMINING_S`` allows, the
-        longest first. These worlds then begin earlier.
+        longest first. Worlds with loads beyond or near edges then begin earlier.
 
         Args:
             jobs: the job of each row.

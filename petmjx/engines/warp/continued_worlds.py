@@ -31,8 +31,8 @@ PAUSE_S: Final = 0.05
 """Interval at which answers are awaited when no world is left on the GPU, s."""
 
 WORTH_A_PROCESS: Final = 64
-"""With this number of worlds in the first table, the process for long worlds starts before a world needs it. The
-process takes some seconds to start."""
+"""With 64 worlds or more in the first table, the process for long worlds starts before a world needs it. The process
+takes some seconds to start."""
 
 
 def most_steps(jobs: Sequence[Job], sim: Simulation) -> NDArray[np.int32]:

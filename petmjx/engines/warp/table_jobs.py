@@ -46,7 +46,7 @@ one call for 256 jobs."""
 
 MOST_PROFILE_BYTES: Final = 1 << 30
 """Largest memory for the profiles (motions of the carrier) of the drives that follow from settled placements, bytes.
-This memory has room for 7,000 different profiles of 20 s. Further worlds wait until the row of a profile is free."""
+1 GiB has room for 7,000 different profiles of 20 s. Further worlds wait until the row of a profile is free."""
 
 _SAMPLE_BYTES: Final = 3 * 4
 

@@ -46,8 +46,9 @@ def tail_pool(pool: BlockPool, lanes: int | None = None) -> BlockPool | None:
 
 
 def stiff_pool(pool: BlockPool, stiff: float, lanes: int | None = None) -> BlockPool:
-    """The block pool for worlds with stiffer contacts, in a table of other worlds. Such a world has more steps, with
-    more iterations each, and other worlds may follow from it, so it gets a block like those for last worlds.
+    """The block pool for worlds with stiffer contacts, in a table of other worlds. A world with stiffer contacts has
+    more steps, with more iterations each, and other worlds may follow from this world. So the world gets a block like
+    those for last worlds.
 
     Args:
         pool: the pool for other worlds of the same size.
