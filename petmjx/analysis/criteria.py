@@ -469,7 +469,7 @@ CRITERIA: Final = (
         ),
         number="tolerable acceleration, g",
         threshold=LEAST_TOLERABLE_G,
-        usual=False,  # this criterion is about transport, not about standing still
+        usual=False,  # evaluated only on request, since this criterion is about transport
     ),
     Criterion(
         "load_points",
@@ -480,7 +480,7 @@ CRITERIA: Final = (
         lambda inputs: load_points_slack(inputs.contacts),
         number="points",
         threshold=LEAST_POINTS,
-        usual=False,  # this criterion is a rule of thumb about the finished load
+        usual=False,  # evaluated only on request, since this criterion is a rule of thumb
     ),
 )
 """All criteria, in the order in which tables list them: criteria about the base of a box come first, and criteria about

@@ -31,7 +31,7 @@ def process_pool(processes: int, *, gpu: bool = True, nice: int = 0) -> ProcessP
         nice: niceness (lower priority) that is added to the processes, so that this process has priority over them. On
             systems without niceness, ``nice`` has no effect.
     """
-    # most commands start no processes
+    # imported here, since most commands start no processes
     from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import get_context
 

@@ -56,7 +56,7 @@ class _Pipes:
 
     def file_of(self, path: Path) -> Path:
         """The file in memory with the content of a pipe; any other path is returned unchanged. Raises OSError."""
-        if str(path) not in self.words or not hasattr(os, "memfd_create"):  # files in memory: only on Linux
+        if str(path) not in self.words or not hasattr(os, "memfd_create"):  # only Linux has files in memory
             return path
         status = os.stat(path)
         if not stat.S_ISFIFO(status.st_mode):

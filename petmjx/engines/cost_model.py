@@ -113,8 +113,8 @@ share of 0.285 of the fixed schedule's steps; the share is 0.45 with few boxes, 
 
 DISPLACED_STEPS, CARRIED_STEPS = 1.1, 5.0
 """Number of steps of a placement with errors of places or sizes, relative to a placement whose boxes appear exactly at
-their places. The first value is for boxes that are moved apart and then appear. The second value is for boxes that are
-carried to their places, and get stuck at their neighbours."""
+their places. ``DISPLACED_STEPS`` is for boxes that are moved apart and then appear. ``CARRIED_STEPS`` is for boxes that
+are carried to their places, and get stuck at their neighbours."""
 
 GIVING_STEPS = 1.4
 """Number of steps of a placement with compliant boxes, relative to the same placement with rigid boxes. A pile of boxes
@@ -122,8 +122,8 @@ so soft that it does not come to rest takes up to fifteen times as many steps.""
 
 
 DISPLACED_COST, CARRIED_COST = 2.8, 4.5
-"""Cost of a placement with errors on a device, relative to a placement without errors. The first value is for boxes
-that appear at places with errors, and may slip into gaps between other boxes. The second value is for boxes that are
+"""Cost of a placement with errors on a device, relative to a placement without errors. ``DISPLACED_COST`` is for boxes
+that appear at places with errors, and may slip into gaps between other boxes. ``CARRIED_COST`` is for boxes that are
 carried to their places. 8,000 worlds of 500 plans took 35 s, and 4,000 worlds of 250 plans by hand took 30 s; 10,003
 worlds without errors took 17 s."""
 
@@ -498,7 +498,7 @@ class Costs:
         """(n,) for each job, the number of steps from which on its world counts as long (``LONG_PLACEMENT``,
         ``LONG_DRIVE``). The number depends neither on the machine nor on the other jobs."""
         steps = np.full(len(jobs), float(seconds_to_steps(sim.rest_window_s, sim.physics.timestep_s)))
-        for settles in (False, True):  # _expected_work takes no jobs of both kinds together
+        for settles in (False, True):  # _expected_work takes jobs of one kind at a time
             rows = [row for row, job in enumerate(jobs) if job.settles is settles]
             some = [jobs[row] for row in rows]
             work, drive_steps = _expected_work(some, sim)

@@ -87,7 +87,7 @@ def engine_warmup(options: RunOptions, plans: object, sim: Simulation) -> Iterat
     started workers for ``resolve_engine``. Starting libraries and workers is mostly waiting, so plans are read
     meanwhile."""
     if options.asked_workers is not None and isinstance(options.engine, str):
-        from petmjx.engines.remote.worker_choice import WorkerStartup  # most runs have no workers
+        from petmjx.engines.remote.worker_choice import WorkerStartup  # for runs with workers only
 
         ahead = WorkerStartup(options, worth_gpus=bytes_of_plans(plans) >= WORTH_A_GPU)
         try:
@@ -184,7 +184,7 @@ def resolve_engine(
             )
         return UserEngine(requested_engine, options.threads), Choice(requested_engine.name, "given")
     if options.asked_workers is not None:
-        from petmjx.engines.remote.worker_choice import resolve_workers  # most runs have no workers
+        from petmjx.engines.remote.worker_choice import resolve_workers  # for runs with workers only
 
         return resolve_workers(options, work, costs or MEASURED, ahead)
     threads = options.threads or cpu_threads()
@@ -200,7 +200,7 @@ def resolve_engine(
     engine, choice = make_engine(name, **options_of(name, options)), Choice(name, reason, seconds.get(name))
     if hands_over and requested_engine == AUTO and name == "mujoco" and options.world_timeout_s is None:
         from petmjx.engines.engine_handover import HandoverEngine
-        from petmjx.engines.mujoco.engine import MujocoEngine  # this module imports MuJoCo
+        from petmjx.engines.mujoco.engine import MujocoEngine  # imported here, since it loads MuJoCo
 
         kernels = "mjx-warp-cpu"
         assert isinstance(engine, MujocoEngine)

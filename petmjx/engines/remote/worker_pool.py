@@ -228,7 +228,7 @@ class WorkerPool(Engine):
             progress.message = before
         finally:
             busy = [worker for worker in self._workers if worker.reports is not None]
-            for worker in busy:  # nobody needs these workers' other outcomes
+            for worker in busy:  # the run has ended, so nobody needs further outcomes
                 self._workers.remove(worker)
                 self._kill(worker)
 
@@ -255,7 +255,8 @@ class WorkerPool(Engine):
         # a worker takes packets of jobs while it reports about its run
         remote = self._ray.remote(Worker).options(**resources, max_concurrency=2, max_restarts=0)
         threads = None if self.name in LEAST else place.cpus
-        thorough = self.name != "mjx-warp" or self._deaths > 0  # after a death, the device may be broken
+        # after a worker's death, its device may be broken, so the next worker tries its engine first
+        thorough = self.name != "mjx-warp" or self._deaths > 0
         options = {"check_pool": self._check_pool, "thorough": thorough}
         actor = remote.remote(self._recipe, os.environ.get("PETMJX_CACHE_DIR"), threads, **options)
         return _WorkerRecord(place, actor, actor.hello.remote(), Hand(place.cpus), working=thorough)

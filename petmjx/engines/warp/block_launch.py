@@ -49,7 +49,7 @@ def launch_device() -> wp.Device:
     Warp's own default is another device if several GPUs are visible: it is the GPU whose context the calling thread has
     used last, and JAX uses the contexts of all GPUs when it starts. A kernel cannot read arrays of another GPU.
     """
-    import jax  # processes that only compile kernels do not need JAX
+    import jax  # imported here, since processes that only compile kernels do not need JAX
 
     (device,) = jax.device_put(np.zeros((), np.float32)).devices()
     return wp.device_from_jax(device)
