@@ -17,8 +17,8 @@ SEED = 0
 """Seed of the generated sample plans."""
 
 STACK_PLAN = 33
-"""The sample plan of ``SEED`` from which stacks are cut, packed strictly: the first with at least 64 boxes (67).
-Larger stacks are of bricks."""
+"""Number of the sample plan of ``SEED`` from which stacks are cut. It is the first strictly packed plan with at least
+64 boxes; it has 67. Larger stacks are made of bricks."""
 
 MUJOCO = "mujoco"
 PLAIN_LOOP = "plain-loop"

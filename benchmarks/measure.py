@@ -43,13 +43,14 @@ STACK_LANES = 2048
 MJX_WARP = "mjx-warp"
 
 LARGE_STACK_LANES = 528
-"""The same of stacks that have a multiprocessor each on mjx-warp: four for each of an H200's."""
+"""The same for stacks that fill a multiprocessor each on mjx-warp: four for each multiprocessor of an H200."""
 
 LOOP_SECONDS = 60.0
 """Default time after which a plain loop begins no further plan, s."""
 
 BLOCK_PLANS = 8
-"""Plans per block of a sweep with limited time: 512 EUMOS worlds keep 16 threads busy nearly to the end."""
+"""Number of plans per block of a sweep with limited time. Eight plans have 512 worlds of EUMOS, which keep 16 threads
+busy nearly to the end."""
 
 
 class _TimeIsUp(KeyboardInterrupt):
@@ -153,7 +154,7 @@ class Bench:
             raise InputError(f"{path}: no plans left after the first {self.skip}")
         self._folders.setdefault((case.name, engine_name), folders)
         run = joint_run(folders)
-        sim = run.info["config"]["simulation"]  # a sweep's file may name another one
+        sim = run.info["config"]["simulation"]  # the file of a sweep may set other simulation options
         n_boxes = run.worlds.drop_duplicates("plan_id")["n_boxes"]
         timings = pd.DataFrame([load_run(folder).info["timings"] for folder in folders]).sum().to_dict()
         steps = timings["placement_steps"] + timings["drive_steps"] if case.sweep else run.worlds["n_steps"].sum()
