@@ -21,9 +21,9 @@ _is_command = False
 
 
 def process_pool(processes: int, *, gpu: bool = True, nice: int = 0) -> ProcessPoolExecutor:
-    """A pool of newly started processes. Forked processes would hang if a thread of this process held a lock.
+    """A pool of newly started worker processes. Forked processes would hang if a thread of this process held a lock.
 
-    If this process is killed, the processes of the pool end (``_begin``) instead of waiting for tasks for ever.
+    If this process is killed, the worker processes end (``_begin``) instead of waiting for tasks for ever.
 
     Args:
         gpu: whether the processes see GPUs. A process that sees a GPU takes some of its memory even if it does not use
@@ -39,8 +39,8 @@ def process_pool(processes: int, *, gpu: bool = True, nice: int = 0) -> ProcessP
 
 
 def stop(pool: ProcessPoolExecutor) -> None:
-    """End a pool's processes immediately, without waiting for running tasks as ``shutdown`` does. No thread may still
-    wait for the results of these tasks, which never arrive."""
+    """End the worker processes of a pool immediately, without waiting for running tasks as ``shutdown`` does. No thread
+    may still wait for the results of these tasks, which never arrive."""
     for process in list((pool._processes or {}).values()):
         process.terminate()
 

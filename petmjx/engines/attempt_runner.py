@@ -74,7 +74,7 @@ class AttemptRunner(Generic[AnyWorld]):
             results, such as the drives of a settled pallet, into the stream.
         check_pool: pool of processes that check outcomes; None if this process checks them.
         most: largest number of jobs in a list, for engines that cannot read a stream.
-        verdicts_only: whether only verdicts are needed, as in ``outcome_checks``. A pool checks everything.
+        verdicts_only: whether only verdicts are needed, as in ``outcome_checks``. A check pool checks everything.
         joined: world → runner of its further attempt, for worlds whose further attempt is in the stream of
             ``run_stream``.
     """
@@ -232,8 +232,8 @@ class AttemptRunner(Generic[AnyWorld]):
         Args:
             engine: name of the engine that made the outcomes; empty if each outcome names its engine.
             checked: whether the engine has already checked the outcomes.
-            wait: if True, wait until the pool has checked all outcomes. If ``wait`` is False, yield only the outcomes
-                that are ready; later calls yield the remaining outcomes.
+            wait: if True, wait until the check pool has checked all outcomes. If ``wait`` is False, yield only the
+                outcomes that are ready; later calls yield the remaining outcomes.
             until: see ``CheckPool.exchanged``.
         """
         if checked:

@@ -46,7 +46,7 @@ busy (``small_world_blocks``). Further worlds start on the GPU later."""
 
 def check_pool_for(engine: Engine, worlds: int) -> CheckPool[Any] | None:
     """A pool of processes that check the outcomes of ``worlds`` worlds while an engine simulates; None if the engine
-    needs no pool, or if there are too few worlds.
+    needs no check pool, or if there are too few worlds.
     """
     return CheckPool.here() if _is_gpu(engine) and worlds >= LARGE else None
 
@@ -90,7 +90,7 @@ def score_worlds(
     results.
 
     ``check_pool``: a pool of processes that several calls use one after another. If ``check_pool`` is None, a call with
-    many worlds starts a pool of its own.
+    many worlds starts a check pool of its own.
 
     ``verdicts_only``: whether the caller needs only verdicts. The outcomes of first attempts then lack the distances
     and flags that ``outcome_checks`` leaves out.
@@ -308,12 +308,12 @@ class _AttemptTasks(Generic[AnyWorld]):
     sim: Simulation
     engines: Engines
     lent: CheckPool[Pending[AnyWorld]] | None = None
-    """A pool of processes that the caller provides and keeps for later runs."""
+    """The check pool that the caller provides and keeps for later runs, if any."""
     needs_pool: bool = True
     """Whether checks of many outcomes take long enough for processes."""
     check_pool: CheckPool[Pending[AnyWorld]] | None = None
     first: AttemptRunner[AnyWorld] | None = None
-    """The runner of the first attempts, whose outcomes the pool checks."""
+    """The runner of the first attempts, whose outcomes the check pool checks."""
     _task_numbers: Iterator[int] = field(default_factory=count)
     _in_flight: dict[int, tuple[AttemptRunner[AnyWorld], Pending[AnyWorld], str]] = field(default_factory=dict)
     """Number of a task → the runner of its attempt, the world, and the name of the engine."""

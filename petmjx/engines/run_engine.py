@@ -89,11 +89,11 @@ def engine_warmup(options: RunOptions, plans: object, sim: Simulation) -> Iterat
     if options.asked_workers is not None and isinstance(options.engine, str):
         from petmjx.engines.remote.worker_choice import WorkerStartup  # for runs with workers only
 
-        ahead = WorkerStartup(options, worth_gpus=bytes_of_plans(plans) >= WORTH_A_GPU)
+        startup = WorkerStartup(options, worth_gpus=bytes_of_plans(plans) >= WORTH_A_GPU)
         try:
-            yield ahead
+            yield startup
         except BaseException:
-            ahead.give_up()
+            startup.give_up()
             raise
         return
     thread = None
@@ -134,14 +134,14 @@ def bytes_of_plans(plans: object) -> int:
 def engine_for(
     options: RunOptions,
     work: Work,
-    ahead: WorkerStartup | None = None,
+    startup: WorkerStartup | None = None,
     *,
     hands_over: bool = False,
     earlier: str | None = None,
 ) -> Iterator[tuple[Engine, Choice]]:
     """``resolve_engine`` as a context. The context closes the engine at its end, unless the engine is the user's
     own."""
-    engine, choice = resolve_engine(options, work, ahead=ahead, hands_over=hands_over, earlier=earlier)
+    engine, choice = resolve_engine(options, work, startup=startup, hands_over=hands_over, earlier=earlier)
     try:
         yield engine, choice
     finally:
@@ -153,7 +153,7 @@ def resolve_engine(
     options: RunOptions,
     work: Work,
     costs: Costs | None = None,
-    ahead: WorkerStartup | None = None,
+    startup: WorkerStartup | None = None,
     *,
     hands_over: bool = False,
     earlier: str | None = None,
@@ -163,7 +163,7 @@ def resolve_engine(
 
     Args:
         costs: costs of the engines; None: the measured ones, scaled to the speed of this machine.
-        ahead: workers that ``engine_warmup`` has already started for these options.
+        startup: the workers that ``engine_warmup`` has already started for these options.
         hands_over: whether an engine that ``auto`` chooses may hand worlds over to another one (``HandoverEngine``).
         earlier: the engine of the run before it was resumed. ``auto`` keeps this engine, although the machine may be
             busier now.
@@ -186,7 +186,7 @@ def resolve_engine(
     if options.asked_workers is not None:
         from petmjx.engines.remote.worker_choice import resolve_workers  # for runs with workers only
 
-        return resolve_workers(options, work, costs or MEASURED, ahead)
+        return resolve_workers(options, work, costs or MEASURED, startup)
     threads = options.threads or cpu_threads()
     # Measuring the speed of CPU threads takes 0.3 s. If a GPU simulates, this speed is irrelevant.
     costs = costs or (MEASURED if requested_engine == "mjx-warp" else costs_here(work, threads))

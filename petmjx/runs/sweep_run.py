@@ -126,8 +126,8 @@ class SweepRun:
 
     def worlds(self) -> Iterator[FinishedWorld]:
         """Simulate all missing worlds. Yields each world when its outcome is final, in any order."""
-        # The check pool takes seconds to start, and is needed soon after the first drives begin. So the pool is started
-        # before the first boxes are placed.
+        # The check pool takes seconds to start, and is needed soon after the first drives begin. So the check pool is
+        # started before the first boxes are placed.
         is_counted = self.plan.sweep.search is None
         self._check_pool = check_pool_for(self.engine, self.plan.n_worlds - len(self.recorded)) if is_counted else None
         try:

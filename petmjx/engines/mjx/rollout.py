@@ -57,8 +57,8 @@ class BatchRollout:
         profiles: Float[Array, "profile step 3"],
     ) -> tuple[State, Float[Array, "world constraint"], Trail]:
         """The states and constraint forces after a chunk of steps, and the poses and forces in each step (``Trail``).
-        The trail is always kept: the program must be the same with and without a recorder, since another program might
-        round differently."""
+        The trail (poses and forces in each step) is always kept: the program must be the same with and without a
+        recorder, since another program might round differently."""
         held, physics = self.model.held, self.rules.sim.physics
         fields = override_fields(worlds, self.model.model, held=held, physics=physics, gives=self.gives)
         faces = Faces.of(worlds, fields["body_invweight0"][:, 1:, 0]) if self.gives else None

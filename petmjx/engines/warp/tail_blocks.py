@@ -34,7 +34,7 @@ def tail_pool(pool: BlockPool, lanes: int | None = None) -> BlockPool | None:
     """The block pool for the last worlds; None if this pool would be the same as the usual pool, as on a CPU.
 
     Args:
-        pool: the pool from which these worlds come.
+        pool: the block pool from which these worlds come.
         lanes: largest number of worlds in blocks of one kind. If ``lanes`` is None, the limit is the number for which
             the device has room.
     """
@@ -51,7 +51,7 @@ def stiff_pool(pool: BlockPool, stiff: float, lanes: int | None = None) -> Block
     those for last worlds.
 
     Args:
-        pool: the pool for other worlds of the same size.
+        pool: the block pool for other worlds of the same size.
         stiff: see ``Job.stiff``.
         lanes: see ``tail_pool``.
     """
