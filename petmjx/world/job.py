@@ -108,8 +108,8 @@ class Job:
         scene: the world.
         drive: the drive that shakes the world. If ``drive`` is None, nothing shakes the world.
         start: the ``state`` of an earlier outcome. If the placement had settled, the world skips the soft start and the
-            placement, and begins with the drive. If it had paused, the world begins with the placement of its next box.
-            Engines get a state of their own type; outside engines, a ``KeptState`` holds the state.
+            placement, and begins with the drive. If the placement had paused, the world begins with the placement of
+            its next box. Engines get a state of their own type; outside engines, a ``KeptState`` holds the state.
         pauses_after: number of boxes, fewer than the scene has, after which the placement pauses: the world ends when
             the next box would be placed, and the outcome has its state. The state serves as ``start`` of all jobs whose
             worlds are equal up to this moment (``petmjx.engines.warp.beginnings``). The outcome has no state if the

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 PIECES: Final = 4
-"""Limits the jobs of a thread of an engine that simulates job after job: the expected time of these jobs is at most the
-expected time of all waiting jobs, divided by ``PIECES`` and by the number of threads. So all threads end at about the
-same time, although expected times are estimates."""
+"""A limit for engines that simulate job after job: the jobs that a thread may hold take at most the expected time of
+all waiting jobs, divided by ``PIECES`` and by the number of threads. So all threads end at about the same time,
+although expected times are estimates."""
 
 MOST_JOBS: Final = 64
 """Largest number of jobs per thread of a worker whose engine simulates job after job, so that little work is lost if

@@ -7,8 +7,9 @@ with H = M + Jᵀ·s″·J; a line search follows.
 
 Five things make this solver fast:
 
-- It starts from extrapolated accelerations: on the line through the accelerations of the last two steps. While boxes
-  come to rest, accelerations change smoothly, so the error of the start comes only from the curvature of this change.
+- The solver starts from extrapolated accelerations: on the line through the accelerations of the last two steps. While
+  boxes come to rest, accelerations change smoothly, so the error of the start comes only from the curvature of this
+  change.
 - A contact touches two bodies. So J is stored as 27 numbers per contact, and a product with J is cheap.
 - H is sparse, and bodies are ordered by their contacts (kernels/elimination_order.py), so that H has a narrow envelope.
   Each column of H belongs to a body. Let the first body be the one that comes first in the order among this body and
