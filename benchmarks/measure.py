@@ -87,18 +87,18 @@ class _Watch:
 class Bench:
     """Measures cases in order. Engines and their compiled programs are reused for later cases."""
 
-    work: Path  # folder for the files of timed runs
-    plans: Path | None = None  # file of plans instead of the cases' own
-    limit: int | None = None  # most plans
-    skip: int = 0  # number of plans to leave out at the beginning
-    lanes: int | None = None  # as for ``make_engine``; None: the engine's own choice
-    threads: int | None = None  # the same
-    max_seconds: float | None = None  # a run ends after this (wall time), and the result says so
-    repeat: int = 1  # runs of each case. Cases take turns; each further run is compared with the first
-    oracles: Sequence[Schedule] = ()  # schedules of engine ``mujoco`` that runs are compared with; run first
-    against: Mapping[str, Sequence[Path]] = field(default_factory=dict)  # label → folders of earlier runs
-    say: Callable[[str], None] = lambda text: None  # called with a line when something begins
-    make: Callable[..., Engine] = make_engine  # builds engines
+    work: Path  # Folder for the files of timed runs.
+    plans: Path | None = None  # File of plans that replaces the files of the cases.
+    limit: int | None = None  # Largest number of plans.
+    skip: int = 0  # Number of plans to leave out at the beginning.
+    lanes: int | None = None  # As for ``make_engine``; None: the engine's own choice.
+    threads: int | None = None  # As for ``make_engine``; None: the engine's own choice.
+    max_seconds: float | None = None  # Wall-clock time after which a run ends; the result says so.
+    repeat: int = 1  # Number of runs of each case. Cases take turns; further runs are compared with the first run.
+    oracles: Sequence[Schedule] = ()  # Schedules of ``mujoco`` with which runs are compared.
+    against: Mapping[str, Sequence[Path]] = field(default_factory=dict)  # Label → folders of earlier runs.
+    say: Callable[[str], None] = lambda text: None  # Called with a line when something begins.
+    make: Callable[..., Engine] = make_engine  # Builds engines.
     _environment: Result = field(default_factory=environment, init=False)
     _engines: dict[tuple[str, int | None], Engine] = field(default_factory=dict, init=False)
     _folders: dict[tuple[str, str], list[Path]] = field(default_factory=dict, init=False)

@@ -41,8 +41,8 @@ def policy_of(folder: Path) -> tuple[Any, Any]:
         package = types.ModuleType(f"packsim{name}")  # empty packages, since the __init__ files need a display
         package.__path__ = [str(folder.joinpath(*name.split(".")[1:]))]
         sys.modules[f"packsim{name}"] = package
-    sys.modules["pybullet"] = types.ModuleType("pybullet")  # only for a check that is not made here
-    vars(np)["float"] = float  # older versions of NumPy had ``np.float``
+    sys.modules["pybullet"] = types.ModuleType("pybullet")  # Only for a check that is not made here.
+    vars(np)["float"] = float  # Older versions of NumPy had ``np.float``.
     _load(
         folder / "packer/pct_model/attention_model.py",
         "packsim.packer.pct_model.attention_model",

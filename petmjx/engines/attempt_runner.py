@@ -158,8 +158,8 @@ class AttemptRunner(Generic[AnyWorld]):
                     raise
                 refused = isinstance(error, PetmjxError) or self.engines.fallback is None
                 if self.attempt.number == 1 and refused:
-                    raise  # the user must change the refused worlds, or the engine that has no fallback
-                if not stream.taken:  # the engine would refuse the jobs again
+                    raise  # The user must change the worlds, or the engine, which has no fallback.
+                if not stream.taken:  # The engine would refuse the same jobs again.
                     stream.take(sys.maxsize, least=1)
                 unanswered = list(stream.in_flight.values())
                 self._message = one_line(error)

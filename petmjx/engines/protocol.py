@@ -58,8 +58,8 @@ def says_at_hand(run: Run) -> Run:
     """Mark a method ``run`` that keeps ``Progress.at_hand`` up to date. If ``Progress.pauses`` is set, this method also
     yields None while it waits.
 
-    The method is marked, and not the engine's class. If a user's engine inherits from an engine of petmjx but has a
-    ``run`` of its own, this ``run`` is therefore not marked; it may delay outcomes.
+    The method is marked, and not the engine's class. So if a user's engine inherits from an engine of petmjx but has a
+    ``run`` of its own, the user's ``run`` is not marked, since it may delay outcomes.
     """
     run.says_at_hand = True  # type: ignore[attr-defined]  # functions accept further attributes
     return run

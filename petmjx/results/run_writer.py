@@ -163,18 +163,18 @@ class RunWriter(RunInfo):
         self._queue: SimpleQueue[Row | _Request] = SimpleQueue()
         self._room: SimpleQueue[None] = SimpleQueue()  # gets an entry at each try to write; ``add`` waits for an entry
         self._thread = threading.Thread(target=self._work, name="petmjx-writer", daemon=True)
-        self._added_bytes = 0  # changed only by the thread that adds worlds
-        self._cut_short = False  # set only by the main thread
+        self._added_bytes = 0  # Changed only by the thread that adds worlds.
+        self._cut_short = False  # Set only by the main thread.
         # Once the writer's thread has started, only this thread uses the attributes below.
         self._tables = Tables(self.out_dir, MemoryParts(Path(), {}) if self._in_memory else None)
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self._rows: list[Row] = []
         self._row_bytes = self._written_bytes = 0
-        self._lacks_placements = False  # whether the table ``placements`` must still be written
-        self._opened_s = 0.0  # time at which the table ``plans`` was written (monotonic clock)
-        self._is_behind = False  # whether run.json must still be written
-        self._trouble: Exception | None = None  # the error of the last try to write; None if it succeeded
-        self._retry_s = 0.0  # time before which nothing is written again (monotonic clock)
+        self._lacks_placements = False  # Whether the table ``placements`` must still be written.
+        self._opened_s = 0.0  # Time at which the table ``plans`` was written (monotonic clock).
+        self._is_behind = False  # Whether run.json must still be written.
+        self._trouble: Exception | None = None  # The error of the last try to write; None if the try succeeded.
+        self._retry_s = 0.0  # Time before which nothing is written again (monotonic clock).
         self._until_end = contextlib.ExitStack()
         self._ended = False
 

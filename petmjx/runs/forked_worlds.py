@@ -23,7 +23,7 @@ from petmjx.world.variants import LegSpec, Variant
 @dataclass(frozen=True)
 class Batching:
     """Limits for the numbers of simulations and states of a sweep that are in memory and in the engine at the same
-    time. The results of a sweep do not depend on these limits.
+    time. The results of a sweep do not depend on the limits.
 
     Attributes:
         undriven: largest number of simulations without a drive, whose states are not stored, in one call of the engine.

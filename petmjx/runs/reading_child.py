@@ -55,8 +55,8 @@ def main() -> None:
 
 def answer_to(source: PlanSource | Segment | None, sim: Simulation, options: RunOptions) -> ReadingAnswer | None:
     """The plans of a source, or of a segment of a file. None after an error or a warning, or if a file cannot be read:
-    the process of the run then reads the plans itself. In the process of the run, errors and warnings appear, the user
-    can be asked how to read a file, and pipes can be read."""
+    the process of the run then reads the plans itself. Only in the process of the run do errors and warnings appear,
+    can the user be asked how to read a file, and can pipes be read."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:

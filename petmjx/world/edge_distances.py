@@ -419,7 +419,7 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
     n_above = np.bincount(bearing.lower[bearing.lower != CARRIER], minlength=n)
     above = above[np.count_nonzero(bearing.lower == CARRIER) :]
     first_above = np.cumsum(n_above) - n_above
-    key = np.repeat(np.arange(n), count) * n + step  # the keys increase from pair to pair.
+    key = np.repeat(np.arange(n), count) * n + step  # The keys increase from pair to pair.
     # The array ``forces`` has the forces at the contacts of corrected boxes: for each contact, one for each load of the
     # upper box
     size = np.where(pulled[bearing.upper], count[bearing.upper], 0)

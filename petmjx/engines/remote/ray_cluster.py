@@ -169,8 +169,8 @@ class _LocalRay:
         self.end()
         with suppress(KeyboardInterrupt):
             self._thread.join(END_S)
-        if self._thread.is_alive():  # Ray's processes will die with this process
-            atexit.unregister(self._ray.shutdown)  # this function would also wait for Ray
+        if self._thread.is_alive():  # Ray's processes end with this process.
+            atexit.unregister(self._ray.shutdown)  # This function would also wait for Ray.
             self._remove_folder()
 
     def _start(self) -> None:

@@ -120,8 +120,8 @@ def launch_all(calls: Sequence[Call], clock: Any, slice_ns: int) -> None:
             for block in range(max(call.blocks for call in calls)):
                 running.append(_threads().submit(run, block))
             wait(running, timeout=min(slice_ns / 1e9, threading.TIMEOUT_MAX))
-        finally:  # also after an error, since the memory of the blocks is then freed
-            clock.numpy()[0] = 1  # stops the blocks, which read this number
+        finally:  # Also after an error, since the memory of the blocks is freed afterwards.
+            clock.numpy()[0] = 1  # Stops the blocks, which read this number.
             wait(running)
         for future in running:
             future.result()

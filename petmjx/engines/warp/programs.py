@@ -218,8 +218,8 @@ def load_usual_kernels(sim: Simulation, builds: KernelBuilds | None = None) -> b
 
 
 MOST_KEPT = 16
-"""Number of ``Programs`` objects that are kept. A score with further attempts needs up to four. The largest of these
-objects takes 16 MB."""
+"""Number of ``Programs`` objects that are kept. A score with further attempts needs up to four ``Programs`` objects.
+The largest of these objects takes 16 MB."""
 
 
 @functools.lru_cache(MOST_KEPT)
