@@ -123,7 +123,7 @@ class Bisection:
             bisection.
 
     Attributes:
-        items: what has been found about each item.
+        items: for each item, what the search has found so far.
     """
 
     def __init__(

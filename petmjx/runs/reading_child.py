@@ -21,8 +21,8 @@ from petmjx.world.edge_distances import edge_risks
 from petmjx.world.scene import build_scenes
 
 MOST_EXAMINED: Final = 4096
-"""Largest number of plans of a process whose loads are examined before the run gets the plans, which takes about a
-second. A run of more plans examines the others while it simulates."""
+"""Largest number of plans whose loads a process examines before the run gets the plans. Examining so many plans takes
+about a second. A run with more plans examines the other plans while it simulates."""
 
 
 class ReadingAnswer(NamedTuple):

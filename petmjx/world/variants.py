@@ -6,7 +6,7 @@ strength, direction). Worlds of a plan with the same ``placement_key`` have the 
 several worlds have in common is simulated once, and each of these worlds starts from the settled state.
 
 The scenes of many variants of a plan are made together (``apply_all``). Making scenes together takes 0.05 ms per scene.
-Making them one by one would take ten times as long: as long as a GPU needs to simulate a small world.
+Making scenes one by one would take ten times as long: as long as a GPU needs to simulate a small world.
 """
 
 from __future__ import annotations

@@ -100,8 +100,8 @@ class BatchRollout:
         gravity, push = self._excitation(state, worlds, profiles)
         shown = rules.park(state)
         # Boxes in the air fall freely during the step. If the solver starts from free fall, it has nothing to solve for
-        # waiting boxes. If it started from zero acceleration, each of these boxes would add ½·m·g² to the cost, and
-        # float32 would lose the contacts in that sum.
+        # waiting boxes. If the solver started from zero acceleration, each waiting box would add ½·m·g² to the cost,
+        # and float32 would lose the cost of contacts in the sum.
         standing = rules.standing(state)[..., None]
         start = shown.qacc.at[..., :3].set(jnp.where(standing, shown.qacc[..., :3], gravity[:, None]))
         inputs = {

@@ -96,8 +96,8 @@ class KernelLauncher:
         workspace: jax.Array,
         frames: Mapping[str, jax.Array],
     ) -> tuple[dict[str, jax.Array], jax.Array, dict[str, jax.Array], dict[str, jax.Array]]:
-        """Simulate the worlds for a time slice. Returns their states, the workspace, the recorded frames, and
-        ``Counts``. Fields of a state that no kernel uses keep their values."""
+        """Simulate the worlds for a time slice. Returns the states of the worlds, the workspace, the recorded frames,
+        and ``Counts``. Fields of a state that no kernel uses keep their values."""
         kinds, shapes = array_types(Counts), world_arrays.array_shapes(Counts, {"queue": len(self.pools)})
         counts = {name: jnp.zeros(shapes[name], wp.dtype_to_numpy(kind.dtype)) for name, kind in kinds.items()}
         arrays = {**worlds, **state, **counts, "workspace": workspace}
