@@ -51,7 +51,8 @@ def agreement(oracle: Sequence[Path], run: Sequence[Path]) -> dict[str, Any]:
     runs have.
 
     Returns:
-        The fields that benchmarks/README.md lists ("How to read a result"); ``shares``: :func:`compare_shares`.
+        The fields that benchmarks/README.md lists ("How to read a result"); the field ``shares`` is the result of
+        :func:`compare_shares`.
     """
     oracle_run, here = joint_run(oracle), joint_run(run)
     comparison = compare_runs(oracle_run, here)
@@ -85,8 +86,8 @@ def agreement(oracle: Sequence[Path], run: Sequence[Path]) -> dict[str, Any]:
 
 
 def rest_force_differences(oracle: RunResults, run: RunResults) -> dict[str, Any]:
-    """Relative differences of ``rest_top_force_n`` between the two runs, |here − there| / there, for boxes with a force
-    of more than ``LOADED_N`` in plans that stand."""
+    """Relative differences of ``rest_top_force_n`` between the two runs, |force in ``run`` − force in ``oracle``| /
+    force in ``oracle``, for boxes with a force of more than ``LOADED_N`` in plans that stand."""
     stands = [results.worlds.loc[results.worlds["verdict"] == Verdict.STABLE.value, KEY] for results in (oracle, run)]
     worlds = stands[0].merge(stands[1], on=KEY)
     columns = [*BOX_KEY, "rest_top_force_n"]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 LOOK_S = 1.0
-"""Time between two looks, s."""
+"""Time between two measurements of the memory, s."""
 
 _KIB = 1024
 
@@ -23,7 +23,7 @@ class Memory:
     peak_bytes: int | None = None
 
     def look(self) -> None:
-        """Measure the present use."""
+        """Measure the present use of memory."""
         now = memory_of_all(os.getpid())
         if now is not None:
             self.peak_bytes = max(now, self.peak_bytes or 0)
@@ -51,7 +51,7 @@ def looked_at() -> Iterator[Memory]:
 
 def memory_of_all(root: int) -> int | None:
     """Bytes of physical memory that a process and its descendants use: shared pages count once. None if the system
-    cannot measure it."""
+    cannot measure memory."""
     children: dict[int, list[int]] = defaultdict(list)
     for folder in Path("/proc").glob("[0-9]*"):
         if (parent := _field(folder / "status", "PPid:")) is not None:
@@ -60,7 +60,7 @@ def memory_of_all(root: int) -> int | None:
     while waiting:
         process = waiting.pop()
         waiting += children[process]
-        # Pss: of a page that n processes use, each has one n-th
+        # Pss: if n processes share a page, each has one n-th of the page
         sizes.append(_field(Path(f"/proc/{process}/smaps_rollup"), "Pss:"))
     known = [size * _KIB for size in sizes if size is not None]
     return sum(known) if known else None

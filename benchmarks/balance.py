@@ -21,17 +21,17 @@ from petmjx.world.history import CARRIER
 from petmjx.world.scene import Scene, build_scene
 
 BALANCED: Final = 0.01
-"""A world balances if at most this share of a box's weight stays unbalanced: poses at rest are kept in float32, and
-contacts are a tenth of a millimetre deep."""
+"""A world is in balance if at most this share of a box's weight stays unbalanced. The limit is not 0, since poses at
+rest are kept in float32, and contacts are a tenth of a millimetre deep."""
 
 _EDGES: Final = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
 """Signs of the two tangents along the edges of a pyramid inside the cone of friction."""
 
 
 def left_over(scene: Scene, physics: Physics, pos: FloatArray, quat: FloatArray) -> float:
-    """How far the boxes are from balance. Of all forces at the contact points that press and whose friction is within
-    the cone, those are taken that balance the boxes best. The result is the largest force that remains on a box, as a
-    share of the box's weight. Moments count as forces at half the box's shorter side.
+    """How far the boxes are from balance. The function searches for the forces at the contact points that balance the
+    boxes best; forces can only press, and friction must be within the cone. The result is the largest force that
+    remains on a box, as a share of the box's weight. Moments count as forces at half the box's shorter side.
 
     Args:
         pos, quat: (n, 3) centres, m, and (n, 4) orientations (w, x, y, z).
@@ -47,7 +47,7 @@ def left_over(scene: Scene, physics: Physics, pos: FloatArray, quat: FloatArray)
     arm = scene.half_size[:, :2].min(axis=1)
     scale = np.c_[np.tile(1 / weight, (3, 1)).T, np.tile(1 / (weight * arm), (3, 1)).T].ravel()
     rows, n_forces = len(scale), direction.shape[0] * direction.shape[1]
-    # forces in mean weights, for the solver's tolerances
+    # forces are in units of the mean weight, which suits the solver's tolerances
     share = weight.mean() * forces.value * scale[forces.row]
     matrix = csc_array((share, (forces.row, forces.column)), shape=(rows, n_forces))
     wanted = np.zeros((len(weight), WRENCH))

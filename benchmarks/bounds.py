@@ -14,18 +14,19 @@ from petmjx.engines.protocol import Engine
 from petmjx.loop.placement_bounds import FALLS, OPEN, STANDS, decidable
 
 PALLETS: Final = 64
-"""Side by side."""
+"""Number of pallets that are simulated side by side."""
 
 MOST_BOXES: Final = 14
-"""Number of boxes of a pallet: the decision of a bound depends on the boxes around and below, and small pallets are
-cheap."""
+"""Largest number of boxes of a pallet. Small pallets are enough, since the decision of a bound depends only on the
+boxes around and below."""
 
 BOXES: Final = 6
-"""Drawn for each pallet in a round; ``PLACES``: number of their decided places."""
+"""Number of boxes that are drawn for each pallet in a round. ``PLACES`` is the number of decided places of these
+boxes."""
 PLACES: Final = 24
 
 SIMULATED: Final = 128
-"""Decided placements that are simulated in a round."""
+"""Number of decided placements that are simulated in a round."""
 
 
 def bounds(engine: Engine, count: int, seed: int) -> Result:

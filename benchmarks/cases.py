@@ -17,8 +17,8 @@ SEED = 0
 """Seed of the generated sample plans."""
 
 STACK_PLAN = 33
-"""The sample plan of ``SEED`` from which stacks are cut, packed strictly: the first with at least 64 boxes (67).
-Larger stacks are of bricks."""
+"""Number of the sample plan of ``SEED`` from which stacks are cut. It is the first strictly packed plan with at least
+64 boxes; it has 67. Larger stacks are made of bricks."""
 
 MUJOCO = "mujoco"
 PLAIN_LOOP = "plain-loop"
@@ -43,17 +43,17 @@ class Case:
     """One measurement."""
 
     name: str
-    group: str  # cases that can be run together, and have one table (``benchmarks.table``)
-    text: str  # meaning of the measurement, in one line
+    group: str  # Cases of a group can be run together, and have one table (``benchmarks.table``).
+    text: str  # Meaning of the measurement, in one line.
     way: Way = Way.FILES
-    count: int = 2_000  # number of plans; with ``boxes`` of copies (0: as many as fill the engine)
-    source: str = ""  # file of plans; empty: generated samples of ``SEED``. ``--plans`` replaces it
-    boxes: int = 0  # for ``Way.ENGINE``: copies of one stack, these many boxes of sample plan ``STACK_PLAN`` or bricks
-    longest_first: bool = False  # plans with many boxes come first: at the end all threads have work
-    simulation: Mapping[str, Any] = field(default_factory=dict)  # fields of ``petmjx.Simulation``
-    sweep: str = ""  # a sweep's file or the name of a ready-made one; empty: each plan is scored once
-    only: str = ""  # the engine of this case; empty: the engines of the call
-    threads: int | None = None  # CPU threads of this case; None: the number of the call
+    count: int = 2_000  # Number of plans; with ``boxes``, of copies (0: as many as fill the engine).
+    source: str = ""  # File of plans; empty: generated samples of ``SEED``. ``--plans`` replaces the file.
+    boxes: int = 0  # For ``Way.ENGINE``: number of boxes of the copied stack (``STACK_PLAN``, or bricks).
+    longest_first: bool = False  # Whether plans with many boxes come first, so that all threads have work at the end.
+    simulation: Mapping[str, Any] = field(default_factory=dict)  # Fields of ``petmjx.Simulation``.
+    sweep: str = ""  # File of a sweep, or name of a ready-made one; empty: each plan is scored once.
+    only: str = ""  # The engine of this case; empty: the engines of the call.
+    threads: int | None = None  # Number of CPU threads of this case; None: the number of the call.
 
     @property
     def sim(self) -> Simulation:

@@ -20,8 +20,9 @@ TURNS: Final = 2
 
 
 def compared(plans: Sequence[Plan], threads: int, group: str) -> dict[str, Any]:
-    """A line of results: first attempts at all plans on both engines, in turns, so that other work on the machine meets
-    both. A first run compiles everything; ``compile_s`` is its time for kernels and programs.
+    """A line of results: first attempts at all plans on both engines. The engines run in turns, so that other work on
+    the machine slows down both. A run before compiles everything; ``compile_s`` is the time of this run for kernels and
+    programs.
 
     Args:
         group: kind of the plans, for the line.

@@ -21,7 +21,8 @@ CLEAREST: Final = 3
 """Largest number of plans that a row of the table of disagreements names."""
 
 DISAGREEING: Final = ("support_75", "centre", "stacking_tree", "equilibrium", "force_balance_leaning")
-"""Criteria with tables of disagreements: those used most by packers, and those nearest to physics."""
+"""Criteria with tables of disagreements: the criteria that packers use most, and those whose answers are nearest to
+physics."""
 
 
 def study(results: CriteriaResults, run: RunResults) -> str:

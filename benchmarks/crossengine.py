@@ -1,8 +1,9 @@
 """Plans in other simulators: does any of petmjx's verdicts stand alone?
 
-The first referee judges every plan; the other referees judge the plans in which it differs from petmjx. A referee that
-differs has *converged* if its verdict stays with half the timestep and twice the effort. A plan counts against petmjx
-if two converged referees contradict it: a single referee may be wrong, and so may all with a coarse step.
+The first referee judges every plan; the other referees judge the plans in which it differs from petmjx. A referee whose
+verdict differs has *converged* if its verdict is the same with finer settings, such as half the timestep and twice the
+iterations. A plan counts against petmjx if two converged referees contradict petmjx's verdict: a single referee may be
+wrong, and all referees may be wrong with a coarse timestep.
 """
 
 from __future__ import annotations
@@ -28,13 +29,14 @@ from petmjx.world.scene import Scene, build_scene
 from petmjx.world.supports import bearing_of
 
 ENOUGH = 2
-"""So many converged referees overrule petmjx."""
+"""Number of converged referees that overrule petmjx."""
 
 LONGEST_WAIT_S = 3.0
-"""Longest wait of a referee, s: the boxes of some never stop to tremble."""
+"""Longest wait of a referee for boxes to rest, s, since the boxes of some simulators never stop trembling."""
 
 Ask = Callable[[str, bool], str]
-"""A referee's verdict by its name, coarse or fine."""
+"""Function that returns a referee's verdict. The arguments are the name of the referee, and whether the settings are
+fine."""
 
 
 @dataclass(frozen=True)
@@ -89,9 +91,9 @@ class Judged:
 
     @property
     def edge_mm(self) -> float:
-        """The distance, by statics (petmjx.world.supports), of a load from an edge of its supports, mm: the distance
-        nearest to 0, of all boxes. It is negative beyond the edge. If boxes are placed one by one, the distances after
-        each placement count. NaN if no load has an edge."""
+        """The distance, by statics (petmjx.world.supports), of a load from an edge of its supports, mm: of all loads,
+        the distance nearest to 0. The distance is negative beyond the edge. If boxes are placed one by one, the
+        distances after each placement count. The result is NaN if no load has an edge."""
         count, bearing = self.scene.n_boxes, bearing_of(self.scene)
         states = [count] if self.check is Check.STATIC else range(1, count + 1)
         edges = np.concatenate([bearing.edges_m(bearing.loads(placed)) for placed in states])
@@ -174,8 +176,8 @@ def summaries(judged: Sequence[Judged], court: Court) -> Iterator[dict[str, Any]
 
 
 def by_softness(judged: Sequence[Judged], plans: Sequence[Plan], check: Check, **options: Any) -> dict[str, Any]:
-    """The plans that are unstable only with the physics ``reference``: petmjx and all referees that judged them call
-    them stable."""
+    """The plans that are unstable only with the physics ``reference``: petmjx, and all referees that judged them, call
+    these plans stable."""
     results = petmjx.score(list(plans), engine="mujoco", check=check.value, physics="reference", **options)
     fallen = set(results.worlds.loc[results.worlds["verdict"] == "unstable", "plan_id"])
     stand_all = [case for case in judged if case.trial.verdicts == {"stable"}]

@@ -1,7 +1,7 @@
 """How resting pallets drift: each box's speed long after the last placement, and the cause.
 
-A pallet that stands should rest. Later motion comes from the model of contacts, and a verdict that depends on it
-depends on the time of observation.
+A pallet that stands should rest. If its boxes still move long after the last placement, the cause is the model of
+contacts, and a verdict may depend on the time of observation.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
 
 LOOK_STEPS = 20
-"""Steps between two looks at the contacts."""
+"""Number of steps between two looks at the contacts."""
 
 SHORTEST_S = 0.1
-"""Of a window: some looks, with any variant's timestep."""
+"""Shortest window, s. With the timestep of any variant, such a window has several looks."""
 
 COMES_AND_GOES = 0.02
 """A box whose number of contacts changes in more than this share of the looks has contacts that come and go."""
@@ -43,13 +43,13 @@ PUSHED = 0.02
 """A box is pushed if the horizontal contact forces at its sides exceed this share of its weight."""
 
 ASKEW_DEG = 0.05
-"""A box that leans by more stands on supports of different height: 0.3 mm over 400 mm."""
+"""A box that leans by more than this angle stands on supports of different height: 0.3 mm over 400 mm."""
 
 SLIDES = 0.95
 """A box whose contacts use more than this share of the friction that they have slides by Coulomb's law."""
 
 MOVES_UM_S = 0.5
-"""Slower boxes count as resting: 0.06 mm in two minutes."""
+"""Boxes slower than this speed count as resting. At this speed, a box moves by 0.06 mm in two minutes."""
 
 AS_PRESSURE = {"solreffriction": (0.0, 0.0)}
 """Friction with the time constant of contacts."""
@@ -72,7 +72,7 @@ VARIANTS: dict[str, Simulation] = {
     "petmjx 0.1, impratio 10": Simulation(physics={"name": "pallet", **OLD, "impratio": 10.0}),
     "reference": Simulation(physics=PHYSICS["reference"]),
 }
-"""Each variant changes one cause of drift."""
+"""Name of a variant → its options. Each variant changes one cause of drift."""
 
 
 @dataclass(frozen=True)

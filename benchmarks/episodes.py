@@ -16,10 +16,10 @@ from petmjx.engines.protocol import Engine
 from petmjx.gym.vector_env import PalletizingVectorEnv
 
 PALLETS: Final = 16
-"""Side by side."""
+"""Number of pallets side by side."""
 
 _ILLEGAL: Final = 0.05
-"""Share of actions that are drawn from all, legal or not."""
+"""Share of actions that are drawn from all actions, legal or not."""
 
 _ALL_TERMS: Final = {
     "placed": 1,
@@ -53,12 +53,12 @@ SETTINGS: Final[tuple[dict[str, Any], ...]] = (
     {"mask": "support_50", "carrier": "rollcontainer", "max_height_mm": 900},
     {"mask": "geometry", "most_boxes": 2},
 )
-"""Episodes are divided among these, each with both ways of beginning anew."""
+"""Options of the environments among which the episodes are divided. Each is used with both ways of beginning anew."""
 
 
 @dataclass
 class _Seen:
-    """What was seen in the episodes: counts, and faults."""
+    """Counts and faults of the episodes so far."""
 
     ended: int = 0
     placements: int = 0

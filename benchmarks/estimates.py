@@ -179,7 +179,7 @@ def compared(
             "seconds": round(clock.wall_s, 2),
             "cpu_s": round(clock.cpu_s, 3),
             "steps_estimate": int(study.work.steps.sum()),
-            # steps of placements that worlds share are not among those of the worlds
+            # the steps of worlds do not include the steps of placements that worlds share
             "steps": int(results.worlds["n_steps"].sum() + results.info["timings"].get("placement_steps", 0)),
             "work": described(study.work),
             **environment(),

@@ -28,10 +28,10 @@ from petmjx.world.scene import build_scene
 SIZE_MM: Final = (400.0, 300.0, 200.0)
 MASS_KG: Final = 10.0
 CASES: Final = ((20.0, 20.0), (50.0, 20.0), (100.0, 50.0), (200.0, 50.0))
-"""Stiffness, N/mm, and load on top, kg."""
+"""Pairs of the stiffness of a carton, N/mm, and the load on its top, kg."""
 
 SECONDS: Final = 2.0
-"""After which both rest."""
+"""Simulated time, s, after which the boxes of both kinds rest."""
 
 
 class Stack(NamedTuple):
@@ -69,7 +69,8 @@ STACKS: Final = {
     "stairs of 60 mm": Stack((10,) * 4, (0, 60, 120, 180), (100,) * 4),
     "stairs of 110 mm": Stack((10,) * 4, (0, 110, 220, 330), (100,) * 4, stands=False),
 }
-"""A rigid box topples where the middle of all above lies beyond the edge: 200 mm aside; stairs of four from 100 mm."""
+"""Stacks by name. A rigid box topples if the common centre of mass of all boxes above it is beyond its edge: more than
+200 mm aside, or, for stairs of four boxes, more than 100 mm from box to box."""
 
 
 def stacks() -> Iterator[dict[str, Any]]:

@@ -23,7 +23,8 @@ from petmjx.world.job import Job
 
 FALL_EVERY = 10
 INVALID_EVERY = 500
-"""Worlds of which one falls, and of which one is invalid at the first attempt and stands at the second."""
+"""Of ``FALL_EVERY`` worlds, one falls. Of ``INVALID_EVERY`` worlds, one is invalid at the first attempt and stands at
+the second."""
 
 
 class Instant:
@@ -58,7 +59,7 @@ class Instant:
 
 
 IN_WORKERS = "mjx-warp-cpu"
-"""The engine that a run has to name whose workers answer at once."""
+"""Name of the engine that a run must request so that its workers answer at once."""
 
 
 def instant_workers() -> dict[str, Any]:
@@ -116,7 +117,7 @@ def _outcome(job: int, pos: FloatArray, moved: FloatArray, verdict: Verdict, rea
 
 @cache
 def _still(n: int) -> dict[str, Any]:
-    """The other metrics of n boxes. Nobody writes into them."""
+    """The other metrics of n boxes. No code changes these arrays."""
     zero, none = np.zeros(n), np.full(n, np.nan)
     rest = {"rest_top_force_n": zero, "dropped": np.zeros(n, bool), "drop_s": none, "max_sway_m": none}
     rest |= {"plan_edge_m": none, "rest_edge_m": none, "sustained_top_force_n": none}

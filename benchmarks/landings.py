@@ -19,11 +19,11 @@ from petmjx.options.simulation import Quiet
 
 HEIGHTS_MM = (10.0, 50.0, 100.0, 300.0)
 MOST_DEPTH_MM = (1.0, 3.0, 5.0, 9.0)
-"""Largest depth of a box below its place of rest, by height of the fall."""
+"""For each height of the fall, the largest accepted depth of a box below its place of rest, mm."""
 TIMESTEPS_S = (0.002, 0.001, 0.0005)
 ASKED = (0.0, 0.1, 0.3)
 NEAR = 0.03
-"""Largest difference between measured and set restitution."""
+"""Largest accepted difference between measured and set restitution."""
 CARDBOARD = (0.1, 0.3)
 """Restitution of cardboard boxes: TU/e, T-RO 2023 (four cartons on a conveyor; 0 to 0.6 over all identifications)."""
 
@@ -44,7 +44,7 @@ def landed(engine: str, height_mm: float, timestep_s: float, landing_s: float, r
     plan = petmjx.Plan.from_boxes("two", size_mm=size, corner_mm=corner, mass_kg=[5.0, 5.0])
     physics = {"timestep_s": timestep_s, "landing_s": landing_s, "restitution": restitution}
     placing: dict[str, Any] = {"name": "drop", "height_mm": height_mm}
-    # the box below waits for as long as with the first timestep: else it still rises, by half a rebound from 10 mm
+    # with every timestep, the box below waits equally long; otherwise it might still rise after a landing
     quiet = {"steps": round(Quiet().steps * TIMESTEPS_S[0] / timestep_s)}
     story = petmjx.tell(
         "two",

@@ -23,24 +23,24 @@ from petmjx.plans.json_writer import Placement
 from petmjx.plans.plan import Plan
 
 BOXES: Final = 30
-"""Boxes of a pallet before the candidate."""
+"""Number of boxes of a pallet on which candidates are tried."""
 
 LEAST_SUPPORT: Final = 0.5
-"""Least support of a candidate: no packer would try less."""
+"""Smallest supported share of a candidate's base. No packer would try candidates with a smaller share."""
 
 DISTINCT: Final = 64
-"""Pallets that are built; more are their copies."""
+"""Number of pallets that are built. Further pallets are copies of these."""
 
 REPEATS: Final = 20
 
 _WARM: Final = 100
-"""Placements after which nothing should be compiled."""
+"""Number of placements after which nothing should be compiled any more."""
 
 _MOST_PLACED: Final = 8
-"""Boxes of a pallet in ``memory``."""
+"""Largest number of boxes of a pallet in the case ``memory``."""
 
 _RESET_SHARE: Final = 0.05
-"""Share of pallets reset in ``memory``, before each call."""
+"""Share of pallets that the case ``memory`` resets before each call."""
 
 _TABLES: Final = ("worlds", "boxes")
 
@@ -251,7 +251,7 @@ def bounds(loop: Loop) -> Result:
 
 def episodes(loop: Loop) -> Result:
     """Play ``count`` random episodes of small orders, with all kinds of settings."""
-    from benchmarks.episodes import episodes as play  # needs the extra gym
+    from benchmarks.episodes import episodes as play  # imported here, since it needs the extra gym
 
     return play(loop.engine, loop.count, loop.seed)
 

@@ -43,13 +43,14 @@ STACK_LANES = 2048
 MJX_WARP = "mjx-warp"
 
 LARGE_STACK_LANES = 528
-"""The same of stacks that have a multiprocessor each on mjx-warp: four for each of an H200's."""
+"""The same for stacks that fill a multiprocessor each on mjx-warp: four for each multiprocessor of an H200."""
 
 LOOP_SECONDS = 60.0
 """Default time after which a plain loop begins no further plan, s."""
 
 BLOCK_PLANS = 8
-"""Plans per block of a sweep with limited time: 512 EUMOS worlds keep 16 threads busy nearly to the end."""
+"""Number of plans per block of a sweep with limited time. Eight plans have 512 worlds of EUMOS, which keep 16 threads
+busy nearly to the end."""
 
 
 class _TimeIsUp(KeyboardInterrupt):
@@ -86,18 +87,18 @@ class _Watch:
 class Bench:
     """Measures cases in order. Engines and their compiled programs are reused for later cases."""
 
-    work: Path  # folder for the files of timed runs
-    plans: Path | None = None  # file of plans instead of the cases' own
-    limit: int | None = None  # most plans
-    skip: int = 0  # number of plans to leave out at the beginning
-    lanes: int | None = None  # as for ``make_engine``; None: the engine's own choice
-    threads: int | None = None  # the same
-    max_seconds: float | None = None  # a run ends after this (wall time), and the result says so
-    repeat: int = 1  # runs of each case. Cases take turns; each further run is compared with the first
-    oracles: Sequence[Schedule] = ()  # schedules of engine ``mujoco`` that runs are compared with; run first
-    against: Mapping[str, Sequence[Path]] = field(default_factory=dict)  # label → folders of earlier runs
-    say: Callable[[str], None] = lambda text: None  # called with a line when something begins
-    make: Callable[..., Engine] = make_engine  # builds engines
+    work: Path  # Folder for the files of timed runs.
+    plans: Path | None = None  # File of plans that replaces the files of the cases.
+    limit: int | None = None  # Largest number of plans.
+    skip: int = 0  # Number of plans to leave out at the beginning.
+    lanes: int | None = None  # As for ``make_engine``; None: the engine's own choice.
+    threads: int | None = None  # As for ``make_engine``; None: the engine's own choice.
+    max_seconds: float | None = None  # Wall-clock time after which a run ends; the result says so.
+    repeat: int = 1  # Number of runs of each case. Cases take turns; further runs are compared with the first run.
+    oracles: Sequence[Schedule] = ()  # Schedules of ``mujoco`` with which runs are compared.
+    against: Mapping[str, Sequence[Path]] = field(default_factory=dict)  # Label → folders of earlier runs.
+    say: Callable[[str], None] = lambda text: None  # Called with a line when something begins.
+    make: Callable[..., Engine] = make_engine  # Builds engines.
     _environment: Result = field(default_factory=environment, init=False)
     _engines: dict[tuple[str, int | None], Engine] = field(default_factory=dict, init=False)
     _folders: dict[tuple[str, str], list[Path]] = field(default_factory=dict, init=False)
@@ -153,7 +154,7 @@ class Bench:
             raise InputError(f"{path}: no plans left after the first {self.skip}")
         self._folders.setdefault((case.name, engine_name), folders)
         run = joint_run(folders)
-        sim = run.info["config"]["simulation"]  # a sweep's file may name another one
+        sim = run.info["config"]["simulation"]  # the file of a sweep may set other simulation options
         n_boxes = run.worlds.drop_duplicates("plan_id")["n_boxes"]
         timings = pd.DataFrame([load_run(folder).info["timings"] for folder in folders]).sum().to_dict()
         steps = timings["placement_steps"] + timings["drive_steps"] if case.sweep else run.worlds["n_steps"].sum()

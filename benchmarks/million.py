@@ -1,6 +1,6 @@
 """Sweeps of a million small worlds: host time per world, memory, and sizes of tables.
 
-A run in a process of its own is killed halfway and continued in another one. Other processes read its results.
+A run in a process of its own is killed halfway and continued in another process. Further processes read the results.
 """
 
 from __future__ import annotations
@@ -36,12 +36,13 @@ from petmjx.runs.sweep_study import SweepStudy
 
 SWEEP: Final = Path(__file__).parent / "sweeps" / "placement-seeds.toml"
 FEWEST, MOST = 10, 14
-"""Boxes of a plan."""
+"""Smallest and largest number of boxes of a plan."""
 
 SEED: Final = 5
 POLL_S: Final = 0.05
 TOLD_EVERY_S: Final = 5.0
-"""A run prints its progress, so that an interrupted measurement still has its speed."""
+"""Time between two lines about the progress of a run, s. From these lines, the speed of an interrupted measurement is
+known."""
 
 
 @dataclass(frozen=True)

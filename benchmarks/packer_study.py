@@ -1,6 +1,6 @@
 """Compares packers on the same orders: how dense their plans are, how often they stand with errors, and how much
 shaking they survive. The density is measured on all orders, the results of simulations on the first orders. The errors
-have another seed than the errors with which ``physical`` chooses packings and the training of ``learned``. So a packing
+have another seed than the errors with which ``physical`` chooses packings and ``learned`` was trained. So a packing
 that was chosen because it stands in 16 worlds must stand in other worlds, too.
 """
 
@@ -45,7 +45,7 @@ BOOTSTRAPS: Final = 4000
 
 PACKED: Final = ("placed", "whole", "utilisation")
 JUDGED: Final = ("stands", "share", *(f"at_{level:g}_g" for level in LEVELS_G), "most_load_n")
-"""Measures of packing, and measures by physics."""
+"""Names of the measures of packing (``PACKED``), and of the measures by physics (``JUDGED``)."""
 
 
 class Asked(NamedTuple):
@@ -57,7 +57,7 @@ class Asked(NamedTuple):
         worlds: number of worlds with errors of each plan.
         shaken: number of first orders of each set whose plans are shaken.
         only: names of packers; None: all.
-        others: name → file of plans of another packer, of orders of any set.
+        others: name → file with plans of another packer, for orders of any set.
         policy: policy of the packer ``learned``; None for the published policy.
         workers: number of processes that pack.
         engine, threads: engine and threads of the simulations.
@@ -139,7 +139,7 @@ def _packed(name: str, orders: Sequence[Numbered], settings: Asked) -> dict[str,
 
 
 _Key = tuple[str, str, str]
-"""Set, packer, order."""
+"""Name of the set, name of the packer, id of the order."""
 
 
 def _plans(

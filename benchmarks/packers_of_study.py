@@ -39,8 +39,8 @@ def _named(order: Order, *, name: str) -> Placements:
 
 
 def _apart(order: Order) -> Placements:
-    """The packer ``balanced`` with free space between boxes. It shows the effect of the clearances of the packer
-    ``physical`` alone."""
+    """The packer ``balanced`` with free space between boxes. This packer shows the effect of the clearances of the
+    packer ``physical`` alone."""
     best: Placements = ()
     for taste in TASTES:
         packing = Packing(order.items, TARGET_EXTENT_MM[order.target], taste, CLEARANCE_MM)
@@ -61,8 +61,8 @@ def _balanced_online(order: Order, *, clearance_mm: float = 0.0, look_ahead: int
 
 
 def _lowest_online(order: Order) -> Placements:
-    """A simple rule that chooses among the same candidates as ``learned``. It shows the effect of the candidates
-    without learning."""
+    """A simple rule that chooses among the same candidates as ``learned``. This packer shows the effect of the
+    candidates without learning."""
     stream = FourSidedStream(order.items, TARGET_EXTENT_MM[order.target], LEARNED_CLEARANCE_MM)
     return pack_stream(stream, lowest_first)
 

@@ -2,12 +2,12 @@
 
     python -m benchmarks.pct PACKSIM -n 100 --seed 33 -o pct.json
 
-Needs PyTorch, gym, trimesh, SciPy and matplotlib, which petmjx does not. The wheel (MIT licence) has the network
-(Zhao et al. 2022, "Learning efficient online 3D bin packing on packing configuration trees"), its weights
+The program needs PyTorch, gym, trimesh, SciPy and matplotlib, which petmjx does not need. The wheel (MIT licence) has
+the network (Zhao et al. 2022, "Learning efficient online 3D bin packing on packing configuration trees"), its weights
 ``packer/pct.pt`` and its environment; the program that joins them reads recorded actions instead. So network and
-environment are joined here: the environment's leaf nodes (empty maximal spaces, its own check of stability, no
-tilting), the network's most likely leaf. The network's cells are 1 cm: boxes of other sizes take up the next larger
-one, which leaves free space beside them.
+environment are joined here: the environment gives the leaf nodes (empty maximal spaces, with its own check of stability
+and without tilting), and the network's most likely leaf is taken. The network's cells are 1 cm wide. A box takes up
+whole cells, which leaves free space beside boxes of other sizes.
 """
 
 from __future__ import annotations
@@ -29,24 +29,24 @@ from petmjx.plans.order_generator import TARGET_EXTENT_MM, Order, draw_order
 
 CELL_MM: Final = 10
 BOXES_SEEN, LEAVES = 80, 50
-"""As in the wheel's ``pct.yaml``."""
+"""Numbers of boxes and of leaf nodes that the network sees, as in the wheel's ``pct.yaml``."""
 
 STABLE_SETTING: Final = 1
-"""Two orientations, and placements that its check of stability accepts."""
+"""PCT's setting with two orientations, in which PCT's check of stability must accept each placement."""
 
 
 def policy_of(folder: Path) -> tuple[Any, Any]:
     """The network with its weights, and the class of its environment's space."""
     for name in ("", ".packer", ".packer.pct_model", ".pct_envs", ".pct_envs.PctDiscrete0"):
-        package = types.ModuleType(f"packsim{name}")  # their __init__ files want a window
+        package = types.ModuleType(f"packsim{name}")  # empty packages, since the __init__ files need a display
         package.__path__ = [str(folder.joinpath(*name.split(".")[1:]))]
         sys.modules[f"packsim{name}"] = package
-    sys.modules["pybullet"] = types.ModuleType("pybullet")  # of a check that is not made here
-    vars(np)["float"] = float  # NumPy had it
+    sys.modules["pybullet"] = types.ModuleType("pybullet")  # Only for a check that is not made here.
+    vars(np)["float"] = float  # Older versions of NumPy had ``np.float``.
     _load(
         folder / "packer/pct_model/attention_model.py",
         "packsim.packer.pct_model.attention_model",
-        # a method that nobody calls, and that Python no longer accepts
+        # no code calls this method, and Python no longer accepts its body
         ("    def __getitem__(self, key):\n        if torch", "    def _unused(self, key):\n        if torch"),
         ("return super(AttentionModelFixed, self).__getitem__(key)", "return None"),
     )

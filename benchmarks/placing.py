@@ -35,8 +35,8 @@ def summary(worlds: pd.DataFrame, seconds: float, timings: dict[str, Any]) -> pd
     """Result of the worlds of a run.
 
     Args:
-        seconds: of the run.
-        timings: as in ``run.json``.
+        seconds: duration of the run, s.
+        timings: the entry ``timings`` of ``run.json``.
     """
     drawn = worlds[worlds.variant > 0]
     known = drawn[drawn.verdict != "invalid"]

@@ -23,7 +23,7 @@ def fixed_steps(n_boxes: int, timestep_s: float) -> int:
 
 
 def plain_loop(scene: Scene, physics: Physics, *, on_floor: bool) -> NDArray[np.float64]:
-    """Final shifts (n, 3) in m of the fixed schedule.
+    """(n, 3) shifts at the end of the fixed schedule, m.
 
     The exact model with all boxes, one call of ``mj_step`` per step, NumPy metrics every 100 steps, a box placed every
     0.7 s. Boxes that wait are parked far apart: on the floor, as in the reference implementation, or in the air, held

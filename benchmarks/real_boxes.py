@@ -25,10 +25,11 @@ ASSUMED_PAIRS: Final = (
     {"between": ("film", "plastic"), "friction": 0.25},
     {"between": ("plastic", "plastic"), "friction": 0.2},
 )
-"""Friction of pairs without a source. For this comparison only their differences matter."""
+"""Assumed friction of pairs of materials; no source gives the values. In this comparison, only the differences between
+pairs matter."""
 
 STIFFNESS_N_MM: Final = {"cardboard": 200.0, "film": 60.0, "plastic": np.nan}
-"""Assumed as well; boxes of plastic are rigid."""
+"""Assumed stiffness of boxes, N/mm, by material. Boxes of plastic are rigid."""
 
 SETTINGS: Final[dict[str, Any]] = {"carrier": "epal-1", "placing": "tines", "friction_pairs": ASSUMED_PAIRS}
 

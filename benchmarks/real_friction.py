@@ -161,9 +161,9 @@ SPEED_M_S: Final = 1.5
 LOAD_MM: Final = (1200.0, 800.0, 1000.0)
 LOAD_KG: Final = 500.0
 _WAY_WITHIN: Final = 0.02
-"""Of the way by Coulomb's law."""
+"""Largest accepted error of a sliding distance, as a share of the distance by Coulomb's law."""
 _LIFT_MM: Final = 0.5
-"""Sliding boxes must not leave a level floor; contacts may lift them by this."""
+"""Largest accepted height of a sliding box above a level floor, mm. Contacts may lift a sliding box a little."""
 
 
 def _rows_of_sliding(engine: str) -> Iterator[Row]:
@@ -206,12 +206,12 @@ QUAKE_S: Final = 20.0
 PEAK_G: Final = 1.0
 BAND_HZ: Final = (0.3, 3.0)
 SHED_M: Final = 0.1
-"""Further outward than this, a pallet's feet begin to leave the beam."""
+"""Distance, m. If a pallet has moved outward by more than this distance, its feet begin to leave the beam."""
 
 
 def _quake(rng: np.random.Generator, timestep_s: float) -> FloatArray:
-    """(n,) accelerations across a shelf, m/s²: noise of a band whose largest value is ``PEAK_G``, and that begins and
-    ends in a second."""
+    """(n,) accelerations across a shelf, m/s²: noise within ``BAND_HZ``, with the largest value ``PEAK_G``. The noise
+    grows during the first second, and fades during the last."""
     count = round(QUAKE_S / timestep_s)
     frequency = np.fft.rfftfreq(count, timestep_s)
     spectrum = np.fft.rfft(rng.normal(size=count))
@@ -230,7 +230,8 @@ def shelf(engine: str) -> dict[str, Any]:
     scene, quakes = _on_shelf(sim.physics), [_quake(rng, sim.physics.timestep_s) for _ in range(QUAKES)]
     jobs = []
     for tilt_deg in (0.0, SHELF_DEG):
-        # gravity across the shelf; x is outward, and what the shelf's acceleration does to the load has the other sign
+        # component of gravity across the shelf, towards the inside; x is outward, and an acceleration of the shelf
+        # throws the load the other way
         inward = STANDARD_GRAVITY * np.sin(np.radians(tilt_deg))
         for quake in quakes:
             samples = np.zeros((len(quake), 3))

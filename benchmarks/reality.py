@@ -1,7 +1,7 @@
 """A gallery of measurements: measured values, petmjx's values, and the differences (docs/reality-measured.md).
 
-``rows`` of a part appear on the page; its text quotes ``study`` of the tosses. Measured figures come from the sources
-named beside them; no data file is part of the repository.
+The page docs/reality-measured.md shows the ``rows`` of all parts, and its text quotes the ``study`` of the tosses.
+Measured figures come from the sources named beside them; no data file is part of the repository.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ PARTS: Final = {
     "rocking": "benchmarks.rocking",
     "soft columns": "benchmarks.soft_columns",
 }
-"""Part of the gallery → the module with its ``rows(engine)``. The tosses, which need data, are not among them."""
+"""Part of the gallery → the module with its ``rows(engine)``. The part about tosses, which needs data, is not listed
+here."""
 
 TOSSES: Final = "tosses"
 
@@ -48,12 +49,12 @@ class Row:
     Attributes:
         quantity: the measured quantity.
         source: authors and publication.
-        measured: its value with unit.
+        measured: the measured value, with unit.
         petmjx: petmjx's value, with unit.
         miss: by how much petmjx misses, with unit.
-        engine: that said it.
-        note: an important fact; "": none.
-        holds: whether petmjx reaches the goal; None: no goal.
+        engine: the engine that computed petmjx's value.
+        note: an important fact about the row; "" if there is none.
+        holds: whether petmjx reaches the goal; None if there is no goal.
     """
 
     quantity: str

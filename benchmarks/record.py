@@ -1,4 +1,5 @@
-"""Fields of every result beside its numbers: commit, versions, date, memory. And the file of JSON lines."""
+"""Fields that every result has beside its numbers: commit, versions, date, memory. This module also writes and reads
+files of JSON lines."""
 
 from __future__ import annotations
 
@@ -32,7 +33,8 @@ Result = dict[str, Any]
 
 
 def commit() -> str:
-    """The source's commit, with "-dirty" if files differ from it, or "unknown"."""
+    """The commit of the source, followed by "-dirty" if files differ from the commit; "unknown" if there is no git
+    history."""
     if named := os.environ.get(COMMIT_VARIABLE):
         return named
     git = ["git", "-C", str(Path(__file__).resolve().parent), "describe", "--always", "--dirty", "--exclude=*"]
@@ -65,7 +67,7 @@ class Clock:
 @contextlib.contextmanager
 def timed() -> Iterator[Clock]:
     """Measure the body. The clock is filled at its end."""
-    with contextlib.suppress(OSError):  # resets the largest memory, if the system can
+    with contextlib.suppress(OSError):  # resets the largest memory, if the system supports this
         Path("/proc/self/clear_refs").write_text("5")
     clock = Clock()
     cpu_s, begin = time.process_time(), time.perf_counter()

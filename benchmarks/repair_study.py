@@ -1,6 +1,7 @@
 """How many plans that fall can be repaired, with how many changes, and how long it takes (docs/repair.md).
 
-Three sets: generated plans that fall, plans of others in which one box is moved until they fall, and given files.
+There are three sets of plans: generated plans that fall, third-party plans in which one box is moved so that they fall,
+and given files.
 """
 
 from __future__ import annotations
@@ -23,13 +24,13 @@ from petmjx.repairs.drafts import Draft, Rules
 from petmjx.repairs.repair import Repaired
 
 TRIES: Final = 40
-"""Number of moves of a box that are tried in each plan of others."""
+"""Number of moves of a box that are tried in each third-party plan."""
 
 SCORED_AT_ONCE: Final = 4
-"""Moves that are scored at once until one makes the plan fall."""
+"""Number of moves that are scored together, until one of them makes the plan fall."""
 
 MOVES_MM: Final = (40.0, 200.0)
-"""Range of these moves."""
+"""Smallest and largest length of a move, mm."""
 
 
 def falling(plans: Sequence[Plan], **how: Any) -> list[Plan]:

@@ -12,7 +12,7 @@ from petmjx.plans.order_generator import Item, Order
 
 TARGET = "euro-pallet"
 BOXES = range(12, 161)
-"""Orders of ``pg.xlsx`` with this many boxes: 765 pallets of a real warehouse."""
+"""Numbers of boxes of the orders that are read. In ``pg.xlsx``, these are 765 pallets of a real warehouse."""
 
 
 def read_set(path: Path) -> Iterator[tuple[str, Order]]:

@@ -23,16 +23,18 @@ import petmjx
 from petmjx.runs.option_types import EngineName
 
 Acceleration = Callable[[float], float]
-"""Of the ground, m/s², by time, s."""
+"""Function that returns the acceleration of the ground, m/s², at a time, s."""
 
 GRAVITY: Final = 9.81
-"""Of a simulation, m/s²."""
+"""Acceleration of gravity in simulations, m/s²."""
 LEVEL_M_S2: Final = 9.80665
-"""A level of 1 g of a profile, m/s²."""
+"""Acceleration of a profile at a level of 1 g, m/s²."""
 STEP_S: Final = 1e-3
-"""Of the integration by Runge and Kutta's method of order 4: at half of it no level below changes."""
+"""Step of the integration by Runge and Kutta's method of order 4, s. With half of this step, none of the levels in this
+file changes."""
 AT_REST_RAD_S: Final = 2e-3
-"""A block that is slower after an impact rests: 1 mm/s at the top of one of half a metre."""
+"""A block that is slower than this after an impact counts as resting, rad/s. The top of a block of half a metre then
+moves at 1 mm/s."""
 
 
 MOST_TILT_RAD: Final = math.radians(petmjx.Thresholds().tilt_deg)
@@ -74,8 +76,8 @@ class RockingBlock:
     """A rigid block on the ground, width_m × height_m in the plane of its motion.
 
     Attributes:
-        kept: angular speed of the block after an impact, as a share of that before; None for Housner's value, 1 − 1.5
-            sin² α.
+        kept: angular speed of the block after an impact, as a share of the angular speed before the impact; None for
+            Housner's value, 1 − 1.5 sin² α.
     """
 
     width_m: float
@@ -99,7 +101,7 @@ class RockingBlock:
 
     @cached_property
     def speed_kept(self) -> float:
-        """The angular speed after an impact, as a share of that before."""
+        """The angular speed after an impact, as a share of the angular speed before the impact."""
         return 1 - 1.5 * math.sin(self.slenderness_rad) ** 2 if self.kept is None else self.kept
 
     def rock(
@@ -159,8 +161,8 @@ class RockingBlock:
         )
 
     def _friction(self, tilt: float, speed: float, side: float, ground_m_s2: float) -> float:
-        """The ratio of the horizontal to the vertical force at the edge. It is the smallest coefficient of friction
-        with which the block does not slip."""
+        """The ratio of the horizontal to the vertical force at the edge. The ratio is the smallest coefficient of
+        friction with which the block does not slip."""
         lean, turn = self.slenderness_rad * side - tilt, self._angular(tilt, side, ground_m_s2)
         across = self.radius_m * (math.cos(lean) * turn + math.sin(lean) * speed**2)
         upward = self.radius_m * (math.sin(lean) * turn - math.cos(lean) * speed**2)
@@ -210,9 +212,9 @@ def half_sine(level_g: float, duration_s: float) -> Acceleration:
 
 
 EUMOS_S: Final = 0.4
-"""Length of EUMOS's pulse, s."""
+"""Duration of EUMOS's pulse, s."""
 SETTLES_S: Final = 30.0
-"""For which blocks are followed: all here rest or have fallen."""
+"""Time for which the motion of a block is computed, s. After this time, all blocks of this file rest or have fallen."""
 
 
 def slide_m(level_g: float, friction: float, step_s: float = 1e-4) -> float:
@@ -227,7 +229,7 @@ def slide_m(level_g: float, friction: float, step_s: float = 1e-4) -> float:
 
 
 LEVEL_STEPS: Final = 100
-"""Levels of a search are hundredths of 1 g."""
+"""Number of levels of a search per 1 g."""
 THRESHOLD_M: Final = petmjx.Thresholds().shift_m
 
 
@@ -241,9 +243,9 @@ def largest_level_g(block: RockingBlock, friction: float) -> float:
     """The largest level of EUMOS's test, in hundredths of 1 g, that a block survives.
 
     If a block rocks before it slides, and rocking never needs more than the available friction, the block does not
-    slide. So it is lost at Housner's level, even if a block that stands flat would slide too far at a smaller level. If
-    the friction is equal to width / height, or larger by a few hundredths, a block slides and rocks at the same time,
-    and the result is not exact.
+    slide. So the block is lost at Housner's level, even if a block that stands flat would slide too far at a smaller
+    level. If the friction is equal to width / height, or larger by a few hundredths, a block slides and rocks at the
+    same time, and the result is not exact.
     """
     slides = slide_level_g(friction)
     if friction <= math.tan(block.slenderness_rad):
@@ -267,7 +269,7 @@ def _largest(survives: Callable[[float], bool], steps: int = LEVEL_STEPS) -> flo
 SIDE_MM: Final = 300.0
 DEPTH_MM: Final = 300.0
 BOX_FRICTION: Final = 0.5
-"""Friction of physics ``pallet``: axes have factors of this value."""
+"""Friction of the physics ``pallet``. The values of the axis ``friction_factor`` are factors on this value."""
 ROUGH: Final = 1.2
 """A friction at which no slender block slides."""
 
@@ -306,9 +308,11 @@ def rows(engine: EngineName = "mujoco") -> Iterator[Row]:
 
 FREE_BLOCKS: Final = tuple(RockingBlock(width_m, 0.6) for width_m in (0.12, 0.15, 0.2, 0.3))
 MEASURED_RESTITUTION: Final = {5: 0.95, 3: 0.97}
-"""Slenderness → measured angular speed after an impact, over Housner's, on concrete (ElGawady et al.)."""
+"""Slenderness → angular speed after an impact on concrete, as measured by ElGawady et al., divided by Housner's angular
+speed."""
 SHORTEST_TILT_RAD: Final = math.radians(0.5)
-"""Smaller swings are as large as the depth of contacts."""
+"""Smallest tilt of a swing that is compared, rad. In smaller swings, corners move by no more than the depth of
+contacts."""
 
 
 def free_rocking(engine: EngineName) -> Iterator[Row]:
@@ -376,12 +380,13 @@ def _swings(time_s: np.ndarray, tilt: np.ndarray) -> tuple[list[float], list[flo
 
 PULSES_S: Final = (0.06, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8)
 OVER_TAN: Final = (1.1, 1.3, 1.5, 1.8, 2.1, 2.4, 2.8, 3.2, 3.7, 4.3, 5.0, 6.0)
-"""Lengths of pulses, and their peaks over g tan α, at which rocking begins."""
+"""Peaks of pulses, divided by the acceleration g tan α at which rocking begins. ``PULSES_S`` are the durations of the
+pulses."""
 
 
 SHARP: Final = "solimp = [0.1, 0.999, 0.00002]"
-"""Contacts that set in within 0.02 mm instead of 0.1 mm, as a line of a sweep's table of physics: a block's edges are
-nearly those of Housner's."""
+"""Contacts that reach their stiffness within 0.02 mm instead of 0.1 mm, as a line of a sweep's table of physics. With
+these contacts, a block's edges are nearly the hard edges of Housner's block."""
 
 
 def _contacts(physics: str) -> str:
@@ -419,9 +424,9 @@ def overturning(
 
 
 LIMITS_S: Final = (0.15, 0.2, 0.3, 0.4)
-"""Lengths of pulses whose limits are looked for."""
+"""Durations of the pulses whose largest survived peaks are searched, s."""
 LIMIT_STEPS: Final = 1000
-"""Levels of these searches in 1 g."""
+"""Number of levels of these searches per 1 g."""
 
 
 @cache
@@ -536,15 +541,16 @@ TURNS: Final = (2, 3, 4)
 TURN_N: Final = 20.0
 FILM_FRICTION: Final = 0.4
 FILM_M: Final = 0.5
-"""Tension of a turn, N, friction on film, and width of the film, m: numbers for a closed form, not measured."""
+"""Tension of a turn, N, friction on film, and width of the film, m: values for a closed form, which are not
+measured."""
 
 
 def wrapped_levels(engine: EngineName) -> Iterator[Row]:
     """The largest level of EUMOS's test that a wrapped box of 10 kg survives, to 0.01 g.
 
-    Each turn adds its tension (Sensors 2025, 25(22), 6883). At a corner film pulls along two sides, so that each of the
-    four is pressed by 2 T, with T the tension of as much film as the box is high. This pressure times the friction of
-    film holds the box in addition to its own friction.
+    Each turn adds its tension (Sensors 2025, 25(22), 6883). At a corner, film pulls along two sides, so each of the
+    four sides is pressed with 2 T, where T is the tension of as much film as the box is high. This pressure times the
+    friction of film holds the box in addition to its own friction.
     """
     mass_kg, height_m = 10.0, 0.2
     plan = petmjx.Plan.from_boxes("w", size_mm=[[400, 300, 200]], corner_mm=[[400, 250, 0]], mass_kg=[mass_kg])

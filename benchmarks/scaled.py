@@ -1,6 +1,6 @@
 """Random piles, scaled in all lengths together with the thresholds that are lengths: which verdicts change.
 
-Under gravity a pile twice as large falls as the same pile does, √2 times as slowly. Only petmjx's own constants do not
+Under gravity, a pile twice as large falls in the same way, √2 times as slowly. Only petmjx's own constants do not
 scale: the timestep, the springs of contacts, 0.1 mm of size, speeds that count as quiet. If these constants decide a
 verdict, a flag must show it.
 
@@ -30,18 +30,18 @@ FACTORS = (0.5, 0.7, 1.0, 1.4, 2.0)
 """Factors of all lengths. 1 is the drawn pile."""
 
 SAYS_WHY = Flag.MOVING | Flag.KNIFE_EDGE | Flag.SINKING | Flag.TIMESTEP
-"""Flags of verdicts that small differences decided."""
+"""Flags that mark verdicts which small differences may have decided."""
 
 FLOOR_MM = (600.0, 400.0)
 SIDES_MM = (100, 400)
 MASSES_KG = (0.5, 12.0)
 BOXES = (3, 8)
 FLAT_SHARE = 0.7
-"""Boxes whose height is the first one's, so that others lie on several supports."""
+"""Share of boxes that are as high as the first box, so that other boxes lie on several supports."""
 
 PLACES = 10
 CAREFUL_SHARE = 0.9
-"""This many places are tried for this share of boxes: about half of all piles stand then."""
+"""Share of boxes for which ``PLACES`` places are tried. With these two values, about half of all piles stand."""
 
 
 @dataclass(frozen=True, eq=False)

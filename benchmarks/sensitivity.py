@@ -13,7 +13,7 @@ import petmjx
 from petmjx.plans.plan import Plan
 
 SEED = 1
-"""Of the random changes of plans; each plan has its own stream."""
+"""Seed of the random changes of plans. Each plan has its own stream of random numbers."""
 
 
 def _same(plan: Plan, rng: np.random.Generator) -> Plan:

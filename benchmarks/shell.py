@@ -2,7 +2,7 @@
 
 ``python -m benchmarks.shell plans.json --engine mjx-warp``. With ``--engine instant`` worlds take no time, and the
 remaining time is the host's. ``--workers N`` uses workers; then ``instant`` answers in them. Stages are observed from
-outside: the command itself is the one that users run.
+outside, so the command itself is the one that users run.
 """
 
 from __future__ import annotations
@@ -160,7 +160,7 @@ def measured(plans: str, engine: str, workers: str = "") -> dict[str, Any]:
         done = subprocess.run([sys.executable, "-c", _CHILD, *given], capture_output=True, text=True)
         shell_s = time.time() - begin
         if done.returncode:
-            sys.stderr.write(done.stderr)  # the command's own line
+            sys.stderr.write(done.stderr)  # the error line of the command
             sys.exit(done.returncode)
         ended = json.loads(log.read_text())
         info = json.loads((Path(made) / "out" / "run.json").read_text())

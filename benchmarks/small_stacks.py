@@ -24,23 +24,24 @@ from petmjx.options.simulation import Thresholds
 from petmjx.plans.plan import Plan
 
 LEAST_EDGE_MM = 0.5
-"""A load that acts nearer to an edge than this is on a knife's edge: 0.1 mm of size decides."""
+"""Smallest distance of a load from an edge, mm. The verdict on a load that is nearer may depend on 0.1 mm of a box's
+size."""
 
 SIZES_MM = (20.0, 4000.0)
 
 MOST_MASS_RATIO = 1000.0
 
 FREE_DEG = Thresholds().tilt_deg + 3.0
-"""A box that tips is free to turn by this before it touches anything else: otherwise the box may be caught, and
-stand."""
+"""Angle by which a box that tips must be free to turn before it touches another box, degrees. A box with less free
+space may be caught, and stand."""
 
 ANGLES_RAD = np.radians(np.arange(1.0, FREE_DEG, 1.0))
 
 PLAY_MM = 1.0
-"""Boxes that overlap by less while one turns do not touch."""
+"""Boxes that overlap by less than this length while one of them turns count as not touching, mm."""
 
 GAP_MM = 2.0
-"""Least gap between boxes side by side, which must not rub at each other."""
+"""Smallest gap between boxes side by side, mm, so that the boxes do not rub against each other."""
 
 CHECKS: dict[str, dict[str, Any]] = {
     "adaptive": {},
@@ -51,7 +52,7 @@ CHECKS: dict[str, dict[str, Any]] = {
 """How each stack is simulated: options of ``petmjx.score``."""
 
 GROUND = -1
-"""In place of a box: the carrier."""
+"""Stands for the carrier in lists of supports."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -326,7 +327,8 @@ def judge(stacks: list[Case], check: str, **options: Any) -> pd.DataFrame:
     """A row for each case: its kind, whether it stands by statics, the verdict, and whether boxes still moved at the
     world's end."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", petmjx.PlanWarning)  # such masses and sizes look like mistakes of units
+        # petmjx warns, since masses and sizes of these stacks look like mistakes of units
+        warnings.simplefilter("ignore", petmjx.PlanWarning)
         results = petmjx.score([case.plan for case in stacks], carrier="footprint", **CHECKS[check], **options)
     worlds = results.worlds.set_index("plan_id").loc[[case.plan.plan_id for case in stacks]]
     at_once = CHECKS[check].get("check") == "static"

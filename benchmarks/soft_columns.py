@@ -1,7 +1,8 @@
 """Compares columns of boxes that give with beds of springs: which columns stand, and how far they lean.
 
 The bed's answer is computed here, without petmjx: a chain of rigid boxes with a bed of springs (Winkler 1867) between
-each two, in which a face that lifts off does not pull. Heights are to the second order of the leans. The energy
+each two, in which a face that lifts off does not pull. Heights are computed to the second order of the leans. The
+energy
 
     E = Σᵢ mᵢ·g·zᵢ + ½ Σⱼ κⱼ ∫ max(δⱼ + (θⱼ − θⱼ₋₁)·u, 0)² du
 
@@ -22,18 +23,19 @@ from petmjx.runs.option_types import EngineName
 
 GRAVITY: Final = 9.81
 GRID: Final = 40
-"""Springs along each side of a face, in the reference."""
+"""Number of springs along each side of a face, in the bed that is computed here."""
 MOST_MULTIPLE: Final = 4.0
 MULTIPLE_STEP: Final = 0.2
 CLEAR: Final = 0.05
-"""Columns nearer to buckling are not compared."""
+"""Columns whose multiple of gravity is nearer to 1 than this value are not compared."""
 LEAST_LEAN_RAD: Final = 1e-3
-"""Of a column that leans less the lean is not compared: the carrier leans on the floor by some tenths of that."""
+"""Smallest lean that is compared, rad. The carrier itself leans on the floor by some tenths of this angle."""
 SHIFT_M: Final = 0.2
-"""Limit of shift: a column that leans and stands is no failure here, and one that buckles tilts by more than 20°."""
+"""Threshold of the shift, m. The threshold is large, so that a column that leans and stands does not count as failed. A
+column that buckles tilts by more than 20°."""
 MIDDLE_MM: Final = np.array([600.0, 400.0])
 RIGID_N_MM: Final = 1e5
-"""Of boxes without a stiffness, so that they can lie on one another."""
+"""Stiffness, N/mm, that stands for rigid boxes in the bed, so that rigid boxes can lie on one another."""
 CARRIER_HALF_MM: Final = np.array([600.0, 400.0])
 
 Array = NDArray[np.float64]
@@ -93,7 +95,7 @@ class _Chain:
         give = np.append(0.0, 2 * half[:, 0] * half[:, 1] / stiffness)
         low = np.vstack([(MIDDLE_MM - CARRIER_HALF_MM) / 1e3, middle - half[:, :2]])
         high = np.vstack([(MIDDLE_MM + CARRIER_HALF_MM) / 1e3, middle + half[:, :2]])
-        # how the box below had moved when a box was set down
+        # each box is set down on the box below as this box has moved
         low[1:] -= moved_m[:count]
         high[1:] -= moved_m[:count]
         low, high = np.maximum(low[1:], low[:-1]), np.minimum(high[1:], high[:-1])
@@ -275,11 +277,11 @@ def compared(engine: EngineName, count: int = 40, seed: int = 55, threads: int =
 
 
 MOST_MISS: Final = 0.1
-"""Of a lean, as a share: largest difference of a compliant column from its bed."""
+"""Largest accepted difference of a column's lean from the lean of its bed, as a share of the lean."""
 
 
 def rows(engine: EngineName = "mujoco", count: int = 40, seed: int = 55) -> list[dict[str, Any]]:
-    """Rows of the gallery: quantity, source, measured, petmjx, miss (0: as near as wanted), engine."""
+    """Rows of the gallery: quantity, source, measured, petmjx, miss (0: the goal is reached), engine."""
     lines = compared(engine, count, seed)
     clear = [line for line in lines if line["clear"]]
     other = sum(line["stands"] != line["petmjx stands"] for line in clear)

@@ -1,7 +1,8 @@
 """Forces on the tops of boxes in small piles: petmjx's ``rest_top_force_n`` against other simulators and statics.
 
-Where each box has one support, statics alone says the force on each, and all simulators must agree. For a box with
-several supports, balance leaves the shares of its load open: simulators then differ by what is stiff in them.
+If each box has one support, statics alone determines the forces on all boxes, and all simulators must agree. If a box
+has several supports, balance does not determine how they share its load, and simulators differ by the stiffness of
+their contacts.
 """
 
 from __future__ import annotations

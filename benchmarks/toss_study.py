@@ -25,7 +25,7 @@ from benchmarks.tosses import (
 from petmjx.common.units import MM_PER_M, FloatArray
 
 RUNS: Final = 16
-"""Perturbed starts of each toss."""
+"""Number of runs of each toss with perturbed starts."""
 
 MEMBERS: Final = 32
 """Size of the ensemble for regions: a region of 50 or 90 % is known to 3 %."""
@@ -34,7 +34,8 @@ PRIOR_SIGMA: Final = 0.02
 """Standard deviation of the friction of the ensemble: the uncertainty of friction from one half of the tosses."""
 
 FRICTIONS: Final = tuple(round(0.14 + 0.005 * k, 3) for k in range(17))
-"""Grid on which friction is sought: 0.01 beside the best one the median is 3 to 7 mm larger."""
+"""Coefficients of friction that are tried. The median error at 0.01 more or less than the best coefficient is 3 to 7 mm
+larger."""
 
 MUJOCO_OWN: Final = {
     "name": "pallet",

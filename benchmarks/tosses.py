@@ -29,33 +29,38 @@ WHERE: Final = (
 )
 
 HALF_SIDE_MM: Final = 51.2
-"""At rest the cube's centre is 51.24 ± 0.33 mm high. Published: 52.4 mm."""
+"""Half of the cube's side, mm. At rest, the measured height of the cube's centre is 51.24 ± 0.33 mm. The published
+value is 52.4 mm."""
 MASS_KG: Final = 0.37
 INERTIA_KG_M2: Final = 8.1e-4
 FRICTION: Final = 0.18
 RESTITUTION: Final = 0.125
-"""As published with the data."""
+"""Restitution of the cube, as published with the data."""
 
 ARRAYS: Final = {"pos_m": 3, "quat_wxyz": 4, "vel_m_s": 3, "angvel_body_rad_s": 3}
 """Arrays over the samples of all tosses, one toss after the other → numbers in a row."""
 
 GROUPS: Final = 8
-"""Tosses of similar length are simulated together: most last a quarter of the longest."""
+"""Number of groups of tosses of similar length. The tosses of a group are simulated together; most tosses last a
+quarter of the time of the longest."""
 
 STRIDE: Final = 4
-"""Samples between two looks at how far the cube has turned, 27 ms: between neighbours it is noise for a good part."""
+"""Number of samples (27 ms) between two looks at how far the cube has turned. Between neighbouring samples, a good part
+of the turn is noise."""
 
 STILL_M: Final = 0.003
 STILL_DEG: Final = 3.0
-"""A cube that stays as near as this to its last sample has come to rest: seven times the error of the data and more."""
+"""A cube that stays within ``STILL_M`` and ``STILL_DEG`` of its last sample has come to rest. The two values are at
+least seven times the errors of the data."""
 
 FLIGHT_M: Final = 0.004
 FLIGHT_SAMPLES: Final = 8
-"""Samples in which the lowest corner is higher than this are flight; tosses with as many tell the noise."""
+"""In samples in which the lowest corner is higher than ``FLIGHT_M``, the cube flies. The noise is estimated from tosses
+with at least ``FLIGHT_SAMPLES`` such samples."""
 
 MAD_TO_SIGMA: Final = 1.4826
-"""Standard deviation of a normal distribution by its median absolute deviation: a few starts in which the hand still
-touches the cube would else make the estimate."""
+"""Standard deviation of a normal distribution divided by its median absolute deviation. The median is used, since a few
+starts in which the hand still touches the cube would spoil a mean."""
 
 
 @dataclass(frozen=True, eq=False)

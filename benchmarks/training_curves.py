@@ -27,11 +27,12 @@ from petmjx.plans.order_generator import Item, draw_order
 RECIPE: Final = Path(__file__).resolve().parent.parent / "examples" / "train_in_jax.py"
 
 LOOKED_AT: Final = 64
-"""Held-out orders of the curves. Plans are packed in batches of as many, by the same program."""
+"""Number of held-out orders of the curves. Plans are packed in batches of this size, by the same program."""
 
 _SAME_MM: Final = 0.01
 _SAME_KG: Final = 1e-3
-"""Boxes of a pallet are those of its order in single precision."""
+"""Largest difference between the mass of a box on a pallet and its mass in the order, kg. Pallets have single
+precision."""
 
 
 class Training(NamedTuple):

@@ -41,7 +41,7 @@ def executed(path: Path, folder: Path) -> Any:
     """
     notebook = nbformat.read(path, as_version=4)
     where = {"metadata": {"path": str(folder)}}
-    errors_alone = ["--IPKernelApp.log_level=40"]  # otherwise the kernel prints a warning about its ports
+    errors_alone = ["--IPKernelApp.log_level=40"]  # without this option, the kernel prints a warning about its ports
     return NotebookClient(notebook, timeout=TIMEOUT_S, resources=where, extra_arguments=errors_alone).execute()
 
 

@@ -145,7 +145,7 @@ def relinked(match: re.Match[str], source: str, uri: str, address: str) -> str:
 
 
 def frame(name: str, height: int) -> str:
-    page = f"examples/{name}.html"  # in a folder beside docs/examples.md
+    page = f"examples/{name}.html"  # examples are in a folder beside docs/examples.md
     return (
         f'<iframe class="example" src="{page}" title="{name}" height="{height}" loading="lazy"></iframe>\n\n'
         f"[Open it alone]({page}){{ target=_blank }}"
@@ -171,5 +171,5 @@ def on_post_page(output: str, page: Any, **_: Any) -> str:
 
 
 def on_post_template(output_content: str, **_: Any) -> str:
-    """Do the same for the page of missing addresses (404.html), which only a server shows."""
+    """Replace the script also in the page of missing addresses (404.html), which only a server shows."""
     return SHIM.sub("", output_content)

@@ -23,7 +23,9 @@ app = typer.Typer(
     context_settings={"help_option_names": ["--help", "-h"]},
 )
 
-Out = Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="Results are appended here, a JSON line each.")]
+Out = Annotated[
+    Path, typer.Option("--out", "-o", metavar="FILE", help="File to which results are appended, one JSON line each.")
+]
 DEFAULT_OUT = Path("petmjx-results/bench.jsonl")
 
 

@@ -19,14 +19,21 @@ def crossengine(
     plans: Annotated[
         list[Path] | None, typer.Argument(metavar="PLANS...", help="Plan files; default: bundled.")
     ] = None,
-    name: Annotated[str, typer.Option("--name", metavar="NAME", help="Of these plans, for results.")] = "bundled",
+    name: Annotated[
+        str, typer.Option("--name", metavar="NAME", help="Name of these plans in the results.")
+    ] = "bundled",
     check: Annotated[list[Check] | None, typer.Option(help="Only this check; repeatable.")] = None,
-    referees: Annotated[str, typer.Option(metavar="NAMES", help="With commas; the first is the sieve.")] = "",
+    referees: Annotated[
+        str,
+        typer.Option(
+            metavar="NAMES", help="Names of referees, separated by commas; the first one simulates every plan."
+        ),
+    ] = "",
     smallest: Annotated[
-        int | None, typer.Option(metavar="N", min=1, help="Only the plans with the fewest boxes.")
+        int | None, typer.Option(metavar="N", min=1, help="Number of plans, those with the fewest boxes.")
     ] = None,
     reference: Annotated[
-        bool, typer.Option(help="Also physics reference: plans that it alone calls unstable.")
+        bool, typer.Option(help="Also count the plans that only the physics reference calls unstable.")
     ] = False,
     out: Out = DEFAULT_OUT,
     **options: Any,

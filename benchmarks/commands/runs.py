@@ -36,7 +36,7 @@ def run(
     plans: Annotated[Path | None, typer.Option(metavar="FILE", help="Instead of generated samples.")] = None,
     skip: Annotated[int, typer.Option(metavar="N", min=0, help="Leave out the first N plans.")] = 0,
     max_seconds: Annotated[float | None, typer.Option(metavar="S", help="Cut runs off (plain loops: 60 s).")] = None,
-    repeat: Annotated[int, typer.Option(metavar="N", min=1, help="Run all N times, in turns.")] = 1,
+    repeat: Annotated[int, typer.Option(metavar="N", min=1, help="Run all cases N times, in turns.")] = 1,
     oracle: Annotated[str, typer.Option(metavar="NAMES", help="Run and compare with mujoco-fixed, …")] = "",
     against: Annotated[list[str] | None, typer.Option(metavar="LABEL=DIR,…", help="Compare with earlier runs.")] = None,
     work: Annotated[Path | None, typer.Option(metavar="DIR", help="Keeps the files of runs.")] = None,
@@ -69,7 +69,7 @@ def run(
 
 @app.command("agreement")
 def compare(
-    oracle: Annotated[str, typer.Option(metavar="LABEL=DIR,…", help="The reference run: its label and folders.")],
+    oracle: Annotated[str, typer.Option(metavar="LABEL=DIR,…", help="Label and folders of the reference run.")],
     runs: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Folders of the run that is judged.")],
     case: Annotated[str, typer.Option(metavar="NAME", help="Name of the case, for the tables.")],
     out: Out = DEFAULT_OUT,
@@ -98,7 +98,9 @@ def compare(
 @app.command("table")
 def make_tables(
     files: Annotated[list[Path], typer.Argument(metavar="FILES...", help="Files of results.")],
-    readme: Annotated[Path | None, typer.Option(metavar="FILE", help="Write between this file's markers.")] = None,
+    readme: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Markdown file; the tables are written between its markers.")
+    ] = None,
 ) -> None:
     """Make Markdown tables from results."""
     from benchmarks.record import read_lines

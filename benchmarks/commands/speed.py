@@ -17,7 +17,7 @@ from petmjx.options.placing import Way
 def placing(
     plans: Annotated[list[Path], typer.Argument(metavar="PLANS...", help="Plan files.")],
     way: Annotated[list[Way] | None, typer.Option(metavar="NAME", help="Only this placing; repeatable.")] = None,
-    worlds: Annotated[int, typer.Option(metavar="N", help="Worlds with errors of each plan.")] = 16,
+    worlds: Annotated[int, typer.Option(metavar="N", help="Number of worlds with errors of each plan.")] = 16,
     engine: Annotated[str, typer.Option(metavar="NAME", help="Engine.")] = "mujoco",
     **options: Any,
 ) -> None:
@@ -87,7 +87,8 @@ def loop(
     out: Out = DEFAULT_OUT,
     **options: Any,
 ) -> None:
-    """Physics in the loop: candidates a second, one candidate's time, placing against scoring, memory."""
+    """Speed of physics in the loop: candidates per second, time of one candidate, placing compared with scoring,
+    memory."""
     from benchmarks.loop import CASES, Loop, measured
     from benchmarks.record import append_line, environment
     from petmjx.engines.engine_choice import make_engine
@@ -113,7 +114,7 @@ def estimates(
     out: Out = DEFAULT_OUT,
     **options: Any,
 ) -> None:
-    """petmjx's estimates for runs of many kinds and sizes, and their real times."""
+    """Compares petmjx's estimates of time with real times, for runs of many kinds and sizes."""
     from benchmarks.estimates import cases, compared
     from benchmarks.record import append_line
     from petmjx.options.run_options import RunOptions
@@ -132,8 +133,8 @@ def estimates(
 
 @app.command()
 def million(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Where the run and its report are written.")],
-    plans: Annotated[int, typer.Option(metavar="N", min=1, help="Plans of 10 to 14 boxes.")] = 1000,
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the run and its report.")],
+    plans: Annotated[int, typer.Option(metavar="N", min=1, help="Number of plans, of 10 to 14 boxes each.")] = 1000,
     variants: Annotated[int, typer.Option(metavar="N", min=2, help="Worlds of each.")] = 1000,
     engine: Annotated[str, typer.Option(metavar="NAME", help="Engine; instant: answers at once.")] = "instant",
     kill_at: Annotated[float, typer.Option(metavar="SHARE", min=0, max=0.99, help="Worlds before the kill.")] = 0.5,
@@ -143,7 +144,7 @@ def million(
     workers: Annotated[str | None, typer.Option(metavar="N|auto", help="Processes that simulate.")] = None,
     out: Out = DEFAULT_OUT,
 ) -> None:
-    """A sweep of a million small worlds, killed and resumed: time for each, memory, tables, report."""
+    """A sweep of a million small worlds, which is killed and resumed: time per world, memory, tables, report."""
     from benchmarks.million import Million, measured
     from benchmarks.record import append_line, environment
 
@@ -160,7 +161,9 @@ def million(
 def physical_speed(
     n: Annotated[int, typer.Option("-n", metavar="N", min=1, help="Drawn orders.")] = 8,
     seed: Annotated[int, typer.Option("--seed", metavar="SEED", help="Of drawn orders.")] = 33,
-    searched: Annotated[int, typer.Option(metavar="N", help="Orders of which the search alone is measured.")] = 30,
+    searched: Annotated[
+        int, typer.Option(metavar="N", help="Number of orders for which the search alone is measured.")
+    ] = 30,
     workers: Annotated[int | None, typer.Option(metavar="N", help="Processes that search.")] = None,
     out: Out = DEFAULT_OUT,
     **options: Any,

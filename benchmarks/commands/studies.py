@@ -15,7 +15,7 @@ from petmjx.results.to_json import to_json
 from petmjx.runs.option_types import EngineName
 
 DATA: Final = Path(__file__).resolve().parents[3] / "shared" / "data" / "reality"
-"""Where measurements are by default: beside the checkout."""
+"""Default folder of measurements, beside the checkout."""
 
 
 @app.command()
@@ -25,7 +25,7 @@ def drift(
     variant: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Only this variant; repeatable.")] = None,
     begin: Annotated[float, typer.Option(metavar="S", help="After settling.")] = 10.0,
     end: Annotated[float, typer.Option(metavar="S", help="After settling.")] = 60.0,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Keeps a Parquet table of all boxes.")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for a Parquet table of all boxes.")] = None,
     **options: Any,
 ) -> None:
     """How fast the boxes of resting pallets drift, and why."""
@@ -49,7 +49,7 @@ def sensitivity(
     plans: Annotated[list[Path], typer.Argument(metavar="PLANS...", help="Plan files.")],
     change: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Only this change; repeatable.")] = None,
     engine: Annotated[str, typer.Option(metavar="NAME", help="Engine.")] = "mujoco",
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Keeps Parquet tables of all worlds.")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for Parquet tables of all worlds.")] = None,
     **options: Any,
 ) -> None:
     """How many verdicts change with timestep, tolerance, friction, sizes, masses, …"""
@@ -75,8 +75,12 @@ def criteria(
     into: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Markdown file whose tables are replaced; else printed.")
     ] = None,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Keeps the tables of all boxes and plans.")] = None,
-    processes: Annotated[int | None, typer.Option(metavar="N", help="Processes; by default all CPU threads.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder for the tables of all boxes and plans.")
+    ] = None,
+    processes: Annotated[
+        int | None, typer.Option(metavar="N", help="Number of processes; by default that of the CPU threads.")
+    ] = None,
 ) -> None:
     """Agreement of closed-form criteria of stability with physics (docs/criteria.md)."""
     from benchmarks.criteria_study import BEGIN, END, study
@@ -177,17 +181,29 @@ def packers(
     seed: Annotated[int, typer.Option("--seed", metavar="SEED", help="Of drawn orders.")] = 11,
     orders: Annotated[
         list[Path] | None,
-        typer.Option(metavar="FILE", help="A set more: orders of BED-BPP, one of RoboBPP's sets, or a table."),
+        typer.Option(
+            metavar="FILE", help="A further set of orders: a file of BED-BPP, one of RoboBPP's sets, or a table."
+        ),
     ] = None,
-    worlds: Annotated[int, typer.Option(metavar="N", help="Worlds with errors of each plan.")] = 8,
-    judged: Annotated[int, typer.Option(metavar="N", help="Orders of each set whose plans are simulated.")] = 100,
-    physical: Annotated[int, typer.Option(metavar="N", help="Orders of each set that physical packs.")] = 100,
-    shaken: Annotated[int, typer.Option(metavar="N", help="Orders of each set whose plans are shaken.")] = 100,
-    only: Annotated[list[str] | None, typer.Option(metavar="NAME", help="A packer; all if none is named.")] = None,
+    worlds: Annotated[int, typer.Option(metavar="N", help="Number of worlds with errors of each plan.")] = 8,
+    judged: Annotated[
+        int, typer.Option(metavar="N", help="Number of orders of each set whose plans are simulated.")
+    ] = 100,
+    physical: Annotated[
+        int, typer.Option(metavar="N", help="Number of orders of each set that the packer physical packs.")
+    ] = 100,
+    shaken: Annotated[
+        int, typer.Option(metavar="N", help="Number of orders of each set whose plans are shaken.")
+    ] = 100,
+    only: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="Name of a packer; all packers if none is named.")
+    ] = None,
     other: Annotated[
         list[str] | None, typer.Option(metavar="NAME=FILE", help="Plans of another packer, for some of the orders.")
     ] = None,
-    weights: Annotated[Path | None, typer.Option(metavar="FILE", help="Of learned, instead of the published.")] = None,
+    weights: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Policy of the packer learned, instead of the published policy.")
+    ] = None,
     workers: Annotated[int | None, typer.Option(metavar="N", help="Processes that pack.")] = None,
     out: Out = DEFAULT_OUT,
     **options: Any,
@@ -229,8 +245,10 @@ def training(
     engine: Annotated[str, typer.Option(metavar="NAME", help="Engine.")] = "mjx-warp",
     seeds: Annotated[int, typer.Option(metavar="N", min=1, help="Seeds, side by side.")] = 3,
     pallets: Annotated[int, typer.Option(metavar="N", min=1, help="Pallets of each seed.")] = 1024,
-    boxes: Annotated[int, typer.Option(metavar="N", min=1, help="Most boxes of a pallet.")] = 80,
-    packed: Annotated[int, typer.Option(metavar="N", min=1, help="Held-out orders whose plans are written.")] = 200,
+    boxes: Annotated[int, typer.Option(metavar="N", min=1, help="Largest number of boxes of a pallet.")] = 80,
+    packed: Annotated[
+        int, typer.Option(metavar="N", min=1, help="Number of held-out orders whose plans are written.")
+    ] = 200,
     most_s: Annotated[float, typer.Option(metavar="S", help="Training ends after this time.")] = 400.0,
     out: Out = DEFAULT_OUT,
 ) -> None:
@@ -251,7 +269,7 @@ def reality(
     ] = DATA,
     part: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Only this part; repeatable.")] = None,
     engine: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Engine; repeatable.")] = None,
-    tosses: Annotated[int | None, typer.Option(metavar="N", min=8, help="Only the first N tosses.")] = None,
+    tosses: Annotated[int | None, typer.Option(metavar="N", min=8, help="Number of tosses, the first ones.")] = None,
     write: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Markdown file whose table is replaced; else printed.")
     ] = None,
@@ -284,15 +302,19 @@ def reality(
 def repair(
     plans: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[PLANS...]", help="Plans of others: one box of each is moved so that it falls."),
+        typer.Argument(
+            metavar="[PLANS...]", help="Third-party plans; one box of each plan is moved so that the plan falls."
+        ),
     ] = None,
     n: Annotated[int, typer.Option(metavar="N", help="Plans at most.")] = 60,
-    seed: Annotated[int, typer.Option(metavar="SEED", help="Of the generated plans, or of the moves.")] = 0,
+    seed: Annotated[int, typer.Option(metavar="SEED", help="Seed of the generated plans, or of the moves.")] = 0,
     least_boxes: Annotated[int, typer.Option(metavar="N", help="Of a generated plan.")] = 1,
     most_boxes: Annotated[int, typer.Option(metavar="N", help="Of a plan.")] = 512,
     worlds: Annotated[int, typer.Option(metavar="N", help="Worlds with errors.")] = 8,
-    most_s: Annotated[float, typer.Option(metavar="S", help="No plan is begun after this time.")] = 1e9,
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Appends a line of JSON for each plan.")] = None,
+    most_s: Annotated[float, typer.Option(metavar="S", help="Time after which no further plan is begun.")] = 1e9,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="File to which a line of JSON is appended for each plan.")
+    ] = None,
     **options: Any,
 ) -> None:
     """How many plans that fall can be repaired, with how many changes, and how long it takes."""

@@ -19,7 +19,7 @@ from petmjx.options.simulation import Check, Simulation
 from petmjx.world.scene import Scene
 
 SETTLE_S = 0.2
-"""The carrier comes to rest on the floor before the first box."""
+"""Time before the first box, in which the carrier comes to rest on the floor, s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +75,7 @@ class _Run:
         self._quiet.restart()
         while self._goes_on and self._time_s - begin_s < longest_s:
             quiet = self._look()
-            if self._metrics.has_failed:  # nothing is gained by patience
+            if self._metrics.has_failed:  # a longer wait would not change the verdict
                 failed_s = self._time_s if failed_s is None else failed_s
                 if self._time_s - failed_s >= self._sim.interval_s:
                     return True
@@ -95,7 +95,7 @@ class _Run:
             self._metrics.add_rest(self._world.top_forces())
         if not self._goes_on:
             return False
-        after = self._world.pose()  # their speeds at one moment are ignored: referees' boxes jitter
+        after = self._world.pose()  # the boxes' speeds at one moment are ignored, since referees' boxes jitter
         _, waits = self._quiet.motion(before, after, np.zeros((len(after), 6)), window_s)
         return not waits
 
@@ -133,11 +133,11 @@ class _Run:
 
 
 def _velocity(before: FloatArray, after: FloatArray, seconds: float) -> FloatArray:
-    """(k, 6) mean velocities between two (k, 7) poses, m/s and rad/s, for small turns. They are used instead of a
-    simulator's own velocities, which are never small enough, since iterative solvers leave a part of gravity's velocity
-    in each step.
+    """(k, 6) mean velocities between two (k, 7) poses, m/s and rad/s, for small turns. Mean velocities replace a
+    simulator's own velocities, which are never small enough: iterative solvers leave a part of gravity's velocity in
+    each step.
     """
     change = (after - before) / seconds
     turn = np.zeros((len(after), 3))
-    turn[:, 0] = 2 * np.linalg.norm(change[:, 3:], axis=1)  # only its length counts
+    turn[:, 0] = 2 * np.linalg.norm(change[:, 3:], axis=1)  # only the length of the angular velocity matters
     return np.column_stack((change[:, :3], turn))

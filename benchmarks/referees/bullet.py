@@ -16,7 +16,7 @@ from petmjx.options.physics import Physics
 from petmjx.world.scene import Scene
 
 BREAKING_M: Final = 0.0005
-"""With Bullet's own 20 mm, boxes are held by contacts that are no longer touching."""
+"""Distance at which a contact breaks, m. With Bullet's default of 20 mm, contacts that no longer touch hold boxes."""
 
 _NORMAL, _FORCE, _ALONG_1, _SLIP_1, _ALONG_2, _SLIP_2 = 7, 9, 11, 10, 13, 12
 """Fields of a contact of Bullet. The normal points to the first body."""

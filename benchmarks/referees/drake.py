@@ -1,5 +1,5 @@
-"""The referee Drake. Its contacts are pressure fields (hydroelastic), and its friction has a stiction tolerance. It is
-slow, so it gets only small piles."""
+"""The referee Drake. Its contacts are pressure fields (hydroelastic), and its friction has a stiction tolerance. Drake
+is slow, so Drake gets only small piles."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ TIMESTEP_S: Final = 0.001
 
 
 class DrakeReferee:
-    """1 ms and a stiction tolerance of 1e-4 m/s; fine: half of that and a tenth."""
+    """The referee Drake, with a timestep of 1 ms and a stiction tolerance of 1e-4 m/s. With fine settings: 0.5 ms and
+    1e-5 m/s."""
 
     name = "drake"
     settings: dict[str, Any] = {  # noqa: RUF012
@@ -92,7 +93,7 @@ class DrakeWorld:
             area_normal = sum(surface.area(k) * surface.face_normal(k) for k in range(surface.num_faces()))
             bodies.append((self._numbers[surface.id_N()], self._numbers[surface.id_M()]))
             normal_z.append(float(area_normal[2] / np.linalg.norm(area_normal)))
-            force_z.append(float(info.F_Ac_W().translational()[2]))  # on M's body
+            force_z.append(float(info.F_Ac_W().translational()[2]))  # Drake's force acts on the body M of a contact
         return top_forces(bodies, normal_z, force_z, self.pose())
 
     def close(self) -> None:

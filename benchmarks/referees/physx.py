@@ -17,7 +17,7 @@ from petmjx.world.scene import Scene
 
 VELOCITY_ITERATIONS: Final = 1
 CONTACT_OFFSET_M: Final = 0.002
-"""Contacts are found from this distance, and act at touching faces."""
+"""Distance at which PhysX finds contacts, m. Contacts act only when faces touch."""
 
 _PLANE_UP = (math.sqrt(0.5), 0.0, -math.sqrt(0.5), 0.0)
 """PhysX's planes face along x."""

@@ -56,7 +56,7 @@ class Referee(Protocol):
 
 
 REFEREES: Final = {"physx": "sapien", "bullet": "pybullet", "drake": "drake"}
-"""Modules of referees, in the order of their use, and the packages that they need."""
+"""Module of a referee → package that it needs, in the order in which referees are used."""
 
 
 def referee(name: str) -> Referee:
@@ -78,13 +78,13 @@ def referee(name: str) -> Referee:
 
 
 FLOOR, CARRIER, FIRST_BOX = range(3)
-"""Numbers of bodies in contacts: boxes follow in packing order."""
+"""Numbers of bodies in contacts. Further boxes follow in packing order."""
 
 
 def top_forces(
     bodies: Sequence[tuple[int, int]], normal_z: Sequence[float], force_z: Sequence[float], pose: FloatArray
 ) -> FloatArray:
-    """(k,) the force on top of each box, N, of contacts, by petmjx's own rule.
+    """(k,) the force on top of each box, N, computed from contacts by petmjx's own rule.
 
     Args:
         bodies: the two bodies of each contact; ``normal_z``: z of its unit normal; ``force_z``: of the force on the
@@ -94,7 +94,7 @@ def top_forces(
     total = np.zeros(len(pose))
     if bodies:
         geom, normal = np.array(bodies), np.array(normal_z)
-        centre_z = np.concatenate(([-np.inf, -1e-3], pose[:, 2]))  # floor and carrier are below all that rests
+        centre_z = np.concatenate(([-np.inf, -1e-3], pose[:, 2]))  # floor and carrier are below all boxes
         box, sign, counts = pressed_box(geom - FIRST_BOX, centre_z[geom], normal)
         np.add.at(total, box[counts], (sign * np.array(force_z))[counts])
     return total

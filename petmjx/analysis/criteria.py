@@ -255,10 +255,11 @@ MOST_POINTS: Final = {
     "overhang": 15.0,
     "order": 15.0,
 }
-"""Property of a load → largest number of points for this property. A seller rates loads with such points, from 0 to 100
-in all. ``load_points`` explains the properties; docs/criteria.md counts ``fill`` and ``interlock`` as one rule. The
-seller publishes these numbers and ``LEAST_POINTS``, but no formulas. The formulas of ``load_points`` are assumptions:
-the points for a property are a linear function of a value, from the worst to the best possible value."""
+"""Property of a load → largest number of points for this property. A seller (docs/criteria.md) rates loads with points
+for these properties, from 0 to 100 in all. ``load_points`` explains the properties; docs/criteria.md counts ``fill``
+and ``interlock`` as one rule. The seller publishes the numbers of points and ``LEAST_POINTS``, but no formulas. The
+formulas of ``load_points`` are assumptions: the points for a property are a linear function of a value, from the worst
+to the best possible value."""
 
 LEAST_POINTS: Final = 75.0
 """A load with this number of points or more is stable, according to the seller whose points ``load_points``
@@ -468,7 +469,7 @@ CRITERIA: Final = (
         ),
         number="tolerable acceleration, g",
         threshold=LEAST_TOLERABLE_G,
-        usual=False,  # this criterion is about transport, not about standing still
+        usual=False,  # evaluated only on request, since this criterion is about transport
     ),
     Criterion(
         "load_points",
@@ -479,7 +480,7 @@ CRITERIA: Final = (
         lambda inputs: load_points_slack(inputs.contacts),
         number="points",
         threshold=LEAST_POINTS,
-        usual=False,  # this criterion is a rule of thumb about the finished load
+        usual=False,  # evaluated only on request, since this criterion is a rule of thumb
     ),
 )
 """All criteria, in the order in which tables list them: criteria about the base of a box come first, and criteria about

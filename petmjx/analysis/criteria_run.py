@@ -391,7 +391,7 @@ def _answers(
             progress(n_done, len(plans))
         return answers
 
-    report_progress([])  # the rate counts from here on, not from the end of the first chunk
+    report_progress([])  # displays of progress compute the rate from this call on, not from the end of the first chunk
     processes = min(options.processes, len(chunks))
     if processes == 1:
         for chunk in chunks:

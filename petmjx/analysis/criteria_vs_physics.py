@@ -21,8 +21,8 @@ from petmjx.engines.verdict import Verdict
 from petmjx.results.share_intervals import DEFAULT_CONFIDENCE
 
 N_BOOTSTRAP: Final = 4000
-"""Number of bootstrap samples of the plans. With this number of samples, the bounds of an interval differ between two
-bootstraps by about 1 % of the interval's width."""
+"""Number of bootstrap samples of the plans. With 4,000 samples, the bounds of an interval differ between two bootstraps
+by about 1 % of the interval's width."""
 
 CELLS: Final = ("accepted_stands", "accepted_falls", "refused_stands", "refused_falls")
 """The cells of the confusion matrix. The first part of a name is the answer of the criterion, the second part the

@@ -74,7 +74,7 @@ _INFEASIBLE: Final = 2
 """Status that SciPy returns if the conditions of a linear programme contradict each other."""
 
 EVEN: Final = 1.0
-"""The largest possible slack. With this slack, all corners under a box carry the same force."""
+"""The largest possible slack. At a slack of 1, all corners under a box carry the same force."""
 
 
 class Entries(NamedTuple):
@@ -182,8 +182,8 @@ def _least_cost_solution(
 
 
 NO_SLACK: Final = -1e-6
-"""Smallest slack of a balanced stack. This smallest slack is below 0 because the solver has a tolerance of 1e-7 of the
-mean weight of the boxes."""
+"""Smallest slack of a balanced stack. The limit is below 0 because the solver has a tolerance of 1e-7 of the mean
+weight of the boxes."""
 
 
 def balance_slack(
@@ -360,8 +360,8 @@ def friction_slack(
 
     The friction (fx, fy) at a point is limited by the pyramid |fx| + |fy| ≤ μ f, which is inside the friction cone. So
     a stack that is balanced with the pyramid is also balanced with the cone. In the limit μ f, the force f is only the
-    part of the pressure that exceeds the share that the point must carry. This simplification does not change the sign
-    of the slack.
+    part of the pressure that exceeds the share that the point must carry. Using only a part of the pressure does not
+    change the sign of the slack.
 
     Args:
         structure: (n,) whether each box belongs to the structure. The corners under these boxes must carry the required

@@ -1,5 +1,5 @@
-"""Reads from the results of runs which plans stand: according to petmjx's verdict, and according to the rule of BED-BPP
-(a public benchmark for packing)."""
+"""Finds out, from the results of runs, which plans stand. There are two answers for a plan: petmjx's verdict, and the
+answer by the rule of BED-BPP (a public benchmark for packing)."""
 
 from __future__ import annotations
 

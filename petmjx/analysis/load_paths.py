@@ -46,8 +46,8 @@ def equilibrium_slack(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
     slack is negative, but other balancing forces keep all resultants inside the edges, the slack of these other forces
     is used.
 
-    This rule is needed because a load may act beyond an edge only because of the assumed bedding. So after each
-    placement with a load beyond an edge, a linear programme searches for forces that keep all loads inside. If the
+    Other forces are considered, because a load may act beyond an edge only because of the assumed bedding. So after
+    each placement with a load beyond an edge, a linear programme searches for forces that keep all loads inside. If the
     programme finds such forces, the box passes. If it finds none, no forces are searched for later placements.
     Placements without a search keep the slack of the even bedding.
     """

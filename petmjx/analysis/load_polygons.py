@@ -3,9 +3,9 @@ below it fall. docs/criteria.md explains the criterion.
 
 A box on the carrier can be loaded anywhere on its top. Any other box lies on contact areas, parts of which are inside
 the polygons of the boxes below. The convex hull of these parts is the polygon of the box. Later boxes may press on a
-box only inside its polygon, where they cannot make any box tip. So no loads need to be computed. Source: Gao, Wang,
-Kong, Chong (2025), "Online 3D Bin Packing with Fast Stability Validation and Stable Rearrangement Planning", arXiv
-2507.09123. The paper also allows for an uncertain centre of mass; petmjx takes the centre of mass as exact.
+box only inside its polygon, where they cannot make any box tip. So the criterion need not compute any loads. Source:
+Gao, Wang, Kong, Chong (2025), "Online 3D Bin Packing with Fast Stability Validation and Stable Rearrangement Planning",
+arXiv 2507.09123. The paper also allows for an uncertain centre of mass; petmjx takes the centre of mass as exact.
 """
 
 from __future__ import annotations

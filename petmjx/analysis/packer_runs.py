@@ -51,8 +51,8 @@ def with_engine_of(run: RunResults, options: Mapping[str, Any], folder: Path) ->
         run: a run of another packer that was made with the same options on this machine.
         options: options of ``petmjx.score``. An engine that the options name is kept. Otherwise options that the engine
             of the run does not have (threads or lanes) are left out, as ``auto`` ignores them.
-        folder: folder of the packer's run. If there is a run already, and the options do not replace it, it goes on
-            with its own engine.
+        folder: folder of the packer's run. A run that is already in the folder, and that the options do not replace,
+            goes on with its own engine.
     """
     engine = run.info["config"]["engine"]
     goes_on = not options.get("overwrite", False) and engine_of_run(folder) is not None
@@ -192,9 +192,9 @@ def _carrier(runs: Mapping[str, RunResults]) -> Carrier | OwnCarrier:
 
 def _target_area_m2(by_order: Any, carrier: Carrier | OwnCarrier) -> FloatArray:
     """(n,) for each row of the table, the area of the order's target (such as a pallet), m². All packers' plans for an
-    order have the same target. Usually, this is the area of the carrier. For the carrier ``footprint``, this is the
-    area of the smallest target of the benchmark BED-BPP that is large enough for all packers' plans. If no target is
-    large enough, this is the area of the smallest rectangle that is large enough.
+    order have the same target. Usually, the target is the carrier. For the carrier ``footprint``, the target is the
+    smallest target of the benchmark BED-BPP that is large enough for all packers' plans. If no target is large enough,
+    the result is the area of the smallest rectangle that is large enough.
     """
     x, y = (by_order[f"extent_{axis}_m"].transform("max").to_numpy(np.float64) for axis in "xy")
     area: FloatArray = x * y

@@ -478,7 +478,7 @@ def _leans(story: Story) -> str:
         for box in sorted(leaning, key=lambda box: -tilt[box])[:MOST_LEANING]
     ]
     more_text = f", and {len(leaning) - len(listed)} more" if len(leaning) > len(listed) else ""
-    return f"It stands, but leans: {'; '.join(listed)}{more_text}."
+    return f"The pallet stands, but leans: {'; '.join(listed)}{more_text}."
 
 
 def first_box_in_words(story: Story) -> str:

@@ -28,7 +28,7 @@ def path_of(value: Any, name: str) -> Path:
         raise InputError(f"{name} must be a path, {shown_value(value)}")
     try:
         return Path(value)
-    except TypeError:  # the path is in bytes
+    except TypeError:  # Path() refuses a path in bytes
         raise InputError(f"{name} must be a path, {shown_value(value)}") from None
 
 

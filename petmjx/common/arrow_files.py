@@ -25,8 +25,9 @@ _FEW_ROWS: Final = 1 << 8
 small, and ``_ROWS`` is for all other files."""
 
 _PREFIXED: Final = "DELTA_BYTE_ARRAY"
-"""Name of a Parquet encoding. With this encoding, a file stores for each text the length of the prefix that the text
-shares with the previous text, and the rest of the text. So a few stored bytes can stand for a long text."""
+"""Name of a Parquet encoding. With the encoding DELTA_BYTE_ARRAY, a file stores for each text the length of the prefix
+that the text shares with the previous text, and the rest of the text. So a few stored bytes can stand for a long
+text."""
 
 
 def open_for_arrow(path: Path) -> pa.NativeFile:
@@ -34,7 +35,7 @@ def open_for_arrow(path: Path) -> pa.NativeFile:
     following reason.
 
     Arrow reads Parquet in its own threads. A thread may free its buffers only after the table has been returned. To
-    free a buffer that belongs to Python, such a thread must get the lock of Python's interpreter. If the interpreter is
+    free a buffer that belongs to Python, the thread must get the lock of Python's interpreter. If the interpreter is
     shutting down at that moment, the process aborts ("terminate called without an active exception") or hangs:
     https://github.com/apache/arrow/issues/34314 and https://github.com/apache/arrow/issues/50482.
 
@@ -101,7 +102,7 @@ def read_within(
         needed = decoded_bytes(file, columns)
         if needed > allowed:
             raise OversizedFile(
-                f"its {metadata.num_rows:,} rows would take {size(needed)}, too much for a file of this size"
+                f"the {metadata.num_rows:,} rows would take {size(needed)}, too much for a file of this size"
             )
         names = schema.names if columns is None else list(columns)
         for name in names:
@@ -119,7 +120,7 @@ def read_within(
         for batch in coded.iter_batches(_FEW_ROWS if few else _ROWS, columns=names):
             long += sum(_length_of(batch.column(name)) for name in texts)
             if needed + long > allowed:
-                raise OversizedFile(f"its texts would take more than {size(allowed)}, too much for a file of this size")
+                raise OversizedFile(f"the texts would take more than {size(allowed)}, too much for a file of this size")
             batches.append(_decoded_columns(batch, schema))
         selected_schema = pa.schema([schema.field(name) for name in names], metadata=schema.metadata)
         return pa.Table.from_batches(batches, schema=selected_schema)
@@ -153,7 +154,7 @@ def _is_text(kind: pa.DataType) -> bool:
 
 
 def _length_of(coded: pa.Array) -> int:
-    """Total number of bytes of the texts in a column, whose texts may be given as dictionary codes."""
+    """Total number of bytes of the texts in a column. The column may hold dictionary codes instead of texts."""
     if not pa.types.is_dictionary(coded.type):
         return int(coded.nbytes)
     lengths = np.asarray(pc.binary_length(coded.dictionary).fill_null(0))

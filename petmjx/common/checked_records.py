@@ -96,11 +96,11 @@ needs grows with the square of the number of parts, so a very long key would tak
 TABLE: Final = "<a table>"
 LIST: Final = "<a list>"
 VALUE: Final = "<a single value>"
-"""Tags for unions of types, such as a number or a list of numbers. A tag says whether a value is a table, a list or a
+"""Tags for the types in a union, such as ``float | list[float]``. A tag says whether a value is a table, a list or a
 single value. pydantic inserts tags into the path of an error, and ``describe`` removes the tags. The angle brackets
 distinguish tags from names of fields."""
 _KEY: Final = "[key]"
-"""pydantic's last part of the path of an error about a key of a table. The part before it is the key itself."""
+"""Last part of the path in pydantic's errors about a key of a table. The last part but one is the key itself."""
 
 
 @dataclass(frozen=True)
@@ -123,8 +123,8 @@ class _OneLine(ModelMetaclass):
     """Metaclass that makes the constructor of a record raise an ``InputError`` of one line instead of pydantic's own
     error.
 
-    The line names the wrong field by its path from the outermost record, because pydantic does not call this
-    constructor for records within a record.
+    The line gives the path of the wrong field from the outermost record: pydantic does not call this constructor for
+    records within a record, so only the outermost record makes the line.
     """
 
     def __call__(cls, *args: Any, **values: Any) -> Any:
@@ -171,7 +171,7 @@ class CheckedRecord(BaseModel, metaclass=_OneLine):
             if name not in fields:
                 raise complaint(f": unknown field; {hint(str(name), fields)}", str(name))
         for name, value in values.items():
-            # text may be a name, such as "+x" for a direction, which a validator of the field converts
+            # a validator of the field may convert text, such as the name "+x" of a direction
             converts = isinstance(value, str) and any(isinstance(e, BeforeValidator) for e in fields[name].metadata)
             expected = "" if converts else _lax(fields[name].annotation, value)
             if expected:
@@ -211,8 +211,9 @@ def within(low: float, high: float) -> AfterValidator:
 
 
 def _fields_with(record: CheckedRecord, values: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields of a record, with new values for some of them. The values are not checked here. The outermost record
-    checks all values together later, so that an error message gives the path of the field from the outermost record.
+    """The fields of a record, with new values for some of them. This function does not check the values. The outermost
+    record checks all values together later, so that an error message gives the path of the field from the outermost
+    record.
     """
     fields = {name: getattr(record, name) for name in type(record).model_fields}
     for name, value in values.items():
@@ -279,7 +280,7 @@ def shown_value(value: object) -> str:
     except (ValueError, RecursionError):
         # The value is a whole number with more digits than Python prints, or has tables nested too deeply.
         return f"got {type(value).__name__} too large to be shown"
-    except Exception:  # raised by the ``__repr__`` of a user's class
+    except Exception:  # the ``__repr__`` of a user's class may raise anything
         return f"got {type(value).__name__} that cannot be shown"
     return f"got {shortened_text(' '.join(text.split()) if len(text.splitlines()) > 1 else text)}"
 

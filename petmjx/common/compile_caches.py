@@ -22,8 +22,8 @@ from petmjx.common.text import printable
 Kind = Literal["jax", "warp"]
 
 VARIABLES: Final[dict[Kind, str]] = {"jax": "JAX_COMPILATION_CACHE_DIR", "warp": "WARP_CACHE_PATH"}
-"""The variables in which JAX and Warp themselves look for the folder of their compiled programs. These variables take
-precedence over ``PETMJX_CACHE_DIR``."""
+"""The variables in which JAX and Warp themselves look for the folder of their compiled programs. The variables of JAX
+and Warp take precedence over ``PETMJX_CACHE_DIR``."""
 
 
 def wanted_folder(kind: Kind) -> Path:
@@ -49,8 +49,7 @@ def why_not_written(kind: Kind) -> str:
 
 
 def cache_folder(kind: Kind) -> Path:
-    """A writable folder for compiled programs. This is ``wanted_folder`` if that folder is writable, otherwise a
-    temporary folder.
+    """A writable folder for compiled programs: ``wanted_folder`` if it is writable, otherwise a temporary folder.
 
     Raises:
         EngineUnavailable: no folder is writable.
@@ -81,7 +80,7 @@ def _why_unusable(folder: Path) -> str:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         # Warp makes a subfolder for each of its versions. If root made a subfolder in a user's home, the user cannot
-        # write to it.
+        # write to this subfolder.
         for place in (folder, *(entry for entry in folder.iterdir() if entry.name[:1].isdigit() and entry.is_dir())):
             with tempfile.TemporaryFile(dir=place):
                 pass

@@ -15,11 +15,11 @@ import numpy as np
 from petmjx.common.units import FloatArray
 
 _NAME: Final = "scipy.optimize._highspy._core"
-"""The name of the module in SciPy since 1.15. The module can be loaded only once in a process. So it keeps this name,
-under which a later ``import scipy.optimize`` finds it."""
+"""The name of the module in SciPy since 1.15. The module can be loaded only once in a process. So the module keeps this
+name, and a later ``import scipy.optimize`` finds the loaded module."""
 
 _USED: Final = ("HighsLp", "HighsModelStatus", "HighsOptions", "HighsStatus", "HighsVarType", "MatrixFormat", "_Highs")
-"""The names of the module that are used here."""
+"""Names in SciPy's module that petmjx uses."""
 
 _loading = threading.Lock()
 
@@ -76,7 +76,7 @@ def _highs() -> Any | None:
                     module = importlib.util.module_from_spec(spec)
                     sys.modules[_NAME] = module
                     spec.loader.exec_module(module)
-                except ImportError:  # SciPy's own import may first add the folder of a library that the module needs
+                except ImportError:  # a library may be in a folder that only SciPy's own import adds
                     sys.modules.pop(_NAME, None)
     module_or_none = sys.modules.get(_NAME)
     return module_or_none if all(hasattr(module_or_none, name) for name in _USED) else None

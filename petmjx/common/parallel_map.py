@@ -20,8 +20,8 @@ would take longer than running the tasks."""
 
 _CHUNK: Final = 16
 _CHUNKS_AHEAD: Final = 4
-"""Largest number of chunks of tasks, per process, that are computed in advance. The number is limited because the
-results wait in memory until the caller takes them."""
+"""Largest number of chunks of tasks, per process, that are computed in advance. Results that are computed in advance
+wait in memory until the caller takes them."""
 
 _NICE: Final = 5
 """Niceness (lower priority) that ``UnorderedResults`` adds to its processes. The process that receives the results

@@ -21,9 +21,9 @@ _is_command = False
 
 
 def process_pool(processes: int, *, gpu: bool = True, nice: int = 0) -> ProcessPoolExecutor:
-    """A pool of newly started processes. Forked processes would hang if a thread of this process held a lock.
+    """A pool of newly started worker processes. Forked processes would hang if a thread of this process held a lock.
 
-    If this process is killed, the processes of the pool end (``_begin``) instead of waiting for tasks for ever.
+    If this process is killed, the worker processes end (``_begin``) instead of waiting for tasks for ever.
 
     Args:
         gpu: whether the processes see GPUs. A process that sees a GPU takes some of its memory even if it does not use
@@ -31,7 +31,7 @@ def process_pool(processes: int, *, gpu: bool = True, nice: int = 0) -> ProcessP
         nice: niceness (lower priority) that is added to the processes, so that this process has priority over them. On
             systems without niceness, ``nice`` has no effect.
     """
-    # most commands start no processes
+    # imported here, since most commands start no processes
     from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import get_context
 
@@ -39,8 +39,8 @@ def process_pool(processes: int, *, gpu: bool = True, nice: int = 0) -> ProcessP
 
 
 def stop(pool: ProcessPoolExecutor) -> None:
-    """End a pool's processes immediately, without waiting for running tasks as ``shutdown`` does. No thread may still
-    wait for the results of these tasks, which never arrive."""
+    """End the worker processes of a pool immediately, without waiting for running tasks as ``shutdown`` does. No thread
+    may still wait for the results of these tasks, which never arrive."""
     for process in list((pool._processes or {}).values()):
         process.terminate()
 
@@ -69,8 +69,8 @@ boxes on 2,048 pallets took 155 ms with one thread, 118 ms with two, 141 ms with
 CPU of a machine with an H200 GPU."""
 
 _FEW: Final = 2
-"""Largest number of pieces that the calling thread processes alone. With this number of pieces or fewer, other threads
-would start too late to help."""
+"""Largest number of pieces that the calling thread processes alone. With two pieces or fewer, other threads would start
+too late to help."""
 
 Piece = TypeVar("Piece")
 Result = TypeVar("Result")
@@ -140,8 +140,8 @@ def claim_process() -> None:
 
 
 def is_command() -> bool:
-    """Whether this process runs nothing but the command ``petmjx``. If so, petmjx may change modules and settings that
-    the whole process shares."""
+    """Whether this process runs nothing but the command ``petmjx``. In such a process, petmjx may change modules and
+    settings that the whole process shares."""
     return _is_command
 
 
@@ -157,8 +157,9 @@ def no_collection(*, lasting: bool = False) -> Iterator[None]:
     cycles: otherwise, the collector would scan these objects again and again.
 
     Args:
-        lasting: whether most of these objects last until the process ends, as those of imported libraries do. In the
-            command ``petmjx``, later collections then do not scan the objects that exist at the end of the body.
+        lasting: whether most of the objects that the body makes last until the process ends, as those of imported
+            libraries do. In the command ``petmjx``, later collections then do not scan the objects that exist at the
+            end of the body.
     """
     enabled = gc.isenabled()
     gc.disable()

@@ -56,7 +56,7 @@ class _Pipes:
 
     def file_of(self, path: Path) -> Path:
         """The file in memory with the content of a pipe; any other path is returned unchanged. Raises OSError."""
-        if str(path) not in self.words or not hasattr(os, "memfd_create"):  # files in memory: only on Linux
+        if str(path) not in self.words or not hasattr(os, "memfd_create"):  # only Linux has files in memory
             return path
         status = os.stat(path)
         if not stat.S_ISFIFO(status.st_mode):
@@ -88,7 +88,7 @@ _pipes: _Pipes | None = None
 def named_pipes(words: Iterable[str]) -> Iterator[None]:
     """Context of the command line, in which pipes that are arguments of the command are read like files: ``<(…)`` of a
     shell, FIFOs, and ``/dev/stdin``. A pipe is read once, to its end; its content stays in memory until the context
-    ends. This works only on Linux. On other systems, pipes are refused."""
+    ends. Pipes are read only on Linux, and are refused on other systems."""
     global _pipes
     parts = {part for word in words for part in (word, *re.split(r"[=,]", word))}
     before, _pipes = _pipes, _Pipes(frozenset(parts - {""}))

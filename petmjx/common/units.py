@@ -49,8 +49,11 @@ def plan_units(text: str) -> tuple[str, str]:
     lengths = [name for name in names if name.count("/") < 2 and {*name.split("/")} <= LENGTHS_MM.keys()]
     masses = [name for name in names if name in MASSES_KG]
     if len(lengths) > 1 or len(masses) > 1 or len(lengths) + len(masses) != len(names):
-        unit_names = f"one of {', '.join(LENGTHS_MM)} and one of {', '.join(MASSES_KG)}"
-        raise ValueError(f"must be {unit_names}, separated by a comma, such as cm or cm,g (cm/mm: sizes/coordinates)")
+        lengths_text, masses_text = ", ".join(LENGTHS_MM), ", ".join(MASSES_KG)
+        raise ValueError(
+            f"must be one of {lengths_text} (lengths), one of {masses_text} (masses), or one of each with a comma "
+            "between them, such as cm,g; cm/mm means sizes in cm and coordinates in mm"
+        )
     usual_length, usual_mass = PLAN_UNITS.split(",")
     return (lengths or [usual_length])[0], (masses or [usual_mass])[0]
 

@@ -27,8 +27,8 @@ def with_cpp(
 
     Args:
         text: the C++ code.
-        threads: number of threads per block. This number is needed if the module is loaded before the kernel is first
-            launched.
+        threads: number of threads per block. Warp needs the number of threads if the module is loaded before the kernel
+            is first launched.
         fuse_fp: whether the compiler may fuse a multiplication with an addition, so that the result is rounded once
             instead of twice.
         optimized_for_cpu: whether a CPU's compiler optimizes the kernel as far as it can (``CPU_FLAGS``).

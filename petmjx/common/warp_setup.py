@@ -46,16 +46,16 @@ def set_up_warp() -> None:
 @functools.cache
 def machine_code(name: str) -> ModuleType | None:
     """The module ``name``, whose functions launch the kernels ``KERNELS`` of this module on a CPU. The kernels are
-    compiled, or loaded as they were compiled before. The result is None if Warp is not installed, or cannot compile
-    the kernels."""
+    compiled, or loaded if an earlier process has compiled them. The result is None if Warp is not installed, or cannot
+    compile the kernels."""
     if why_no_warp_on_cpu() is None:
-        with suppress(Exception):  # whatever Warp raises, the caller has NumPy
+        with suppress(Exception):  # if Warp raises anything, the caller uses NumPy
             import warp
 
             module = importlib.import_module(name)
             set_up_warp()
             for kernel in module.KERNELS:
-                warp.load_module(kernel.module, device="cpu")  # several threads launch a kernel, but one must load it
+                warp.load_module(kernel.module, device="cpu")  # one thread loads what several launch
             return module
     return None
 

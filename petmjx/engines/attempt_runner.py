@@ -74,7 +74,7 @@ class AttemptRunner(Generic[AnyWorld]):
             results, such as the drives of a settled pallet, into the stream.
         check_pool: pool of processes that check outcomes; None if this process checks them.
         most: largest number of jobs in a list, for engines that cannot read a stream.
-        verdicts_only: whether only verdicts are needed, as in ``outcome_checks``. A pool checks everything.
+        verdicts_only: whether only verdicts are needed, as in ``outcome_checks``. A check pool checks everything.
         joined: world → runner of its further attempt, for worlds whose further attempt is in the stream of
             ``run_stream``.
     """
@@ -158,8 +158,8 @@ class AttemptRunner(Generic[AnyWorld]):
                     raise
                 refused = isinstance(error, PetmjxError) or self.engines.fallback is None
                 if self.attempt.number == 1 and refused:
-                    raise  # the user can change the refused worlds, or mend an engine that has no fallback
-                if not stream.taken:  # the engine would refuse the jobs again
+                    raise  # The user must change the worlds, or the engine, which has no fallback.
+                if not stream.taken:  # The engine would refuse the same jobs again.
                     stream.take(sys.maxsize, least=1)
                 unanswered = list(stream.in_flight.values())
                 self._message = one_line(error)
@@ -232,8 +232,8 @@ class AttemptRunner(Generic[AnyWorld]):
         Args:
             engine: name of the engine that made the outcomes; empty if each outcome names its engine.
             checked: whether the engine has already checked the outcomes.
-            wait: if True, wait until the pool has checked all outcomes. If ``wait`` is False, yield only the outcomes
-                that are ready; later calls yield the remaining outcomes.
+            wait: if True, wait until the check pool has checked all outcomes. If ``wait`` is False, yield only the
+                outcomes that are ready; later calls yield the remaining outcomes.
             until: see ``CheckPool.exchanged``.
         """
         if checked:
@@ -253,8 +253,8 @@ class AttemptRunner(Generic[AnyWorld]):
             if outcome.state is not None and not isinstance(outcome.state, KeptState):
                 outcome.state = KeptState(outcome.engine, outcome.state)
             records = (*records, Attempt.of(outcome, self.sim.physics.timestep_s))
-            if before is not None and outcome.reason is Reason.ITERATION_LIMIT:  # this attempt has shown nothing
-                outcome = before
+            if before is not None and outcome.reason is Reason.ITERATION_LIMIT:
+                outcome = before  # an attempt without a verdict changes nothing
             elif before is not None and self.attempt.checks:
                 outcome = self._checked(world, before, outcome)
             yield world, outcome, records

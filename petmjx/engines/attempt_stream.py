@@ -40,13 +40,13 @@ BESIDE_WAIT_S: Final = 0.02
 attempts run, in other processes or threads."""
 
 FIRST_WORLDS: Final = 1600
-"""Number of worlds with which a GPU begins. This number of worlds is enough to keep all thread blocks for worlds of few
-boxes busy (``small_world_blocks``). The other worlds start on the GPU later."""
+"""Number of worlds with which a GPU begins. 1,600 worlds are enough to keep all thread blocks for worlds of few boxes
+busy (``small_world_blocks``). Further worlds start on the GPU later."""
 
 
 def check_pool_for(engine: Engine, worlds: int) -> CheckPool[Any] | None:
     """A pool of processes that check the outcomes of ``worlds`` worlds while an engine simulates; None if the engine
-    needs no pool, or if there are too few worlds.
+    needs no check pool, or if there are too few worlds.
     """
     return CheckPool.here() if _is_gpu(engine) and worlds >= LARGE else None
 
@@ -90,10 +90,10 @@ def score_worlds(
     results.
 
     ``check_pool``: a pool of processes that several calls use one after another. If ``check_pool`` is None, a call with
-    many worlds starts a pool of its own.
+    many worlds starts a check pool of its own.
 
-    ``verdicts_only``: whether the caller needs only verdicts. The outcomes of first attempts then lack what
-    ``outcome_checks`` leaves out.
+    ``verdicts_only``: whether the caller needs only verdicts. The outcomes of first attempts then lack the distances
+    and flags that ``outcome_checks`` leaves out.
 
     If an engine raises an error and has a fallback engine, the run continues: the fallback engine simulates the worlds
     without an outcome. The run also continues after an error at a second or later attempt. Without a fallback engine,
@@ -190,7 +190,8 @@ class _AttemptRun(Generic[AnyWorld]):
             elif not self.retry_queue and self.attempt_tasks.unanswered:
                 n_unanswered = self.attempt_tasks.unanswered
                 self.engines.progress.message = f"{count_text(n_unanswered, 'world')} again on CPU threads"
-                # Worlds may follow before these attempts end, such as the packings of the next order.
+                # Further worlds may follow before the attempts on CPU threads end, such as the packings of the next
+                # order.
                 yield from self._task_results(wait=self.following is None)
                 if self.following is not None:
                     time.sleep(BESIDE_WAIT_S)
@@ -219,8 +220,8 @@ class _AttemptRun(Generic[AnyWorld]):
             self._put_world(world, bounded=False)
 
     def _first_attempts(self) -> Iterator[AttemptResult[AnyWorld] | None]:
-        """Make the first attempts: on the engine for the worlds of the stream, on the fallback for the worlds kept for
-        it."""
+        """Make the first attempts. The run's engine simulates the worlds of the stream, and the fallback engine those
+        of ``for_fallback``."""
         lost = yield from self.first_runner.run_stream(self.engines.primary, self.stream)
         unanswered = list[Pending[AnyWorld]]()
         for pending in lost:
@@ -265,8 +266,9 @@ class _AttemptRun(Generic[AnyWorld]):
                 yield from self._finish_or_retry(pending)
 
     def _finish_or_retry(self, pending: AttemptResult[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
-        """After an attempt at a world, yield the world's result if it is final. If the result is not final, begin the
-        next attempt as a task or in the stream, or put the world into ``retry_queue``.
+        """Process the outcome of an attempt at a world. If the world needs no further attempt, yield the world's
+        result. Otherwise, the next attempt begins in another process or thread, or in the stream, or the world waits in
+        ``retry_queue``.
 
         Args:
             pending: the world, with the outcome of the attempt.
@@ -306,12 +308,12 @@ class _AttemptTasks(Generic[AnyWorld]):
     sim: Simulation
     engines: Engines
     lent: CheckPool[Pending[AnyWorld]] | None = None
-    """A pool of processes that the caller provides and keeps for later runs."""
+    """The check pool that the caller provides and keeps for later runs, if any."""
     needs_pool: bool = True
     """Whether checks of many outcomes take long enough for processes."""
     check_pool: CheckPool[Pending[AnyWorld]] | None = None
     first: AttemptRunner[AnyWorld] | None = None
-    """The runner of the first attempts, whose outcomes the pool checks."""
+    """The runner of the first attempts, whose outcomes the check pool checks."""
     _task_numbers: Iterator[int] = field(default_factory=count)
     _in_flight: dict[int, tuple[AttemptRunner[AnyWorld], Pending[AnyWorld], str]] = field(default_factory=dict)
     """Number of a task → the runner of its attempt, the world, and the name of the engine."""

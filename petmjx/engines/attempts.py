@@ -7,9 +7,9 @@ The first attempts are those of the PET-Physics paper. In the paper's reference 
 repeats the first, deterministic simulation. In petmjx, a second attempt gives the solver up to ``CAREFUL_ITERATIONS``
 iterations and the tolerance ``CAREFUL_TOLERANCE``, which help if the solver stopped too early.
 
-C MuJoCo is the *fallback* of the MJX engines (``FALLBACKS``): it simulates the worlds that they cannot simulate, and
-those for which they returned no outcome because of an error. ``mujoco`` itself and engines that users wrote have no
-fallback.
+C MuJoCo is the *fallback* of the MJX engines (``FALLBACKS``): it simulates the worlds that an MJX engine cannot
+simulate, and the worlds for which an MJX engine returned no outcome because of an error. ``mujoco`` itself and engines
+that users wrote have no fallback.
 """
 
 from __future__ import annotations
@@ -90,8 +90,8 @@ class AttemptRecipe:
 
     @property
     def joins(self) -> bool:
-        """Whether the attempt differs from the first attempt only in the stiffness of contacts (``Job.stiff``). Such an
-        attempt can run together with first attempts."""
+        """Whether the attempt differs from the first attempt only in the stiffness of contacts (``Job.stiff``). An
+        attempt of this kind can run together with first attempts."""
         return self.stiff is not None and self.timestep_divisor == 1 and not self.doubles
 
     def is_for(self, outcome: Outcome, sim: Simulation) -> bool:
@@ -197,8 +197,8 @@ need further attempts."""
 
 BESIDE_ITSELF: Final = "mjx-warp-cpu"
 """Name of the engine that makes further attempts itself if few worlds need them: on additional threads of the same
-process, while the run goes on. Without these threads, most threads of the engine would be idle while the last world is
-simulated."""
+process, while the run goes on. Without additional threads, most threads of the engine would be idle while the last
+world is simulated."""
 
 
 @dataclass(eq=False)

@@ -221,7 +221,7 @@ def note_penetration(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simu
     scenes = [job.scene for job in jobs]
     did_not = penetration_excluded(outcomes, scenes, sim) if elliptic else [False] * len(outcomes)
     for k, (outcome, scene) in enumerate(zip(outcomes, scenes, strict=True)):
-        if outcome.verdict is Verdict.INVALID or scene.soft is not None:  # soft boxes have other contacts
+        if outcome.verdict is Verdict.INVALID or scene.soft is not None:  # soft boxes sink by another law
             continue
         if not did_not[k] and has_penetrated(outcome, scene, sim):
             flags = outcome.flags | Flag.SINKING
@@ -233,8 +233,8 @@ def note_penetration(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simu
 def penetration_excluded(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Simulation) -> list[bool]:
     """For each world, whether ``has_penetrated`` is certainly False, without computing it. ``has_penetrated`` is
     certainly False if no box of the world descended too far, and the world failed for another reason than descent. For
-    all other worlds, ``has_penetrated`` must be computed. This function computes all worlds together, which is fast.
-    The function is valid only for elliptic friction cones."""
+    all other worlds, ``has_penetrated`` must be computed. ``penetration_excluded`` computes all worlds together, which
+    is fast. The function is valid only for elliptic friction cones."""
     if not outcomes:
         return []
     enough_m = (1 - _SUM_ERROR) * BOUND_SHARE * sim.thresholds.shift_m
@@ -263,7 +263,7 @@ def _failed_otherwise(outcome: Outcome, limit_m: float) -> bool:
 
 def _most_sinking_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Physics) -> FloatArray:
     """(m,) an upper bound of the largest ``contact_penetration_m`` in each world, m: the sum of the contact depths of
-    all boxes of the world, each under the largest force on its top. This bound does not depend on which box lies on
+    all boxes of the world, each under the largest force on its top. The bound does not depend on which box lies on
     which."""
     counts = np.array([scene.n_boxes for scene in scenes], np.intp)
     begins = np.cumsum(counts) - counts

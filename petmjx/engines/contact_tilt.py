@@ -9,12 +9,12 @@ contact had given way, the load would act at the distance
     e(r) = r·w + h·(x(1 − r) − x(r)) / w
 
 from the edge. h is the height of the load's centre, and x is the depth of a side that carries a share of the load
-(``petmjx.world.contact_laws``). The smallest e(r) is called the *loss*. A load that acts nearer to the edge than the
-loss tips over. If boxes below lean, their angle times h is added to the loss.
+(``petmjx.world.contact_laws``). The smallest e(r) is called the *tipping distance*. A load that would act nearer to the
+edge than its tipping distance tips over. If boxes below lean, their angle times h is added to the tipping distance.
 
-The loss may be millimetres for a column of slender boxes, or for a light box under a heavy box, but is much less for
-real cartons. If the tilt by soft contacts may have decided the verdict of a world, the world is simulated again with
-stiffer contacts (petmjx/engines/attempts.py).
+The tipping distance may be millimetres for a column of slender boxes, or for a light box under a heavy box, but is much
+less for real cartons. If the tilt by soft contacts may have decided the verdict of a world, the world is simulated
+again with stiffer contacts (petmjx/engines/attempts.py).
 """
 
 from __future__ import annotations
@@ -39,18 +39,20 @@ SHARES: Final = np.array([1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.
 """The shares r (defined above) for which e(r) is computed."""
 
 SAFETY: Final = 10.0
-"""A load may tip over if its distance from the edge is at most this multiple of its loss (see the module's docstring),
-since a box rocks when the next box is placed on it. Some stacks are stable by statics, but fall because contacts are
-soft. In these stacks, the distance of a load from its edge was at most 8 times the load's loss."""
+"""A load may tip over if its distance from the edge is at most this multiple of its tipping distance (see the module's
+docstring), since a box rocks when the next box is placed on it. Some stacks are stable by statics, but fall because
+contacts are soft. In these stacks, the distance of a load from its edge was at most 8 times the load's tipping
+distance."""
 
 STIFF_SAFETY: Final = 40.0
-"""Multiple of the loss that replaces ``SAFETY`` in a further attempt with stiffer contacts, which make the loss 40
-times smaller. In stacks that fell, the distance of a load from its edge was at most 28 times the load's loss."""
+"""Multiple of the tipping distance that replaces ``SAFETY`` in a further attempt with stiffer contacts. Stiffer
+contacts make the tipping distance 40 times smaller. In stacks that fell, the distance of a load from its edge was at
+most 28 times the load's tipping distance."""
 
 SURE: Final = 1.0
-"""Multiple of the loss that replaces ``SAFETY`` for a stack in which a load acts beyond an edge in the plan. A stack
-with a load beyond an edge would also fall on hard contacts. So soft contacts may be the cause only if the distance of
-another load from its edge is smaller than the loss of this other load."""
+"""Multiple of the tipping distance that replaces ``SAFETY`` for a stack in which a load acts beyond an edge in the
+plan. A stack with a load beyond an edge would also fall on hard contacts. So soft contacts may be the cause only if
+another load is nearer to its edge than its tipping distance."""
 
 BEYOND_M: Final = 0.0004
 """A load that is farther beyond an edge than this distance, m, surely acts beyond the edge. The distance is half a
@@ -58,7 +60,7 @@ millimetre in the plan, minus the amount by which simulated boxes are smaller th
 
 ROCKING_M: Final = 0.001
 """A load that acts less than this distance (m) inside the edge may have tipped over because of soft contacts, even if
-its loss is smaller: a box rocks by some tenths of a millimetre when the next box is placed."""
+its tipping distance is smaller: a box rocks by some tenths of a millimetre when the next box is placed."""
 
 BOUND_SHARE: Final = 0.25
 """Largest lean of a box as a share of the tilt threshold, and largest descent and sideways motion of a box as a share
@@ -69,12 +71,12 @@ class ContactTilt(NamedTuple):
     """How soft contacts tilt and move n boxes.
 
     Attributes:
-        loss_m: (n,) the loss of each box, as defined in the module's docstring, m.
+        tipping_m: (n,) the tipping distance of the load of each box (see the module's docstring), m.
         angle_rad: (n,) angle by which each box leans, rad.
         shift_m: (n,) distance by which each box's centre moves sideways, m.
     """
 
-    loss_m: FloatArray
+    tipping_m: FloatArray
     angle_rad: FloatArray
     shift_m: FloatArray
 
@@ -102,8 +104,8 @@ def contact_tilt_of(bearing: Bearing, load: FloatArray, edge_m: FloatArray, phys
     own_lean = np.nan_to_num(angle(np.clip(edge_m / width, 0.0, 0.5)))
     own_lean[edge_m < -BEYOND_M] = 0.0  # a box whose load acts beyond the edge also tips over on hard contacts
     below, shift = _tilt_from_below(bearing, own_lean)
-    loss = (SHARES[:, None] * width + angle(SHARES[:, None]) * height).min(axis=0)
-    return ContactTilt(loss + below * height, below + own_lean, shift)
+    tipping = (SHARES[:, None] * width + angle(SHARES[:, None]) * height).min(axis=0)
+    return ContactTilt(tipping + below * height, below + own_lean, shift)
 
 
 def _tilt_from_below(bearing: Bearing, own_lean: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -170,9 +172,9 @@ def contact_tilt_suspects(
         if shifts_far or np.degrees(lean.angle_rad[first:end].max(initial=0.0)) > BOUND_SHARE * limits.tilt_deg:
             return True
         pile = _pile_of(under, first + outcome.culprit) if outcome.culprit >= 0 else [*range(first, end)]
-        edges, losses = edge[pile], lean.loss_m[pile]
+        edges, tipping = edge[pile], lean.tipping_m[pile]
         beyond = bool((edges < -BEYOND_M).any())
-        reach = (SURE if beyond else most_safety) * losses
+        reach = (SURE if beyond else most_safety) * tipping
         least = BEYOND_M
         if not (beyond or has_errors):  # in worlds with errors, boxes are not at their planned places
             reach, least = np.maximum(reach, ROCKING_M), 0.0

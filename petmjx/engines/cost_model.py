@@ -3,8 +3,9 @@
 On a CPU thread, a step of a pallet at rest takes one iteration of Newton's method. The cost of a step grows somewhat
 faster than the number of boxes. While boxes land or slide, a step takes more iterations. An iteration is expensive if
 boxes stand on several other boxes, since this ties the columns of a pallet into one system of equations. So the
-additional cost of a landing grows with the square of the number of standing boxes, and with the number of these ties.
-If each box stands on only one other, as in a block of columns, landings cost next to nothing.
+additional cost of a landing grows with the square of the number of standing boxes, and with the number of ties
+(supports of a box beyond its first support). If each box stands on only one other, as in a block of columns, landings
+cost next to nothing.
 
 On a device, the cost of a step of a full stack grows with the square of its boxes, too. But a plan with more boxes is
 at rest in a larger share of its steps, so the cost of a run grows more slowly.
@@ -25,8 +26,8 @@ from petmjx.options.simulation import SOFT_START_STEPS, Check, Schedule, Simulat
 from petmjx.world.job import Drive, Job
 
 STEP_SHARE = 0.072
-"""Steps of the adaptive schedule as a share of the fixed schedule's steps, for physics ``pallet``. The value is the
-mean of 2,000 generated plans and of 63 third-party plans of 16 to 241 boxes."""
+"""Steps of the adaptive schedule as a share of the fixed schedule's steps, for physics ``pallet``. The share is the
+mean over 2,000 generated plans and 63 third-party plans of 16 to 241 boxes."""
 
 SOFT_STARTS = 2 * SOFT_START_STEPS
 """Number of steps of the soft starts, which come before the first box of a placement. The steps of soft starts are not
@@ -112,8 +113,8 @@ share of 0.285 of the fixed schedule's steps; the share is 0.45 with few boxes, 
 
 DISPLACED_STEPS, CARRIED_STEPS = 1.1, 5.0
 """Number of steps of a placement with errors of places or sizes, relative to a placement whose boxes appear exactly at
-their places. The first value is for boxes that are moved apart and then appear. The second value is for boxes that are
-carried to their places, and get stuck at their neighbours."""
+their places. ``DISPLACED_STEPS`` is for boxes that are moved apart and then appear. ``CARRIED_STEPS`` is for boxes that
+are carried to their places, and get stuck at their neighbours."""
 
 GIVING_STEPS = 1.4
 """Number of steps of a placement with compliant boxes, relative to the same placement with rigid boxes. A pile of boxes
@@ -121,8 +122,8 @@ so soft that it does not come to rest takes up to fifteen times as many steps.""
 
 
 DISPLACED_COST, CARRIED_COST = 2.8, 4.5
-"""Cost of a placement with errors on a device, relative to a placement without errors. The first value is for boxes
-that appear at places with errors, and may slip into gaps between other boxes. The second value is for boxes that are
+"""Cost of a placement with errors on a device, relative to a placement without errors. ``DISPLACED_COST`` is for boxes
+that appear at places with errors, and may slip into gaps between other boxes. ``CARRIED_COST`` is for boxes that are
 carried to their places. 8,000 worlds of 500 plans took 35 s, and 4,000 worlds of 250 plans by hand took 30 s; 10,003
 worlds without errors took 17 s."""
 
@@ -367,7 +368,8 @@ class ThreadCosts:
         return max(float(plans_s.sum()) / threads, float(longest_s.max()))
 
     def placing_s(self, work: Work, way: WayOfPlacing | None = None) -> FloatArray:
-        """(n,) time of one placement of each plan, s. ``way``: None: as planned."""
+        """(n,) time of one placement of each plan, s. ``way``: how boxes are placed. If ``way`` is None, boxes are
+        placed as planned."""
         way = way or work.ways[0]
         boxes = np.asarray(work.boxes, dtype=float) * work.share
         one_by_one = work.sim.check is Check.ONE_BY_ONE
@@ -480,7 +482,8 @@ class Costs:
         }
 
     def of_jobs(self, jobs: Sequence[Job], sim: Simulation, costs: ThreadCosts | None = None) -> FloatArray:
-        """(n,) expected time of each job on one CPU thread, s. ``costs``: costs of the engine; None: of ``mujoco``."""
+        """(n,) expected time of each job on one CPU thread, s. ``costs``: costs of the engine. If ``costs`` is None,
+        those of ``mujoco`` are used."""
         costs = costs or self.mujoco
         work, drive_steps = _expected_work(jobs, sim)
         placing_s = _of_placements(jobs, *(costs.placing_s(work, way) for way in work.ways))
@@ -496,12 +499,12 @@ class Costs:
         """(n,) for each job, the number of steps from which on its world counts as long (``LONG_PLACEMENT``,
         ``LONG_DRIVE``). The number depends neither on the machine nor on the other jobs."""
         steps = np.full(len(jobs), float(seconds_to_steps(sim.rest_window_s, sim.physics.timestep_s)))
-        for settles in (False, True):  # if any job settles, _expected_work takes all for placements before drives
+        for settles in (False, True):  # _expected_work takes jobs of one kind at a time
             rows = [row for row, job in enumerate(jobs) if job.settles is settles]
             some = [jobs[row] for row in rows]
             work, drive_steps = _expected_work(some, sim)
             placing = _of_placements(some, *(work.placement_steps(way) for way in work.ways))
-            if sim.check is Check.ONE_BY_ONE:  # each box waits until all are quiet, even if ``interval_s`` is short
+            if sim.check is Check.ONE_BY_ONE:  # each box waits for a quiet pallet, even if ``interval_s`` is short
                 placing = np.where(placing > 0, np.maximum(placing, sim.quiet.steps * np.array(work.boxes)), 0.0)
             long_placement = np.where(placing > 0, np.maximum(LONG_PLACEMENT * placing, FALL_STEPS), 0.0)
             steps[rows] += long_placement + LONG_DRIVE * drive_steps

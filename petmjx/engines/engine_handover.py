@@ -188,7 +188,7 @@ class _Shared(Generic[Faster]):
     def _simulated(
         self, engine: Engine, waiting: deque[_Numbered], room: int, stream: JobStream[_Numbered]
     ) -> Iterator[tuple[Outcome | None, Job | None]]:
-        """The outcomes of jobs on an engine, each with its job. (None, None): the engine pauses.
+        """The outcomes of jobs on an engine, each with its job. A pair (None, None) means that the engine pauses.
 
         Args:
             waiting: the jobs, to which the caller may add jobs between two outcomes.

@@ -14,9 +14,10 @@ from petmjx.options.simulation import Simulation
 
 
 def start_gpu() -> None:
-    """Start JAX and Warp, and load the modules of ``mjx-warp``. The call takes a second or two. It would take a quarter
-    longer if the garbage collector scanned the many new objects. While JAX starts its devices, which is mostly waiting
-    for the driver, modules are loaded. Errors are ignored here: the engine that needs these libraries reports them."""
+    """Start JAX and Warp, and load the modules of ``mjx-warp``. The call takes a second or two. The call would take a
+    quarter longer if the garbage collector scanned the many new objects. While JAX starts its devices, which is mostly
+    waiting for the driver, modules are loaded. Errors are ignored here: the engine that needs these libraries reports
+    them."""
     with suppress(Exception), no_collection(lasting=True):
         jax_setup = importlib.import_module("petmjx.engines.mjx.jax_setup")
         devices = threading.Thread(target=_without_errors, args=(jax_setup.set_up_jax,), name="petmjx-devices")
@@ -26,7 +27,7 @@ def start_gpu() -> None:
         devices.join()
         importlib.import_module("warp").init()
         jax = importlib.import_module("jax")
-        jax.jit(lambda x: x + 1).lower(0.0).compile()  # this import loads the modules that lower and compile a program
+        jax.jit(lambda x: x + 1).lower(0.0).compile()  # loads JAX's modules that lower and compile programs
 
 
 def _without_errors(start: Callable[[], None]) -> None:

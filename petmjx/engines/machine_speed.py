@@ -89,7 +89,7 @@ def _kept_file() -> Path:
 
 def block_s() -> float:
     """CPU time that this thread needs to simulate the test block on C MuJoCo, s."""
-    from petmjx.engines.mujoco.world_run import WorldRun  # MuJoCo takes a quarter of a second to import
+    from petmjx.engines.mujoco.world_run import WorldRun  # MuJoCo takes 0.25 s to import
 
     sim = Simulation()
     job = Job(build_scene(block(), sim))

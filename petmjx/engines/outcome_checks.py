@@ -30,7 +30,7 @@ from petmjx.world.scene import Scene
 from petmjx.world.supports import TOUCH_M, Bearing, bearings_of
 
 LEANS_DEG: Final = 2.0
-"""Tilt at rest above which a box of a stable world counts as leaning, degrees. With this tilt, one side of a box of
+"""Tilt at rest above which a box of a stable world counts as leaning, degrees. At a tilt of 2°, one side of a box of
 half a metre is 17 mm lower than the other side. Soft contacts alone tilt a box by less than a tenth of this angle,
 unless the world has ``Flag.SINKING``."""
 
@@ -51,9 +51,9 @@ def outcome_checks(
     Args:
         jobs: the jobs as the engine simulated them, one for each outcome.
         sim: the options with which the engine simulated.
-        verdicts_only: whether only the verdicts, and what decides about further attempts, are needed. Then worlds that
-            stand get no distances from edges, no ``Flag.KNIFE_EDGE`` and no ``Flag.LEANS``. Computing these takes most
-            of the time of all checks.
+        verdicts_only: whether only the verdicts, and what decides about further attempts, are needed. With
+            ``verdicts_only``, worlds that stand get no distances from edges, no ``Flag.KNIFE_EDGE`` and no
+            ``Flag.LEANS``. Computing these takes most of the time of all checks.
     """
     noted = note_penetration(outcomes, jobs, sim)
     for outcome, margin in zip(noted, margins_of(noted, sim.thresholds), strict=True):

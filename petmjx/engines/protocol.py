@@ -58,8 +58,8 @@ def says_at_hand(run: Run) -> Run:
     """Mark a method ``run`` that keeps ``Progress.at_hand`` up to date. If ``Progress.pauses`` is set, this method also
     yields None while it waits.
 
-    The method is marked, and not the engine's class. If a user's engine inherits from an engine of petmjx but has a
-    ``run`` of its own, this ``run`` is therefore not marked; it may delay outcomes.
+    The method is marked, and not the engine's class. So if a user's engine inherits from an engine of petmjx but has a
+    ``run`` of its own, the user's ``run`` is not marked, since it may delay outcomes.
     """
     run.says_at_hand = True  # type: ignore[attr-defined]  # functions accept further attributes
     return run
@@ -204,8 +204,8 @@ class Engine(MinimalEngine, Protocol):
 
     def beginnings(self, scenes: Sequence[Scene], sim: Simulation) -> list[list[bytes]]:
         """For each scene of n boxes, the keys 0 to n of its world. Key k stands for the carrier and the first k boxes.
-        If two worlds have the same key k, they are the same to the last bit until the next box is placed. So they can
-        start from the same state (``Job.pauses_after``).
+        If two worlds have the same key k, they are the same to the last bit until the next box is placed. So the two
+        worlds can start from the same state (``Job.pauses_after``).
 
         Raises:
             InputError: this engine does not have ``Capability.PAUSES``.

@@ -82,17 +82,18 @@ class UserEngine(Engine):
 
 @contextmanager
 def engine_warmup(options: RunOptions, plans: object, sim: Simulation) -> Iterator[WorkerStartup | None]:
-    """Prepares the engine while plans are read. If ``mjx-warp`` will be the engine of this process, this starts JAX and
-    Warp on the GPU and compiles kernels. If workers are requested, they are started, and yielded for
-    ``resolve_engine``. Starting libraries and workers is mostly waiting, so plans are read meanwhile."""
+    """Prepares the engine while plans are read. If ``mjx-warp`` will be the engine of this process, the context starts
+    JAX and Warp on the GPU and compiles kernels. If workers are requested, the context starts them, and yields the
+    started workers for ``resolve_engine``. Starting libraries and workers is mostly waiting, so plans are read
+    meanwhile."""
     if options.asked_workers is not None and isinstance(options.engine, str):
-        from petmjx.engines.remote.worker_choice import WorkerStartup  # most runs have no workers
+        from petmjx.engines.remote.worker_choice import WorkerStartup  # for runs with workers only
 
-        ahead = WorkerStartup(options, worth_gpus=bytes_of_plans(plans) >= WORTH_A_GPU)
+        startup = WorkerStartup(options, worth_gpus=bytes_of_plans(plans) >= WORTH_A_GPU)
         try:
-            yield ahead
+            yield startup
         except BaseException:
-            ahead.give_up()
+            startup.give_up()
             raise
         return
     thread = None
@@ -133,14 +134,14 @@ def bytes_of_plans(plans: object) -> int:
 def engine_for(
     options: RunOptions,
     work: Work,
-    ahead: WorkerStartup | None = None,
+    startup: WorkerStartup | None = None,
     *,
     hands_over: bool = False,
     earlier: str | None = None,
 ) -> Iterator[tuple[Engine, Choice]]:
     """``resolve_engine`` as a context. The context closes the engine at its end, unless the engine is the user's
     own."""
-    engine, choice = resolve_engine(options, work, ahead=ahead, hands_over=hands_over, earlier=earlier)
+    engine, choice = resolve_engine(options, work, startup=startup, hands_over=hands_over, earlier=earlier)
     try:
         yield engine, choice
     finally:
@@ -152,7 +153,7 @@ def resolve_engine(
     options: RunOptions,
     work: Work,
     costs: Costs | None = None,
-    ahead: WorkerStartup | None = None,
+    startup: WorkerStartup | None = None,
     *,
     hands_over: bool = False,
     earlier: str | None = None,
@@ -162,7 +163,7 @@ def resolve_engine(
 
     Args:
         costs: costs of the engines; None: the measured ones, scaled to the speed of this machine.
-        ahead: workers that ``engine_warmup`` has already started for these options.
+        startup: the workers that ``engine_warmup`` has already started for these options.
         hands_over: whether an engine that ``auto`` chooses may hand worlds over to another one (``HandoverEngine``).
         earlier: the engine of the run before it was resumed. ``auto`` keeps this engine, although the machine may be
             busier now.
@@ -183,9 +184,9 @@ def resolve_engine(
             )
         return UserEngine(requested_engine, options.threads), Choice(requested_engine.name, "given")
     if options.asked_workers is not None:
-        from petmjx.engines.remote.worker_choice import resolve_workers  # most runs have no workers
+        from petmjx.engines.remote.worker_choice import resolve_workers  # for runs with workers only
 
-        return resolve_workers(options, work, costs or MEASURED, ahead)
+        return resolve_workers(options, work, costs or MEASURED, startup)
     threads = options.threads or cpu_threads()
     # Measuring the speed of CPU threads takes 0.3 s. If a GPU simulates, this speed is irrelevant.
     costs = costs or (MEASURED if requested_engine == "mjx-warp" else costs_here(work, threads))
@@ -199,7 +200,7 @@ def resolve_engine(
     engine, choice = make_engine(name, **options_of(name, options)), Choice(name, reason, seconds.get(name))
     if hands_over and requested_engine == AUTO and name == "mujoco" and options.world_timeout_s is None:
         from petmjx.engines.engine_handover import HandoverEngine
-        from petmjx.engines.mujoco.engine import MujocoEngine  # this module imports MuJoCo
+        from petmjx.engines.mujoco.engine import MujocoEngine  # imported here, since it loads MuJoCo
 
         kernels = "mjx-warp-cpu"
         assert isinstance(engine, MujocoEngine)

@@ -155,7 +155,7 @@ def _components(name: str, values: FloatArray, parts: str, end: str = "") -> dic
 
 
 def _vector(columns: Mapping[str, FloatArray], name: str, parts: str, end: str = "") -> FloatArray:
-    """Join the columns of a vector into an array of shape (rows, components). This is the inverse of
+    """Join the columns of a vector into an array of shape (rows, components). This function is the inverse of
     ``_components``."""
     return np.stack([columns[f"{name}_{part}{end}"] for part in parts], axis=1)
 

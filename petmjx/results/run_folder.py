@@ -187,7 +187,8 @@ def check_run_folder(folder: Path, overwrite: bool = False, resume: bool = False
 
     def is_ours(file: Path) -> bool:
         if file.name == RUN_FILE:
-            return resume or _listed_parts(file) is not None  # if a run is resumed, its reader reports errors
+            # if the run is resumed, the function that reads the run reports errors
+            return resume or _listed_parts(file) is not None
         return file in hidden or file in listed or _is_part_of(parts[file], file)
 
     def check(*files: Path) -> None:

@@ -47,8 +47,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _NAMES_WORLDS: Final = {"histories": "frames", "frames": "frames", "contacts": "frames"}
-"""Name of a table → name of the table that is searched to find the file with a given world. In the two tables, files
-with the same number hold the same worlds. For a table without an entry here, ``worlds`` is searched."""
+"""Name of a table → name of the table that is searched to find the file with a given world. Files of these two tables
+with the same number hold the same worlds. For a table that is not listed here, ``worlds`` is searched."""
 
 
 def world_row(run: RunResults, plan_id: str, variant: int) -> dict[str, Any] | None:
@@ -148,7 +148,8 @@ class RunResults:
     """The results of a run. Each table is read when it is first used.
 
     Attributes:
-        parts: the files of the tables. Callers that need only some columns read them here.
+        parts: the files of the tables. Callers that need only some columns of a table read the columns through
+        ``parts``.
         info: the entries of ``run.json``.
         held: plan id → plan, for plans that exist only as objects in memory.
     """

@@ -33,8 +33,8 @@ rest and columns without values are compressed to a hundredth. For larger tables
 disk."""
 
 MOST_TABLE_BYTES: Final = 1 << 40
-"""Upper limit for the memory of a table, bytes. The limit is high, because the real limit of large runs is the memory
-of the machine."""
+"""Upper limit for the memory of a table, bytes. This upper limit is high, because the real limit of large runs is the
+memory of the machine."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +94,9 @@ class Parts:
                 needed += decoded_bytes(parquet, columns)
             file_bytes += file.stat().st_size
         if needed > allowed_bytes(file_bytes, FREE_BYTES, MOST_TABLE_BYTES):
-            raise InputError(f"{files[0].parent}: its rows would take {size(needed)}, too much for files of their size")
+            raise InputError(
+                f"{files[0].parent}: the rows of the table would take {size(needed)}, too much for files of this size"
+            )
 
     def check_tables(self, tables: Iterable[str]) -> None:
         """Apply :meth:`check` to all files of these tables."""

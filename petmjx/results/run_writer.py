@@ -1,4 +1,4 @@
-"""Writes the folder of a run while worlds are simulated. petmjx.results.run_folder describes its layout.
+"""Writes the folder of a run while worlds are simulated. petmjx.results.run_folder describes the layout of the folder.
 
 One thread owns the folder. Other threads put finished worlds and requests into a queue, and the owning thread processes
 the queue in order. The owning thread collects worlds into parts (files), and writes each part once: when the part is
@@ -51,8 +51,8 @@ WORLDS_PER_PART: Final = 5_000
 make 200 parts."""
 
 BYTES_PER_PART: Final = 64 << 20
-"""Memory of the waiting rows at which a part is full and is written, bytes. This memory holds 4,000 worlds of 43 boxes,
-60 worlds with histories, or 20 worlds with detailed histories."""
+"""Memory of the waiting rows at which a part is full and is written, bytes. 64 MiB hold 4,000 worlds of 43 boxes, 60
+worlds with histories, or 20 worlds with detailed histories."""
 
 SECONDS_PER_PART: Final = 60.0
 """Longest time for which a finished world waits until its part is written, s, even if no other world finishes."""
@@ -161,20 +161,20 @@ class RunWriter(RunInfo):
         # The queues are implemented in C, so an interruption of the main thread leaves none of them locked or half
         # changed.
         self._queue: SimpleQueue[Row | _Request] = SimpleQueue()
-        self._room: SimpleQueue[None] = SimpleQueue()  # gets an entry at each try to write; ``add`` waits for it
+        self._room: SimpleQueue[None] = SimpleQueue()  # gets an entry at each try to write; ``add`` waits for an entry
         self._thread = threading.Thread(target=self._work, name="petmjx-writer", daemon=True)
-        self._added_bytes = 0  # changed only by the thread that adds worlds
-        self._cut_short = False  # set only by the main thread
+        self._added_bytes = 0  # Changed only by the thread that adds worlds.
+        self._cut_short = False  # Set only by the main thread.
         # Once the writer's thread has started, only this thread uses the attributes below.
         self._tables = Tables(self.out_dir, MemoryParts(Path(), {}) if self._in_memory else None)
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self._rows: list[Row] = []
         self._row_bytes = self._written_bytes = 0
-        self._lacks_placements = False  # whether the table ``placements`` must still be written
-        self._opened_s = 0.0  # time at which the table ``plans`` was written (monotonic clock)
-        self._is_behind = False  # whether run.json must still be written
-        self._trouble: Exception | None = None  # the error of the last try to write; None if it succeeded
-        self._retry_s = 0.0  # time before which nothing is written again (monotonic clock)
+        self._lacks_placements = False  # Whether the table ``placements`` must still be written.
+        self._opened_s = 0.0  # Time at which the table ``plans`` was written (monotonic clock).
+        self._is_behind = False  # Whether run.json must still be written.
+        self._trouble: Exception | None = None  # The error of the last try to write; None if the try succeeded.
+        self._retry_s = 0.0  # Time before which nothing is written again (monotonic clock).
         self._until_end = contextlib.ExitStack()
         self._ended = False
 

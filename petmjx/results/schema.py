@@ -307,7 +307,7 @@ _NUMBERS: Final = tuple(metric.name for metric in metrics.world_metrics() if met
 def data_frame(table: pa.Table) -> pd.DataFrame:
     """A table as a data frame. The column of ranks is left out, since the rows are already in order. The columns
     ``_NUMBERS`` are always float64: pandas uses this type if values are missing, and the type must not depend on
-    that."""
+    whether values are missing."""
     frame: pd.DataFrame = table.select([name for name in table.column_names if name != RANK]).to_pandas()
     return frame.astype({name: "float64" for name in _NUMBERS if name in frame})
 

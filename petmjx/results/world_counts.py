@@ -61,8 +61,9 @@ class WorldCounts:
         if not count:
             return None
         worlds = count_text(count, "world")
-        shares = "shares leave them out, and may be wrong"
-        return f"{NO_VERDICT} {worlds} with iteration_limit={limit}: {shares}; a larger limit, or none, allows more"
+        shares = "shares leave out these worlds, and may be wrong"
+        remedy = "a larger limit, or none, allows more iterations"
+        return f"{NO_VERDICT} {worlds} with iteration_limit={limit}: {shares}; {remedy}"
 
     def as_json(self) -> dict[str, Any]:
         """The numbers as plain JSON values: all worlds by verdict, and worlds that are not stable also by reason."""

@@ -36,7 +36,7 @@ def _block_columns() -> list[Column]:
 
 
 class _Layout:
-    """Determines which values of an outcome are copied into a row. This layout is prepared once for all worlds, because
+    """Determines which values of an outcome are copied into a row. The layout is prepared once for all worlds, because
     a loop over the metrics takes longer than copying the values of a world.
 
     Attributes:

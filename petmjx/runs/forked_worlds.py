@@ -1,5 +1,6 @@
 """Settled placements (simulations in which all boxes are placed and at rest), and the simulations that start from their
-states: drives (motions of the carrier), and the legs of a chain. Also limits for their numbers in memory."""
+states: drives (motions of the carrier), and the legs of a chain. This module also limits the numbers of simulations and
+states in memory."""
 
 from __future__ import annotations
 
@@ -22,7 +23,7 @@ from petmjx.world.variants import LegSpec, Variant
 @dataclass(frozen=True)
 class Batching:
     """Limits for the numbers of simulations and states of a sweep that are in memory and in the engine at the same
-    time. The results of a sweep do not depend on these limits.
+    time. The results of a sweep do not depend on the limits.
 
     Attributes:
         undriven: largest number of simulations without a drive, whose states are not stored, in one call of the engine.
@@ -63,7 +64,7 @@ class SettledPlacement:
 
     @cached_property
     def load_height_m(self) -> float:
-        """Height of the load at rest, m. All drives that start from this placement are made for this height."""
+        """Height of the load at rest, m, for which all drives that start from this placement are made."""
         return load_height_m(self.outcome.boxes.pos, self.scene.half_size)
 
     def shaken(self, outcome: Outcome, thresholds: Thresholds) -> Outcome:

@@ -105,10 +105,10 @@ class Bisection:
     """Finds the largest level survived for many items together. An item is one combination of a placement, a profile
     and a direction.
 
-    All items share one grid of levels. So an answer is wrong by one step of the grid or less, and the tested levels do
-    not depend on the order in which simulations end. In each round, up to ``sections`` levels of an item are tested at
-    the same time, evenly spread between the largest survived and the smallest failed level. The rounds of one item do
-    not wait for the rounds of other items.
+    All items share one grid of levels. So the answer for an item is wrong by one step of the grid or less, and the
+    tested levels do not depend on the order in which simulations end. In each round, up to ``sections`` levels of an
+    item are tested at the same time, evenly spread between the largest survived and the smallest failed level. The
+    rounds of one item do not wait for the rounds of other items.
 
     The search assumes that a pallet that survives a level also survives all lower levels. The assumption can be wrong:
     a stronger push may press a box against its neighbour, so that the box jams. If a level above a failed level was
@@ -123,7 +123,7 @@ class Bisection:
             bisection.
 
     Attributes:
-        items: what has been found about each item.
+        items: for each item, what the search has found so far.
     """
 
     def __init__(

@@ -114,7 +114,7 @@ class ScriptLines:
         self._say(", ".join(filter(None, (*self._pace.words, message))))
 
     def _say(self, line: str) -> None:
-        with suppress(OSError, ValueError, AttributeError):  # standard error is closed or missing
+        with suppress(OSError, ValueError, AttributeError):  # standard error may be closed or missing
             if self._write is not None:
                 self._write(line)
             else:

@@ -21,8 +21,8 @@ from petmjx.world.edge_distances import edge_risks
 from petmjx.world.scene import build_scenes
 
 MOST_EXAMINED: Final = 4096
-"""Largest number of plans of a process whose loads are examined before the run gets the plans, which takes about a
-second. A run of more plans examines the others while it simulates."""
+"""Largest number of plans whose loads a process examines before the run gets the plans. Examining so many plans takes
+about a second. A run with more plans examines the other plans while it simulates."""
 
 
 class ReadingAnswer(NamedTuple):
@@ -55,8 +55,8 @@ def main() -> None:
 
 def answer_to(source: PlanSource | Segment | None, sim: Simulation, options: RunOptions) -> ReadingAnswer | None:
     """The plans of a source, or of a segment of a file. None after an error or a warning, or if a file cannot be read:
-    the process of the run then reads the plans itself. There, the error or warning appears, the user can be asked how
-    to read a file, and pipes can be read."""
+    the process of the run then reads the plans itself. Only in the process of the run do errors and warnings appear,
+    can the user be asked how to read a file, and can pipes be read."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:

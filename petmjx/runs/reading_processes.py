@@ -1,7 +1,7 @@
 """Reads the plans of a run: in the process of the run, or in other processes while JAX and Warp start.
 
 Reading 10,003 plans and starting JAX and Warp take two to three seconds each, and both need Python's global lock. So in
-one process, they would take turns, and the GPU would wait for both.
+one process, reading and starting would take turns, and the GPU would wait for both.
 """
 
 from __future__ import annotations
@@ -124,8 +124,8 @@ def _answers(tasks: Sequence[bytes]) -> list[ReadingAnswer] | None:
 
 def _segments(plans: PlanSource | None, options: RunOptions) -> list[Segment]:
     """Segments of the plans' file that processes can read at the same time; empty if one process should read all
-    plans. Only files that are JSON by their names have segments, and only without options that are about all plans of
-    a file, or about files of other tools."""
+    plans. Only files with the suffix ``.json`` have segments. But with an option that concerns all plans of a file, or
+    files of other tools, no file has segments."""
     count = min(MOST_PROCESSES, cpu_threads() // THREADS_EACH, bytes_of_plans(plans) // WORTH_A_PROCESS)
     names = ["limit", "articles", *(name for name, _ in OPTIONS_OF_OTHERS)]
     if count < 2 or any(getattr(options, name) is not None for name in names):
@@ -148,7 +148,7 @@ def _suits_processes(plans: PlanSource | None, options: RunOptions) -> bool:
     paths = [Path(source) for source in sources if isinstance(source, str | PathLike)]
     if len(paths) < len(sources) or not may_use_gpu(options, plans):
         return False
-    # another process cannot read the pipes of this one; "/dev/stdin" is a link to one
+    # another process cannot read a pipe of this process, to which a link such as "/dev/stdin" may lead
     if any(path.is_symlink() or not (path.is_file() or path.is_dir()) for path in paths):
         return False
     return WORTH_A_PROCESS <= bytes_of_plans(plans) <= MOST_IN_A_PROCESS and cpu_threads() > 1 and bool(cuda_devices())

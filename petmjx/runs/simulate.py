@@ -103,7 +103,7 @@ def simulate(
         EngineUnavailable: the requested engine cannot run here.
     """
     plans = plans_in_place(plans, options.strict)
-    with engine_warmup(options, plans, sim) as ahead:
+    with engine_warmup(options, plans, sim) as startup:
         plan_set, records, edge_risks = read_input(plans, sim, options)
         study = ask(plan_set.plans, options)
         study.edge_risks = edge_risks
@@ -128,7 +128,7 @@ def simulate(
         records = {plan.plan_id: records[plan.plan_id] for plan in study.everything}
     earlier = engine_of_run(options.out) if options.resume and options.out is not None else None
     hands_over = not options.record_details  # only C MuJoCo records details, so C MuJoCo must simulate all worlds
-    with engine_for(options, study.work, ahead, hands_over=hands_over, earlier=earlier) as (engine, choice):
+    with engine_for(options, study.work, startup, hands_over=hands_over, earlier=earlier) as (engine, choice):
         recording = recording_of(options, choice.name, study.everything)
         run = _Run(study, options, plan_set, records, orders, engine, choice, recording, intervals)
         return run.results(watcher, {} if are_files(plans) else {plan.plan_id: plan for plan in study.everything})

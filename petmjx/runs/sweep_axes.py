@@ -34,7 +34,7 @@ from petmjx.world.random_streams import WorldKey
 from petmjx.world.variants import Distribution, DistributionShape
 
 MAX_AXIS_VALUES: Final = 100_000
-"""Largest number of values of one axis. With this limit, a typing error in a step cannot fill the memory."""
+"""Largest number of values of one axis. Without a limit, a typing error in a step could fill the memory."""
 
 MAX_STRENGTH: Final = 1000.0
 """Largest level (g), scale or factor. A larger value must be a typing error, since shocks of packed goods are below 100

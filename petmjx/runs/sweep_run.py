@@ -126,8 +126,8 @@ class SweepRun:
 
     def worlds(self) -> Iterator[FinishedWorld]:
         """Simulate all missing worlds. Yields each world when its outcome is final, in any order."""
-        # The check pool takes seconds to start, and is needed soon after the first drives begin. So it is started
-        # before the first boxes are placed.
+        # The check pool takes seconds to start, and is needed soon after the first drives begin. So the check pool is
+        # started before the first boxes are placed.
         is_counted = self.plan.sweep.search is None
         self._check_pool = check_pool_for(self.engine, self.plan.n_worlds - len(self.recorded)) if is_counted else None
         try:
@@ -280,8 +280,8 @@ class SweepRun:
 
     def _can_be_driven(self, settled: SettledPlacement) -> bool:
         """Whether drives (motions of the carrier) are simulated after a placement. With the option ``early_stop``,
-        drives are simulated only if the pallet stands at the end of the placement. Without this option, the simulation
-        of the placement only has to be valid."""
+        drives are simulated only if the pallet stands at the end of the placement. Without the option ``early_stop``,
+        the simulation of the placement only has to be valid."""
         outcome = settled.outcome
         shaken = outcome.verdict is Verdict.STABLE if self.sim.early_stop else outcome.verdict is not Verdict.INVALID
         return shaken and outcome.state is not None

@@ -26,12 +26,12 @@ MOST_WAY_S: Final = 2.0
 faster."""
 
 FREE_M: Final = 0.0003
-"""Largest overlap of two boxes that is ignored, m. The value is twice the distance by which soft contacts may move
-neighbours that stand flush. Such a small overlap does not visibly push neighbours apart."""
+"""Largest overlap of two boxes that is ignored, m. Soft contacts may move neighbours that stand flush by half of this
+distance. An overlap of 0.3 mm does not visibly push neighbours apart."""
 
 MOST_TILTED: Final = 0.5
-"""Largest angle by which tines (of a fork that carries boxes) tilt a box, as a share of the tilt threshold. With this
-limit, the tilt of a box that tines have just released does not count as a sign of failure."""
+"""Largest angle by which tines (of a fork that carries boxes) tilt a box, as a share of the tilt threshold. With a
+larger angle, the tilt of a box that tines have just released might count as a sign of failure."""
 
 MOST_SIDESTEPS: Final = 8
 """Largest number of times that the start of a path is moved aside because a box is in the way. If a box is still in the
@@ -53,8 +53,8 @@ axis."""
 class ApproachPath(NamedTuple):
     """The paths on which the n boxes of a scene reach their places.
 
-    For several stackable scenes, every array has an additional first axis, with one entry per scene. Positions are
-    those of the boxes' middles, m.
+    For several scenes with arrays of equal shapes, every array has an additional first axis, with one entry per scene.
+    Positions are those of the boxes' middles, m.
 
     Attributes:
         lift: (n, 3) vector from each box's place to the end of its path, m. The box is released at the end of its path.
@@ -253,7 +253,7 @@ def _neighbour_mask(place: FloatArray, half: FloatArray, placing: Placing, room:
     """
     near_m = most_aside_m(placing)
     lifted_m = placing.height_mm / MM_PER_M
-    # for each axis, the distance from the box of the row to the box of the column
+    # one matrix per axis: the distance from the box of the row to the box of the column
     between = [place[..., None, :, axis] - place[..., :, None, axis] for axis in range(3)]
     gap = [np.abs(between[axis]) - (half[..., None, :, axis] + half[..., :, None, axis]) for axis in range(3)]
     before = np.tri(place.shape[-2], k=-1, dtype=bool)

@@ -35,9 +35,8 @@ BEYOND_M: Final = 1e-6
 solver's tolerance is a tenth of this distance."""
 
 _OUTSIDE: Final = 10.0
-"""The programme has a gain per metre by which the load nearest to an edge is inside its edges, and, for each load
-beyond an edge, a cost per metre. The cost is ``_OUTSIDE`` times the gain. The cost per metre of an unbalanced moment
-(moment / load) is ``_OUTSIDE`` times the cost per metre beyond an edge."""
+"""Cost, in the programme's objective, of each metre by which a load is beyond an edge. An unbalanced moment costs
+``_OUTSIDE``² per metre (moment / load). Each metre by which the load nearest to an edge is inside the edges gains 1."""
 
 _ALONG: Final = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 """Inward normals of a rectangle's edges: of the two edges at the lowest corner, then of the two at the highest."""
@@ -61,9 +60,8 @@ def balanced_loads(
     passed, fixed = _fixed_forces(bearing, placed)
     several = np.flatnonzero(placed & (bearing.n_supports > 1))
     together = np.flatnonzero((placed & (bearing.n_supports > 1))[bearing.upper])
-    # For each box with several supports: the loads that depend on how these supports share the box's load. The loads of
-    # all boxes below also depend on how these supports share the load. The load of the box with several supports is
-    # included, since the equations also contain this load.
+    # For each box with several supports: the boxes whose loads depend on how these supports share the box's load. They
+    # are the boxes below, and the box itself, since the equations also contain its load.
     of_box = np.zeros((len(several), len(placed)), bool)
     np.logical_or.at(of_box, np.searchsorted(several, bearing.upper[together]), passed[together])
     of_box[np.arange(len(several)), several] = True

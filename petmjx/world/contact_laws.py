@@ -25,16 +25,16 @@ Nonsmooth Dynamical Systems", 2008, section 3.9):
 
     aref_n ← aref_n − μ · e,    e = max(|j_t| − R_t · |f_t| − slack, 0)
 
-The excess e depends on accelerations and forces, which in turn depend on e. So the excess is found by iteration.
-Without the iteration, the pressure in contacts of landing boxes was too low, and these boxes slid two to three times as
-far.
+The *slip excess* e depends on accelerations and forces, which in turn depend on e. So e is found by iteration. Without
+the iteration, the pressure in contacts of landing boxes was too low, and these boxes slid two to three times as far.
 
 **Landing.** With the law of contacts at rest, a landing box would sink centimetres into its support and would not
 bounce. MuJoCo's contacts have reference accelerations: the relative accelerations that the two bodies would have if the
 contact were hard. With the physics ``pallet``, contacts are nearly hard. So the law of landing sets the reference
 acceleration, whatever the masses of the bodies: a constant deceleration to the velocity of the rebound (Newton's law of
 impact). During a landing, all contacts of the world have the stiffness that they have at depths beyond ``solimp``'s
-width. Without this stiffness, boxes below would be pressed in before their contacts became stiff.
+width. With their lower stiffness at small depths, boxes below the landing box would be pressed in before their contacts
+became stiff.
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ CONTACTS_PER_FACE = 4
 """Number of contacts that MuJoCo makes between two faces: the corners of their common rectangle."""
 
 MOST_IMPEDANCE = 0.9999
-"""Largest impedance that MuJoCo accepts (mjMAXIMP). With this impedance, contacts are 10 times as stiff as with an
-impedance of 0.999."""
+"""Largest impedance that MuJoCo accepts (mjMAXIMP). Contacts with an impedance of 0.9999 are 10 times as stiff as with
+an impedance of 0.999."""
 
 DEPTHS_M = np.geomspace(1e-9, 1e3, 2000)
 """Depths of a contact at which its force is computed, m. For other depths, the force is interpolated, with an error of
@@ -103,11 +103,11 @@ def cone_factor(physics: Physics, one: FloatArray | float, two: FloatArray | flo
 
 
 SLACK_M_S2: Final = 5.0
-"""Part of the excess e of a sliding contact (see the module's docstring) that is not corrected, m/s²: the excess of a
-slip of 1 cm/s if the time constant of friction is 4 ms. An excess of ``SLACK_M_S2`` raises a contact by less than a
-hundredth of a millimetre, a depth at which contacts are soft. Since this part (the slack) is left out, pallets at rest
-are bit-identical with and without the correction. Stiff contacts are not soft at any depth, so their whole excess is
-corrected."""
+"""Part of the slip excess of a sliding contact (see the module's docstring) that is not corrected, m/s². A slip of 1
+cm/s has this slip excess if the time constant of friction is 4 ms. Without a correction, a slip excess of
+``SLACK_M_S2`` raises a contact by less than a hundredth of a millimetre, a depth at which contacts are soft. So pallets
+at rest are bit-identical with and without the correction. Stiff contacts are not soft at any depth, so their whole slip
+excess is corrected."""
 
 STICKS_M_S: Final = 0.01
 """Slip speed up to which a contact has its static friction, m/s. At twice this speed and above, the contact has its
@@ -115,40 +115,41 @@ kinetic friction. Between the two speeds, friction falls linearly, so that it do
 at rest are far slower (``petmjx.Quiet``)."""
 
 RELAXATION: Final = 0.8
-"""Relaxation factor: the share of the change of an excess e (see the module's docstring) that one iteration applies.
-Let p be μ² × (inverse mass along the tangent) / (inverse mass along the normal). If the whole change were applied, the
-iteration would converge only if p is below 1. For tall boxes with friction above 0.5, p is larger than 1. With the
-factor ``RELAXATION``, the iteration also converges for p up to 1.5, and otherwise takes hardly more rounds than with
-the whole change."""
+"""Relaxation factor: the share of the computed change of a slip excess (see the module's docstring) that one iteration
+applies. Let p be μ² × (inverse mass along the tangent) / (inverse mass along the normal). If the whole change were
+applied, the iteration would converge only if p is below 1. For tall boxes with friction above 0.5, p is larger than 1.
+With the factor ``RELAXATION``, the iteration also converges for p up to 1.5, and otherwise takes hardly more rounds
+than with the whole change."""
 
 ENOUGH_M_S2: Final = 0.1
-"""The iteration that finds the excesses (see the module's docstring) ends when no reference acceleration along a normal
-changes by more than this value, m/s²: a hundredth of gravity. With a limit of 5 m/s², a box that tipped against its
-neighbour slid twice as far as with 0.1 m/s². With a limit of 1 m/s², this box slid 3 % less far than with 0.1 m/s²."""
+"""The iteration that finds the slip excesses (see the module's docstring) ends when no reference acceleration along a
+normal changes by more than this value, m/s²: a hundredth of gravity. With a limit of 5 m/s², a box that tipped against
+its neighbour slid twice as far as with 0.1 m/s². With a limit of 1 m/s², this box slid 3 % less far than with 0.1
+m/s²."""
 
 MOST_ROUNDS: Final = 6
-"""Largest number of iterations per step. An iteration updates the excess between two calls of a solver. Bricks that
-slide and tip need two iterations on average. In a heap in which all boxes slide at once, the median error of an excess
-is still 1 m/s² after twenty iterations."""
+"""Largest number of iterations per step. An iteration updates the slip excesses between two calls of a solver. Bricks
+that slide and tip need two iterations on average. In a heap in which all boxes slide at once, the median error of a
+slip excess is still 1 m/s² after twenty iterations."""
 
 
 FIRST_SHARE: Final = 1.1
 """Relaxation factor of the first iteration of a step, if ``next_share`` chooses the factors of later iterations: the
-iteration changes an excess by this multiple of the computed change. With this value, bricks that slide and tip need 2.4
-calls of the solver per step; with 0.8, 2.6 calls; with the constant factor ``RELAXATION``, 3.1 calls."""
+iteration changes a slip excess by this multiple of the computed change. Bricks that slide and tip need 2.4 calls of the
+solver per step if the first factor is 1.1; 2.6 calls if it is 0.8; 3.1 calls if all factors are ``RELAXATION``."""
 
 LEAST_M_S2: Final = ENOUGH_M_S2 / 10
-"""Smallest change of an excess from which the next iteration's share is estimated, m/s². Smaller changes are within the
-solver's tolerance."""
+"""Smallest change of a slip excess from which the relaxation factor of the next iteration is estimated, m/s². Smaller
+changes are within the solver's tolerance."""
 
 MOST_LEFT: Final = 0.6
-"""Largest part of the change of an excess that is assumed to remain after an iteration. If a larger part seems to
-remain, other contacts have changed the excess."""
+"""Largest part of the change of a slip excess that is assumed to remain after an iteration. If a larger part seems to
+remain, other contacts have changed the slip excess."""
 
 
 def slack_m_s2(physics: Physics) -> float:
-    """Part of the excess e of a sliding contact (see the module's docstring) that is not corrected, m/s²; infinite if
-    no contact is corrected."""
+    """Part of the slip excess of a sliding contact (see the module's docstring) that is not corrected, m/s²; infinite
+    if no contact is corrected."""
     if physics.cone is not Cone.ELLIPTIC or not physics.slip_correction:
         return math.inf
     return 0.0 if is_stiff(physics) else SLACK_M_S2
@@ -160,16 +161,16 @@ def kinetic_share(physics: Physics) -> float:
 
 
 def next_share(share: FloatArray, change: FloatArray, last: FloatArray) -> FloatArray:
-    """(k,) relaxation factor of the next iteration for each contact: the share of the change of the contact's excess e
-    (see the module's docstring) that the iteration applies.
+    """(k,) relaxation factor of the next iteration for each contact: the share of the change of the contact's slip
+    excess (see the module's docstring) that the iteration applies.
 
-    With this factor, the last iteration would have left no change, provided that the change is a linear function of the
-    excess (Aitken's delta-squared process).
+    With the returned factor, the last iteration would have left no change, provided that the change is a linear
+    function of the slip excess (Aitken's delta-squared process).
 
     Args:
         share: (k,) share of the change that the last iteration applied.
-        change: (k,) change of the excess that the last iteration has left to be made, m/s².
-        last: (k,) change of the excess before the last iteration, m/s²; 0 before the first iteration.
+        change: (k,) change of the slip excess that the last iteration has left to be made, m/s².
+        last: (k,) change of the slip excess before the last iteration, m/s²; 0 before the first iteration.
     """
     left = np.divide(change, last, out=np.zeros_like(change), where=np.abs(last) > LEAST_M_S2)
     return share / (1.0 - np.clip(left, -1.0, MOST_LEFT))
@@ -186,7 +187,7 @@ FAST_M_S: Final = 0.1
 AT_REST: Final = 2.0
 """Depth of contacts at the end of a landing, as a multiple of ``solimp``'s width. The depth of contacts at rest is 1.3
 times the width. At the end of a landing, contacts are deeper than at rest, since they still push a little while the box
-rises out of them. With this value, the restitution of boxes that fall 10 mm differs by at most 0.03 from the
+rises out of them. With ``AT_REST``, the restitution of boxes that fall 10 mm differs by at most 0.03 from the
 restitution that was set (0.1 to 0.3), at whatever moment of a timestep the boxes land. With a restitution of 0.1, a box
 that fell 10 mm rises by a tenth of a millimetre."""
 

@@ -46,8 +46,8 @@ class EdgeRisk(IntEnum):
     """What a quick test of statics says about the loads of a scene while its boxes are placed one by one.
 
     The greater the value, the longer the simulation may take: boxes with a load beyond an edge fall, and if a load is
-    near an edge, soft contacts may decide, so that the world is simulated again in stiffer contacts. Engines begin with
-    the greatest values.
+    near an edge, soft contacts may decide, so that the world is simulated again in stiffer contacts. Engines simulate
+    the worlds with the greatest values first.
     """
 
     INSIDE = 0
@@ -419,7 +419,7 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
     n_above = np.bincount(bearing.lower[bearing.lower != CARRIER], minlength=n)
     above = above[np.count_nonzero(bearing.lower == CARRIER) :]
     first_above = np.cumsum(n_above) - n_above
-    key = np.repeat(np.arange(n), count) * n + step  # the keys increase from pair to pair.
+    key = np.repeat(np.arange(n), count) * n + step  # The keys increase from pair to pair.
     # The array ``forces`` has the forces at the contacts of corrected boxes: for each contact, one for each load of the
     # upper box
     size = np.where(pulled[bearing.upper], count[bearing.upper], 0)
@@ -476,9 +476,9 @@ def _contact_pushes(
 
 
 def _exact_least_edge(bearing: Bearing, built: BuildingLoads) -> LeastBuildingEdge:
-    """The smallest distance of a load from an edge in one scene, found by linear programmes. These programmes decide
-    whether the loads that seem to be furthest beyond an edge are really beyond it. In the scene, every load that seems
-    to be beyond an edge depends on how supports share loads."""
+    """The smallest distance of a load from an edge in one scene, found by linear programmes. The programmes decide
+    whether the loads that seem to be furthest beyond an edge are really beyond that edge. In the scene, every load that
+    seems to be beyond an edge depends on how supports share loads."""
     edge = built.edge_m.copy()
     for _ in range(MOST_PROGRAMMES):
         if not (edge < 0).any():

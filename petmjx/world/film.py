@@ -20,12 +20,12 @@ MOST_BACK_M: Final = 0.02
 """Largest distance by which a face may stand back from the outermost face of its side and still touch the film, m."""
 
 SLACK_M: Final = 0.005
-"""Distance by which film draws a box into a gap before the film slackens, m. The value is an assumption. Real film that
+"""Distance by which film draws a box into a gap before the film slackens, m. The 5 mm are an assumption. Real film that
 is stretched more draws boxes farther, and so closes wider gaps."""
 
 RATE_1_S: Final = 100.0
-"""Natural angular frequency of a box that film holds, 1/s. With this value, a force equal to the box's weight displaces
-the box by 1 mm."""
+"""Natural angular frequency of a box that film holds, 1/s. At a rate of 100 / s, a force equal to the box's weight
+displaces the box by 1 mm."""
 
 MOST_RATE_PER_STEP: Final = 0.2
 """Largest product of the natural frequency of a box that film holds and the timestep. With a larger product, the spring

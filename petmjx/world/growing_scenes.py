@@ -1,7 +1,7 @@
 """Scenes of worlds to which boxes are added one by one, and arrays with the next box of each world.
 
-A packer adds thousands of boxes at a time, but needs the scenes of few worlds. So boxes are kept in arrays. A scene is
-made from the arrays only when it is requested.
+A packer adds thousands of boxes at a time, but needs the scenes of few worlds. So the boxes of all worlds are kept in
+arrays. A scene is made from the arrays only when it is requested.
 """
 
 from __future__ import annotations

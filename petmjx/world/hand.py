@@ -11,7 +11,7 @@ from typing import Final
 
 HAND_RATE_1_S: Final = 50.0
 """Natural angular frequency of the hand's spring with a box, 1/s. The spring is critically damped: a box that is pushed
-away returns within about 3 / 50 s. The value is the inverse of the time constant that contacts have in the physics
+away returns within about 3 / 50 s. The frequency is the inverse of the time constant that contacts have in the physics
 ``pallet``. A stiffer hand would work against the contacts. For a box of mass m, the spring's stiffness is m · 50² / s²:
 a box that is 1 mm behind on its path is pushed with 2.5 N per kg of its mass."""
 

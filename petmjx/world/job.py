@@ -50,8 +50,8 @@ class Drive:
     rest_s: float = 1.0
     """Time that the boxes have to come to rest after the last sample of the excitation, s."""
     allowed_sway_m: float = 0.0
-    """Distance, m, by which a culprit (the box that failed first) must have swayed before it counts as lost because it
-    tilts too far. While the culprit has swayed less than this distance, the pallet may still pass the test."""
+    """Smallest sway, m, with which a culprit (the box that failed first) that tilts too far counts as lost. While the
+    culprit has swayed less, the pallet may still pass the test that the profile stands for."""
 
     def unit(self, total_mass: float) -> float:
         """Factor that converts the excitation's samples to N (forces) or to m/s² (accelerations; the factor is 1).
@@ -98,17 +98,18 @@ class Job:
     """One world to simulate.
 
     With early stop, a world with errors ends not only when a box has dropped, but also when a box is *lost*: tilted by
-    more than the threshold. The verdict depends on the largest tilt, so it is known once a box is lost. Simulating
-    further after a box is lost would be the most expensive part of the simulation. A large shift does not end a world:
-    a board that tips under one box is level again under the next box. A world with a drive ends when the culprit (the
-    box that failed first) is lost, since only then is it known how the culprit failed.
+    more than the threshold. The verdict depends on the largest tilt, so the verdict is known once a box is lost.
+    Simulating further after a box is lost would be the most expensive part of the simulation. A large shift does not
+    end a world, since it may be temporary: a board that tips when one box is placed on it may become level again when
+    the next box is placed. A world with a drive ends when the culprit (the box that failed first) is lost, since only
+    then is it known how the culprit failed.
 
     Attributes:
         scene: the world.
         drive: the drive that shakes the world. If ``drive`` is None, nothing shakes the world.
         start: the ``state`` of an earlier outcome. If the placement had settled, the world skips the soft start and the
-            placement, and begins with the drive. If it had paused, the world begins with the placement of its next box.
-            Engines get a state of their own type; outside engines, a ``KeptState`` holds the state.
+            placement, and begins with the drive. If the placement had paused, the world begins with the placement of
+            its next box. Engines get a state of their own type; outside engines, a ``KeptState`` holds the state.
         pauses_after: number of boxes, fewer than the scene has, after which the placement pauses: the world ends when
             the next box would be placed, and the outcome has its state. The state serves as ``start`` of all jobs whose
             worlds are equal up to this moment (``petmjx.engines.warp.beginnings``). The outcome has no state if the
@@ -116,8 +117,8 @@ class Job:
             drive in which each box is placed as soon as the other boxes are at rest.
         poses: (n, 7) middles, m, and orientations (w, x, y, z) of the boxes when the drive begins. The boxes are at
             rest at these poses. So a drive can continue from the poses that another drive left, on any engine. The
-            carrier is where the placement left it, since accelerations clamp it. If ``poses`` is None, the boxes, too,
-            are where the placement left them.
+            carrier is where the placement left it, since engines clamp the carrier in acceleration profiles. If
+            ``poses`` is None, the boxes, too, are where the placement left them.
         keep_state: whether the outcome must have the state in which the placement has settled. A job with
             ``keep_state`` and no drive may end once the placement has settled, without the time to come to rest.
         record: what to record as the world's history; recording changes no other result.

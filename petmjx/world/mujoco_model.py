@@ -170,7 +170,7 @@ class _Partner:
     skin_m: float
     surface: int = 0
     face: Face | None = None
-    """Properties of the geom's shape that determine how stiff its contacts are (petmjx/world/compliance.py). The value
+    """Properties of the geom's shape that determine how stiff its contacts are (petmjx/world/compliance.py). ``face``
     is None for the floor, and if the scene has no compliant boxes."""
 
 

@@ -204,7 +204,7 @@ def _static_notes(sim: Simulation) -> Iterator[str]:
 
 
 def _check_soft(sim: Simulation, plans: Sequence[Plan]) -> None:
-    from petmjx.world.soft_boxes import check_soft  # this import loads MuJoCo
+    from petmjx.world.soft_boxes import check_soft  # imported here, since it loads MuJoCo
 
     for plan in plans:
         scene = build_scene(plan, sim)

@@ -2,10 +2,10 @@
 
 The pressure of a box on a bed of equal springs is a linear function of x and y (petmjx.world.supports), called the
 pressure plane in this module. If a load is far from the middle of the supports, this pressure is negative at the
-opposite end, where springs would pull. Real supports only push. So the forces are those pushing forces, each within its
-contact area, that balance the load with the least energy of the springs (Menabrea 1858, "Nouveau principe sur la
-distribution des tensions dans les systèmes élastiques"). If the pressure plane is nowhere negative, its forces already
-have the least energy.
+opposite end, where springs would pull. Real supports only push. So this module computes pushing forces, each within its
+contact area: of all such forces that balance the load, those with the least energy of the springs (Menabrea 1858,
+"Nouveau principe sur la distribution des tensions dans les systèmes élastiques"). If the pressure plane is nowhere
+negative, its forces already have the least energy.
 
 A contact has the force F and the moments Mx, My about the middle of its area A, whose half lengths are a and b. The
 energy is
@@ -33,7 +33,7 @@ IntArray = NDArray[np.intp]
 
 PULL: Final = 1e-9
 """Largest pulling force of a support, as a share of the load, and largest distance of a force outside the support's
-area, m, that count as rounding errors. Beyond these values, the support counts as pulling."""
+area, m, that count as rounding errors. A support whose force pulls more, or acts farther outside, counts as pulling."""
 
 ON_EDGE_M: Final = 1e-6
 """Distance from the hull's edge, m, within which a load counts as on the edge. For a load on an edge, the pressure
@@ -50,7 +50,7 @@ longer shrink to half in a step, because very near an edge, rounding prevents be
 
 _RIDGE: Final = 1e-13
 """Factor of a small term, (1 + the trace), that is added to the diagonal of the matrix of second derivatives. Without
-this term, the matrix would be singular if only one corner carries load."""
+the added term, the matrix would be singular if only one corner carries load."""
 
 
 def pulls(force: FloatArray, low: FloatArray, high: FloatArray, load: FloatArray) -> NDArray[np.bool_]:

@@ -37,7 +37,7 @@ has moved farther no longer carries the box as planned."""
 class Release(NamedTuple):
     """The places at which n boxes are released.
 
-    For several stackable scenes, every array has an additional first axis, with one entry per scene.
+    For several scenes with arrays of equal shapes, every array has an additional first axis, with one entry per scene.
 
     Attributes:
         support: (n,) number of the box under the largest part of each box's base, or ``CARRIER`` or ``NOTHING``. If
@@ -125,7 +125,7 @@ def release_of_next(before: Stacks, boxes: NextBoxes, sim: Simulation) -> Releas
     support = np.where(low[:, 2] <= TOUCH_M, CARRIER, box_below)
     on_carrier, rows = support == CARRIER, np.arange(len(boxes))
     # for a box without a support, the mass and friction of the box itself are used in place of the support's; the
-    # result for such a box is not used
+    # result for this box is not used
     masses = np.column_stack([before.mass, boxes.mass])
     below = np.where(support >= 0, support, masses.shape[1] - 1)
     share = 1.0 + boxes.mass / np.where(on_carrier, before.carrier_mass, masses[rows, below])
@@ -173,12 +173,12 @@ def make_room(
     """(m, n, 2) horizontal places of the boxes of m worlds, m, at which no box overlaps a box beside it. The places are
     as near as possible to the given places:
 
-    the sum of the squares of all translations is as small as possible. Two boxes are kept apart along one axis. This is
-    the one of the axes of both boxes along which the two boxes overlap least. The gap between the two boxes must be at
-    least ``CLEAR_M``, or the planned gap if that is smaller; a planned overlap is a negative gap. So each pair gives
-    one linear inequality for the translations. Hildreth's method (Hildreth 1957, "A quadratic programming procedure",
-    Naval Research Logistics Quarterly 4, 79-85) finds the smallest translations, pair by pair. The places in a world do
-    not depend on other worlds.
+    the sum of the squares of all translations is as small as possible. Two boxes are kept apart along one axis. Of the
+    horizontal axes of the two boxes, it is the one along which the boxes overlap least. The gap between the two boxes
+    must be at least ``CLEAR_M``, or the planned gap if that is smaller; a planned overlap is a negative gap. So each
+    pair gives one linear inequality for the translations. Hildreth's method (Hildreth 1957, "A quadratic programming
+    procedure", Naval Research Logistics Quarterly 4, 79-85) finds the smallest translations, pair by pair. The places
+    in a world do not depend on other worlds.
 
     Args:
         place: (m, n, 2) given horizontal places of the boxes' middles, m.

@@ -35,7 +35,8 @@ IDENTITY_QUAT = (1.0, 0.0, 0.0, 0.0)
 UNWRAPPED: Final = Wrap()
 
 AT_A_TIME: Final = 512
-"""Number of plans whose scenes are slices of the same arrays, so that they stay in memory together."""
+"""Number of plans whose scenes are slices of the same arrays. The arrays stay in memory as long as one of the scenes is
+in use."""
 
 OF_BOXES: Final = (
     "half_size",
@@ -263,7 +264,7 @@ def build_scenes(plans: Iterable[Plan], sim: Simulation) -> Iterator[Scene]:
 
 
 def has_plain_scene(plan: Plan, sim: Simulation) -> bool:
-    """Whether ``plain_scenes`` makes the scene of a plan."""
+    """Whether ``plain_scenes``, the fast way, can make the scene of a plan."""
     return _is_slab(sim) and _is_plain(plan)
 
 

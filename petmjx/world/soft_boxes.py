@@ -7,10 +7,10 @@ constraint of impedance d and stiffness k (``solref`` −k, −b) is a spring of
 then κ·c, where c follows from the places and masses of the points (``_network_kg``). So a box of stiffness S needs
 κ = S / c.
 
-Along each axis, the points' masses are in the proportion 1 : 4 : 1. With these weights of Simpson's rule, three points
-have the moments of inertia of a solid box. The stiffness of an edge is proportional to the mass of its points. So a box
-of length L also resists tilting like a bed of springs, with the rotational stiffness S·L²/12, and its own weight
-compresses it evenly.
+Along each axis, the points' masses are in the proportion 1 : 4 : 1. With masses in the proportion 1 : 4 : 1, the
+weights of Simpson's rule, three points have the moments of inertia of a solid box. The stiffness of an edge is
+proportional to the mass of its points. So a box of length L also resists tilting like a bed of springs, with the
+rotational stiffness S·L²/12, and its own weight compresses it evenly.
 
 MuJoCo gives each element one contact point. On a flat face, an element's contact point jumps from step to step, and
 boxes tremble. So each point of a box also has a ball, and elements touch a little later than balls. Flat faces
@@ -59,9 +59,9 @@ IMPEDANCE: Final = 0.99
 trembles four times as much. With 0.999, the box takes 0.1 s to give way under a load."""
 
 MOST_RATE: Final = 0.05
-"""Largest k·dt² of an edge, where k is the stiffness of the edge's constraint and dt the timestep. The limit is needed
-since MuJoCo integrates these constraints explicitly. If a box should be stiffer than k allows, the impedance of its
-edges is increased instead."""
+"""Largest k·dt² of an edge, where k is the stiffness of the edge's constraint and dt the timestep. MuJoCo integrates
+constraints explicitly, so a stiffer edge might be unstable. For a stiffer box than the largest k allows, the impedance
+of the edges' constraints is increased instead."""
 
 CONTACT_SOLREF: Final = (0.004, 1.0)
 CONTACT_SOLIMP: Final = (MOST_IMPEDANCE, MOST_IMPEDANCE, 0.001)
@@ -277,8 +277,8 @@ def set_for_soft(spec: mujoco.MjSpec, scene: Scene, physics: Physics, frictions:
             continue
         geom.conaffinity |= _ELEMENTS | _BALLS
         sliding = frictions.of_geom(geom.parent.name)
-        # The values set here do not act between two rigid shapes: these touch only as declared pairs, which have their
-        # own values.
+        # The values set here do not act between two rigid shapes: rigid shapes touch only as declared pairs, which have
+        # their own values.
         if physics.has_own_friction:
             geom.margin -= BALL_M / 2
             geom.friction[0] = geom.friction[0] if sliding is None else sliding
@@ -298,16 +298,16 @@ class SoftFriction:
     of_carrier: float | None
 
     def of_geom(self, body: str) -> float | None:
-        """Coefficient of sliding friction of the geoms of the body with this name. None: each geom keeps its own
-        coefficient."""
+        """Coefficient of sliding friction of the geoms of the body with this name. If the result is None, each geom
+        keeps its own coefficient."""
         if body == "carrier":
             return self.of_carrier
         return float(self.of_boxes[int(body.removeprefix("box_"))]) if body.startswith("box_") else None
 
 
 def soft_friction(scene: Scene) -> SoftFriction:
-    """Coefficients for boxes and carrier. With these coefficients, each contact of a soft box has the friction that the
-    scene's table lists for the two surfaces that touch.
+    """Coefficients for boxes and carrier. With the returned coefficients, each contact of a soft box has the friction
+    that the scene's table lists for the two surfaces that touch.
 
     Raises:
         InputError: MuJoCo would use another coefficient than the table for some pair of surfaces. For soft boxes,

@@ -401,9 +401,8 @@ class Bearing:
 
     @cached_property
     def borne_together(self) -> list[IntArray]:
-        """For each group of ``levels``, numbers of contacts. Of the group's upper boxes, those with several supports
-        are chosen; the numbers are those of all contacts below the chosen boxes, including contacts with the
-        carrier."""
+        """For each group of ``levels``, the numbers of all contacts below those of the group's upper boxes that have
+        several supports. Contacts with the carrier are included."""
         groups = []
         upper = self.upper[self.together]
         for between in self.levels:
@@ -507,9 +506,9 @@ def find_bearings(
     """The contacts between boxes and their supports in several scenes, in one ``Bearing``, scene after scene.
 
     A box lies on a board of the carrier's deck if the box's bottom is not above the deck. Box A lies on box B if B's
-    bottom is lower than A's bottom, and B's top is at the height of A's bottom. Both rules have the tolerance
-    ``TOUCH_M``, and require that the two bodies overlap along x and y. A box above a sheet or a pallet lies on the
-    pieces of the sheet, or on the boards of the pallet's deck.
+    bottom is lower than A's bottom, and B's top is at the height of A's bottom. Heights are compared with the tolerance
+    ``TOUCH_M``, and the two bodies must overlap along x and y. A box above a sheet or a pallet lies on the pieces of
+    the sheet, or on the boards of the pallet's deck.
 
     Args:
         targets: (n, 3) middles of the boxes in each scene, m.

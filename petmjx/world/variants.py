@@ -6,7 +6,7 @@ strength, direction). Worlds of a plan with the same ``placement_key`` have the 
 several worlds have in common is simulated once, and each of these worlds starts from the settled state.
 
 The scenes of many variants of a plan are made together (``apply_all``). Making scenes together takes 0.05 ms per scene.
-Making them one by one would take ten times as long: as long as a GPU needs to simulate a small world.
+Making scenes one by one would take ten times as long: as long as a GPU needs to simulate a small world.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class Distribution:
         (1, …), and no generator is used.
 
         Standard random numbers are drawn and then scaled. So with the same generator, twice the spread gives each box
-        twice the error, and levels of a sweep can be compared pair by pair.
+        twice the error, and worlds at two levels of a sweep can be compared pair by pair.
         """
         if self.random and self.shape is DistributionShape.NORMAL:
             return self.centre + self.spread * np.array([rng.standard_normal(shape) for rng in rngs])
@@ -231,7 +231,7 @@ MIN_SIZE_FRACTION = 0.1
 """Smallest random extent of a box, as a share of its planned extent. Extents must stay positive."""
 
 LARGEST_SIZE_M = 7.0
-"""Largest random extent of a box, m. The limit is needed since boxes that are not yet placed hang 8 m apart."""
+"""Largest random extent of a box, m. Boxes that are not yet placed hang 8 m apart, so larger boxes might touch."""
 
 MIN_MASS_FRACTION = 0.1
 """Smallest random mass of a box, as a share of its mass without errors. MuJoCo refuses bodies without mass."""

@@ -56,8 +56,8 @@ def test_a_run_tells_which_worlds_used_up_their_iterations(engine: str, tmp_path
         assert results.info["counts"]["by_reason"]["invalid"] == {"iteration-limit": 1}
         (warning,) = [line for line in results.info["warnings"] if "iteration" in line]
         assert warning == (
-            "no verdict for 1 world with iteration_limit=150: shares leave them out, and may be wrong; a larger limit, "
-            "or none, allows more"
+            "no verdict for 1 world with iteration_limit=150: shares leave out these worlds, and may be wrong; "
+            "a larger limit, or none, allows more iterations"
         )
 
 

@@ -82,7 +82,7 @@ def test_a_static_check_ends_with_a_word(monkeypatch: pytest.MonkeyPatch) -> Non
     assert world["flags"] & int(Flag.TIMEOUT)
     (warning,) = [warning for warning in run.info["warnings"] if "no verdict" in warning]
     assert warning.startswith("plan heap: no verdict within 1 s of CPU time: 40 of 40 boxes placed, ")
-    assert warning.endswith("world_timeout_s allows more")
+    assert warning.endswith("world_timeout_s allows more time")
 
 
 def test_what_has_fallen_by_then_is_unstable(monkeypatch: pytest.MonkeyPatch) -> None:

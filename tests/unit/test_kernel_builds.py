@@ -100,7 +100,7 @@ def test_each_kernel_gets_an_answer_and_no_process_is_left(children: list[_Child
     answers = list(KernelBuilds(builds).answers())
     assert {answer.build for answer in answers} == set(builds)
     assert len(answers) == len(builds)
-    died = "the process that compiled it died"
+    died = "the process that compiled the kernel died"
     assert all(answer.fault == (died if answer.build.size == "few" else "") for answer in answers)
     assert all(child.ended for child in children)
 
@@ -149,7 +149,7 @@ def test_the_command_says_what_it_compiles(
     assert "1 of 1  CPU:" in out
     assert "1 kernel in " in out
     assert run("warm-up", "--arch", "90") == 2
-    assert "could not be compiled: the process that compiled it died" in only_line(capsys.readouterr().err)
+    assert "could not be compiled: the process that compiled the kernel died" in only_line(capsys.readouterr().err)
     assert run("warm-up", "--arch", "90,x") == 2
     assert "--arch must be numbers" in only_line(capsys.readouterr().err)
 

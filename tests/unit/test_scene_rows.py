@@ -57,7 +57,7 @@ def test_worlds_that_are_alike_are_filled_in_together(
     together = rows_of(scenes, 28, sim, 1)
     with monkeypatch.context() as patch:
         patch.setattr(scene_rows, "MANY", len(scenes))
-        in_threads = rows_of(scenes, 28, sim, 1, spare=3)
+        in_threads = rows_of(scenes, 28, sim, 1, padding=3)
     monkeypatch.setattr(scene_rows, "stackable_groups", one_by_one)
     apart = rows_of(scenes, 28, sim, 1)
     assert together.keys() == apart.keys() == in_threads.keys()
@@ -88,10 +88,10 @@ def test_boxes_are_released_where_the_stiffness_of_their_own_contacts_puts_them(
     assert not np.array_equal(together.start[0], together.start[3]), "softer contacts give way by more"
 
 
-def test_spare_rows_made_on_the_device_are_those_made_on_the_host(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_padding_rows_made_on_the_device_are_those_made_on_the_host(monkeypatch: pytest.MonkeyPatch) -> None:
     jobs = [Job(make_scene(n)) for n in (3, 1, 4)]
     on_host = upload_worlds(jobs, 8, 4, {}, Simulation())
-    monkeypatch.setattr(world_constants, "MANY_SPARE", 5)
+    monkeypatch.setattr(world_constants, "MANY_PADDING_ROWS", 5)
     on_device = upload_worlds(jobs, 8, 4, {}, Simulation())
     for name, rows, expected in zip(on_host._fields, on_device, on_host, strict=True):
         assert rows.dtype == expected.dtype, name

@@ -135,8 +135,8 @@ def _state_shapes(rows: int, width: int) -> State:
 
 
 _HELD: Final = Drive(Excitation("held", ACCELERATION, np.zeros((0, 3))), scale=0.0, rest_s=0.0)
-"""A drive without excitation. Like all drives of the kind ``acceleration``, this drive holds the carrier. It has no
-other effect."""
+"""A drive without excitation. Like all drives of the kind ``acceleration``, this drive holds the carrier. The drive has
+no other effect."""
 
 
 def let_go(bodies: FreeBodies, sim: Simulation, rows: int, width: int) -> tuple[Worlds, State]:
@@ -144,7 +144,8 @@ def let_go(bodies: FreeBodies, sim: Simulation, rows: int, width: int) -> tuple[
     requested step.
 
     Args:
-        rows: number of rows of the tables, at least one per world; spare rows hold worlds that have already ended.
+        rows: number of rows of the tables, at least one per world; all further rows hold worlds that have already
+            ended.
         width: number of box columns.
     """
     n, k = bodies.velocity.shape[:2]

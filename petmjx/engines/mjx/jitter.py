@@ -27,7 +27,7 @@ def stay_mask(
 ) -> Bool[Array, "world box"]:
     """Whether each box stays. A box stays if it stayed near its place in the last complete period of measurement, and
     has been near its place in the present period until now. As with ``jitter_mask``, no box counts as staying right
-    after a placement. ``moved``: distances by which boxes have moved since then, as measured by the caller, m. The
+    after a placement. ``moved``: distances by which boxes moved in the last steps of a world, m; 0 at a look. The
     larger of this distance and ``tremble_away`` counts."""
     stayed = (state.trembles != 0) & (state.tremble_looks > 2 * sim.quiet.tremble_looks)[:, None]
     return stayed & (jnp.maximum(state.tremble_away, moved) < _most_away(state.tremble_path, sim))

@@ -3,9 +3,9 @@
 If Warp is not installed, MJX prints a message to standard output (3.17: in ``mujoco/mjx/warp/__init__.py``). The engine
 mjx-jax does not need Warp, and a program may read standard output as JSON.
 
-If Warp is installed, MJX imports Warp with all its kernels. This takes 1.7 s of the 2.7 s that the import of MJX takes.
-A process that runs only the command ``petmjx`` does not need these kernels. In other processes, the user's code might
-use MJX with Warp later.
+If Warp is installed, MJX imports Warp with all its kernels. Importing Warp with its kernels takes 1.7 s of the 2.7 s
+that the import of MJX takes. A process that runs only the command ``petmjx`` does not need these kernels. In other
+processes, the user's code might use MJX with Warp later.
 """
 
 from __future__ import annotations

@@ -242,8 +242,8 @@ class BlockSolver:
         linear = now.inertial @ direction
 
         def evaluated(before: _Search) -> _Search:
-            """The state of the search after an evaluation. The next step is Newton's step if it lies within the
-            bracket, and otherwise the middle of the bracket.
+            """The state of the line search after an evaluation of the cost. The next step is Newton's step if it lies
+            within the bracket, and otherwise the middle of the bracket.
             """
             step = before.step
             cones = Cones.of(problem, now.residual + step * way)

@@ -57,8 +57,8 @@ class BatchRollout:
         profiles: Float[Array, "profile step 3"],
     ) -> tuple[State, Float[Array, "world constraint"], Trail]:
         """The states and constraint forces after a chunk of steps, and the poses and forces in each step (``Trail``).
-        The trail is always kept: the program must be the same with and without a recorder, since another program might
-        round differently."""
+        The trail (poses and forces in each step) is always kept: the program must be the same with and without a
+        recorder, since another program might round differently."""
         held, physics = self.model.held, self.rules.sim.physics
         fields = override_fields(worlds, self.model.model, held=held, physics=physics, gives=self.gives)
         faces = Faces.of(worlds, fields["body_invweight0"][:, 1:, 0]) if self.gives else None
@@ -100,8 +100,8 @@ class BatchRollout:
         gravity, push = self._excitation(state, worlds, profiles)
         shown = rules.park(state)
         # Boxes in the air fall freely during the step. If the solver starts from free fall, it has nothing to solve for
-        # waiting boxes. If it started from zero acceleration, each of these boxes would add ½·m·g² to the cost, and
-        # float32 would lose the contacts in that sum.
+        # waiting boxes. If the solver started from zero acceleration, each waiting box would add ½·m·g² to the cost,
+        # and float32 would lose the cost of contacts in the sum.
         standing = rules.standing(state)[..., None]
         start = shown.qacc.at[..., :3].set(jnp.where(standing, shown.qacc[..., :3], gravity[:, None]))
         inputs = {

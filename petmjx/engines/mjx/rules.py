@@ -402,8 +402,8 @@ class Rules:
         return self._adaptive and self.sim.waits_for_rest
 
     def _rests_in_drive(self, state: State) -> Bool[Array, " world"]:
-        """(world,) whether the drive may end early if the pallet is quiet. For this, a rest window that begins now must
-        end before the rest window at the drive's planned end begins."""
+        """(world,) whether the drive may end early if the pallet is quiet. The drive may end early only if a rest
+        window that begins now ends before the rest window at the drive's planned end begins."""
         early = (state.end != NEVER) & (state.step <= state.end - 2 * self.timetable.rest_steps)
         return early & (self.driven and self._rests_first)
 

@@ -31,20 +31,20 @@ Rows = dict[str, NDArray[Any]]
 """Name of a field of ``world_constants.Worlds`` → its rows, one per scene."""
 
 
-def rows_of(scenes: Sequence[Scene], width: int, sim: Simulation, boards: int = 1, spare: int = 0) -> Rows:
+def rows_of(scenes: Sequence[Scene], width: int, sim: Simulation, boards: int = 1, padding: int = 0) -> Rows:
     """The rows of scenes: all fields of ``world_constants.Worlds`` that do not depend on the job.
 
     Args:
         scenes: a scene that occurs several times is filled in only once.
         width: number of box columns.
         boards: number of columns for the shapes of a carrier; increased if a carrier has more shapes.
-        spare: number of additional rows, which repeat the first scene's row.
+        padding: number of padding rows, which repeat the first scene's row.
     """
     distinct = list({id(scene): scene for scene in scenes}.values())
     if len(distinct) == len(scenes):
-        return _rows_of_distinct(scenes, width, sim, boards, spare)
+        return _rows_of_distinct(scenes, width, sim, boards, padding)
     row_of = {id(scene): row for row, scene in enumerate(distinct)}
-    fan_out = np.array([row_of[id(scene)] for scene in scenes] + [0] * spare)
+    fan_out = np.array([row_of[id(scene)] for scene in scenes] + [0] * padding)
     rows = _rows_of_distinct(distinct, width, sim, boards)
     return dict(zip(rows, gather_rows(rows.values(), fan_out), strict=True))
 
@@ -55,18 +55,18 @@ def gather_rows(arrays: Iterable[NDArray[Any]], source: NDArray[np.int64]) -> li
     return on_threads(partial(np.take, indices=source, axis=0), [*arrays], threads)
 
 
-def with_spare_rows(values: NDArray[Any], spare: int) -> NDArray[Any]:
-    """The rows, followed by spare rows that repeat the first row."""
-    return np.concatenate([values, np.repeat(values[:1], spare, axis=0)])
+def with_padding_rows(values: NDArray[Any], padding: int) -> NDArray[Any]:
+    """The rows, followed by padding rows that repeat the first row."""
+    return np.concatenate([values, np.repeat(values[:1], padding, axis=0)])
 
 
-def _rows_of_distinct(scenes: Sequence[Scene], width: int, sim: Simulation, boards: int, spare: int = 0) -> Rows:
+def _rows_of_distinct(scenes: Sequence[Scene], width: int, sim: Simulation, boards: int, padding: int = 0) -> Rows:
     """The rows of scenes that are all different, in the form of ``rows_of``."""
     boards = max(boards, *map(more_shapes, scenes))
     n = len(scenes)
-    rows = _empty(n + spare, width, boards)
+    rows = _empty(n + padding, width, boards)
     for name, values in _scene_values(scenes).items():
-        rows[name] = np.empty((n + spare, *values.shape[1:]), values.dtype)
+        rows[name] = np.empty((n + padding, *values.shape[1:]), values.dtype)
         rows[name][:n] = values
 
     def put(group: tuple[list[int], bool]) -> None:

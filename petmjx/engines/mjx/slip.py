@@ -68,8 +68,8 @@ class SlipLaw:
         excess: Float[Array, " contact"],
         slides: Bool[Array, " contact"],
     ) -> tuple[Velocities, Rows, Float[Array, " contact"], Bool[Array, ""], Int[Array, ""]]:
-        """Accelerations and forces of one world for this excess (petmjx/world/contact_laws.py); the resulting change of
-        the excess, m/s²; whether another round is needed; and the number of iterations."""
+        """Accelerations and forces of one world for these slip excesses (petmjx/world/contact_laws.py); the resulting
+        changes of the slip excesses, m/s²; whether another round is needed; and the number of iterations."""
         friction = problem.sliding[:, 0]
         qacc, force, residual, iterations = self._solver.solve(problem, pull.at[:, 0].add(-friction * excess), start)
         dragged = _tangent(force / problem.stiffness)
@@ -79,8 +79,8 @@ class SlipLaw:
     def _begin(
         self, problem: Problem, pull: Rows, start: Velocities
     ) -> tuple[Float[Array, " contact"], Bool[Array, " contact"]]:
-        """The initial excess of one world's contacts (petmjx/world/contact_laws.py), m/s², and whether each contact
-        slides."""
+        """The initial slip excess of each contact of one world (petmjx/world/contact_laws.py), m/s², and whether the
+        contact slides."""
         most = _tangent(pull) - self._slack
         beyond = _tangent(self._solver.links.along(problem.jacobian, start) - pull) - self._slack
         return jnp.clip(beyond, 0.0, jnp.maximum(most, 0.0)), most > 0

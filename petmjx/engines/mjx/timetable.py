@@ -103,7 +103,7 @@ def _after(clock: Float64[np.ndarray, " step"], wait_s: float, timestep_s: float
     """For each step, the first step that is at least ``wait_s`` later. A step beyond the end of the clock is replaced
     by the step after the clock's last step."""
     n = len(clock) - 1
-    # The clock is a sum of rounded timesteps, so the right step is at most one away from this one.
+    # The clock is a sum of rounded timesteps, so the right step differs from this estimate by at most one.
     after = np.minimum(np.arange(n + 1) + seconds_to_steps(wait_s, timestep_s), n + 1)
     for _ in range(2):
         inside = np.minimum(after, n)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from petmjx.common.units import seconds_to_steps
 from petmjx.engines.contact_penetration import stiffened
 from petmjx.engines.metrics import CONFIRM_S
-from petmjx.engines.mjx.scene_rows import Rows, gather_rows, more_shapes, rows_of, with_spare_rows
+from petmjx.engines.mjx.scene_rows import Rows, gather_rows, more_shapes, rows_of, with_padding_rows
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import ACCELERATION, FORCE, Drive, Excitation, Job
 
@@ -50,7 +50,7 @@ class Worlds(NamedTuple):
     Ends: ``settles``: the placement ends in a settled state, because a drive starts from this state, or because the
     state is kept. ``ends_when_lost``: see ``has_errors`` of ``petmjx.world.job.Job``. ``confirm_steps``: a fall is
     confirmed this number of steps after the first sign of failure (``petmjx.engines.metrics.CONFIRM_S``); ``NEVER`` if
-    the world has more to show than a fall. ``pauses``: when its boxes are at rest, the world waits for further boxes
+    the world does more than confirm a fall. ``pauses``: when its boxes are at rest, the world waits for further boxes
     (petmjx/engines/open_worlds.py). ``ends_when_gone``: the world is a trial, which ends when a box is gone.
     ``most_steps`` is the number of steps after which the world leaves a GPU (petmjx/engines/warp/continued_worlds.py).
 
@@ -126,9 +126,9 @@ def device_arrays(arrays: Iterable[NDArray[Any]]) -> list[jax.Array]:
     return uploads
 
 
-MANY_SPARE: Final = 4096
-"""Number of spare rows from which on the device repeats the first row. To fill in and upload 10,000 spare rows of 24 kB
-each would delay a run's first step."""
+MANY_PADDING_ROWS: Final = 4096
+"""Smallest number of padding rows that the device makes, by repeating the first row. To fill in and upload 10,000
+padding rows of 24 kB each would delay a run's first step."""
 
 
 def padded_rows(count: int) -> int:
@@ -148,26 +148,27 @@ def upload_worlds(
     operation would first have to be compiled for each shape.
 
     Args:
-        rows: number of rows of the tables, at least one per job. Spare rows repeat the first job's scene and never run.
+        rows: number of rows of the tables, at least one per job. Padding rows repeat the first job's scene and never
+            run.
         width: number of box columns.
         profiles: ``id`` of an excitation → its row in the table of profiles.
         boards: number of columns for the shapes of a carrier; increased if a carrier has more shapes.
     """
-    on_host = rows if rows - len(jobs) < MANY_SPARE else padded_rows(len(jobs))
-    spare = on_host - len(jobs)
-    of_scenes = _rows_of_scenes(jobs, width, sim, boards, spare)
+    on_host = rows if rows - len(jobs) < MANY_PADDING_ROWS else padded_rows(len(jobs))
+    padding = on_host - len(jobs)
+    of_scenes = _rows_of_scenes(jobs, width, sim, boards, padding)
     of_jobs = _rows_of_jobs(jobs, profiles, sim.physics.timestep_s)
-    of_jobs = {name: with_spare_rows(values, spare) for name, values in of_jobs.items()}
+    of_jobs = {name: with_padding_rows(values, padding) for name, values in of_jobs.items()}
     columns = of_scenes | of_jobs | {"ends_when_gone": np.zeros(on_host, np.bool_)}
     worlds = Worlds(**dict(zip(columns, device_arrays(columns.values()), strict=True)))
-    return worlds if on_host == rows else _with_spare_rows(worlds, rows)
+    return worlds if on_host == rows else _with_padding_rows(worlds, rows)
 
 
-def _rows_of_scenes(jobs: Sequence[Job], width: int, sim: Simulation, boards: int, spare: int) -> Rows:
+def _rows_of_scenes(jobs: Sequence[Job], width: int, sim: Simulation, boards: int, padding: int) -> Rows:
     """The rows of the jobs' scenes, as ``rows_of`` makes them. ``rows_of`` is called once for each stiffness of
     contacts, because the place at which a box is released depends on the stiffness."""
     if all(job.stiff is None for job in jobs):
-        return rows_of([job.scene for job in jobs], width, sim, boards, spare)
+        return rows_of([job.scene for job in jobs], width, sim, boards, padding)
     boards = max(boards, *(more_shapes(job.scene) for job in jobs))
     numbers, parts = list[int](), list[Rows]()
     for stiff in dict.fromkeys(job.stiff for job in jobs):
@@ -175,14 +176,14 @@ def _rows_of_scenes(jobs: Sequence[Job], width: int, sim: Simulation, boards: in
         of_part = sim if stiff is None else stiffened(sim, stiff)
         parts.append(rows_of([jobs[number].scene for number in alike], width, of_part, boards))
         numbers += alike
-    source = np.concatenate([np.argsort(numbers), np.full(spare, numbers.index(0))])
+    source = np.concatenate([np.argsort(numbers), np.full(padding, numbers.index(0))])
     joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     return dict(zip(joined, gather_rows(joined.values(), source), strict=True))
 
 
 @partial(jax.jit, static_argnames="rows")
-def _with_spare_rows(worlds: Worlds, rows: int) -> Worlds:
-    """The rows of worlds, followed by spare rows that repeat the first row."""
+def _with_padding_rows(worlds: Worlds, rows: int) -> Worlds:
+    """The rows of worlds, followed by padding rows that repeat the first row."""
 
     def extended(values: jax.Array) -> jax.Array:
         return jnp.concatenate([values, jnp.broadcast_to(values[:1], (rows - len(values), *values.shape[1:]))])

@@ -40,8 +40,8 @@ class Status:
 class State(NamedTuple):
     """The states of worlds between two steps. Steps are counted from the end of the soft start."""
 
-    # MuJoCo's arrays of free bodies, with boxes and carrier in separate arrays. The arrays are poses, what single
-    # precision leaves off the positions (on mjx-warp; else 0), velocities, accelerations of the last step, and
+    # MuJoCo's arrays of free bodies, with boxes and carrier in separate arrays. The arrays are poses, the remainders of
+    # positions that single precision cannot hold (on mjx-warp; else 0), velocities, accelerations of the last step, and
     # accelerations from which mjx-warp's solver starts in the next step. Other solvers start from the accelerations of
     # the last step.
     qpos: Float[Array, "world box 7"]
@@ -99,7 +99,7 @@ class State(NamedTuple):
     tremble_qpos: Float[Array, "world box 7"]
 
     # Future events, as steps or NEVER: the start of the drive, the start of the rest window, and the end of the world.
-    # And the poses at the step from which on boxes must be still, shortly before the end.
+    # Also: the poses at the step from which on boxes must be still, shortly before the end.
     driven_from: Int[Array, " world"]
     rest_from: Int[Array, " world"]
     end: Int[Array, " world"]

@@ -81,7 +81,7 @@ class Budget:
     def words(self) -> str:
         """A message of one line for a world that used up its time."""
         kind = "" if self._timeout_s is not None else " of CPU time"
-        return f"no verdict within {duration(self._most_s)}{kind}: {self._reach}; world_timeout_s allows more"
+        return f"no verdict within {duration(self._most_s)}{kind}: {self._reach}; world_timeout_s allows more time"
 
     @property
     def _reach(self) -> str:

@@ -13,8 +13,9 @@ class Explosion:
     """Detects simulations that cannot be right: accelerations stay large for some time, and no failed box causes them.
 
     When light boxes land, or tipping boxes hit something, accelerations reach 240 rad/s² for a few steps. A single
-    sample with such accelerations is not an explosion. So samples right after a placement are ignored. And an explosion
-    is detected only if accelerations stay large, from sample to sample, for the time that a box needs to land.
+    sample with such accelerations is not an explosion. So samples right after a placement are ignored. In addition, an
+    explosion is detected only if accelerations stay large, from sample to sample, for the time that a box needs to
+    land.
 
     Args:
         landing: number of steps that a box needs to land.

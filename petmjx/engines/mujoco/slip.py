@@ -113,8 +113,8 @@ class SlipLaw:
         before, aref_one, aref_two = aref[normal], aref[one], aref[two]
 
         def excess_at(qacc: FloatArray, dragged: FloatArray | float) -> FloatArray:
-            """(k,) excess of each contact at the given accelerations, m/s². ``dragged``: R_t · |f_t| of each contact
-            (regularisation times tangential force), m/s².
+            """(k,) slip excess of each contact at the given accelerations, m/s². ``dragged``: R_t · |f_t| of each
+            contact (regularisation times tangential force), m/s².
             """
             mujoco.mj_mulJacVec(model, data, along, qacc)
             beyond = np.hypot(along[one] - aref_one, along[two] - aref_two)

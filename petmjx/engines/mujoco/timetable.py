@@ -58,8 +58,8 @@ class Waits:
         Args:
             n_boxes: number of boxes of the plan.
             all_placed: whether all boxes are placed.
-            restless: whether an earlier wait ended while boxes were moving, and this wait is not the world's last, so
-                that it is short.
+            restless: whether this wait must be short, because an earlier wait ended while boxes were moving, and this
+                wait is not the world's last.
         """
         self.since, self._boxes, self._all_placed = step, n_boxes, all_placed
         self._patient = self._sim.waits_for_rest and self.adapts and not self._is_plain_static
@@ -138,8 +138,8 @@ class Waits:
         return seconds_to_steps(self._sim.duration_s, self._dt)
 
     def end_of_fixed(self, n_boxes: int) -> int:
-        """The last step with the fixed schedule and without a drive. The value is ``NEVER`` if this step is not known
-        in advance.
+        """The last step of a world with the fixed schedule and without a drive. The value is ``NEVER`` if this step is
+        not known in advance.
         """
         if self._adaptive or self.settles:
             return NEVER

@@ -1,4 +1,5 @@
-"""The force on top of each box, from MuJoCo's contacts, in NumPy. petmjx/engines/mjx/top_forces.py does it in JAX.
+"""The force on top of each box, from MuJoCo's contacts, in NumPy. petmjx/engines/mjx/top_forces.py does the same in
+JAX.
 
 The forces of many steps are computed together, from copies of the data of each step.
 """

@@ -198,7 +198,7 @@ class WorldRun:
         return n_steps
 
     def _is_spent(self) -> bool:
-        """Whether the world has used up its iterations. If so, the world gets a flag."""
+        """Whether the world has used up its iterations. A world without iterations left gets a flag."""
         if self._stepper.is_spent:
             self._flags |= self._flag_of_end(Flag.ITERATION_LIMIT)
         return self._stepper.is_spent

@@ -11,13 +11,13 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 PIECES: Final = 4
-"""Used for engines that simulate job after job. The expected time of the jobs that a thread may hold is the expected
-time of all waiting jobs, divided by this number and by the number of threads. So all threads end at about the same
-time, although expected times are estimates."""
+"""A limit for engines that simulate job after job: the jobs that a thread may hold take at most the expected time of
+all waiting jobs, divided by ``PIECES`` and by the number of threads. So all threads end at about the same time,
+although expected times are estimates."""
 
 MOST_JOBS: Final = 64
 """Largest number of jobs per thread of a worker whose engine simulates job after job, so that little work is lost if
-the worker dies. With a reserve, a worker may hold twice as many."""
+the worker dies. A worker that holds jobs in reserve (``PLENTY``) may hold twice as many."""
 
 PLENTY: Final = 4
 """Workers hold jobs in reserve while more than this number of jobs per thread is waiting. With fewer waiting jobs, a
@@ -37,8 +37,8 @@ class Hand:
         ready: whether the worker can take jobs.
         begun: whether the worker has got jobs in this run.
         costs: number of a job → its expected time, for the jobs without an outcome.
-        suspects: number of jobs in the group of suspects that the worker got; 0 if it holds no suspects. Until all of
-            them have outcomes, the worker gets no other jobs.
+        suspects: number of jobs in the group of suspects (jobs whose workers have died twice) that the worker got; 0 if
+            it holds no suspects. Until all of them have outcomes, the worker gets no other jobs.
     """
 
     threads: int = 1
@@ -77,10 +77,10 @@ class JobDealer:
     A worker begins with at least ``begin_with`` jobs, unless no more jobs come.
 
     The first death of a worker may have an outside cause, so its jobs are given out again like other jobs. Jobs whose
-    workers have died twice are *suspects*. They wait until no other jobs are left. If n suspects come from the death of
-    one worker, they are given out in groups of √n jobs, each group to a worker that holds no other job. If a worker
-    dies again, the jobs of its group are given out one by one. A job is given up if it was the only job in a worker
-    that died.
+    workers have died twice are *suspects*. Suspects wait until no other jobs are left. If n suspects come from the
+    death of one worker, they are given out in groups of √n jobs, each group to a worker that holds no other job. If a
+    worker dies again, the jobs of its group are given out one by one. A job is given up if it was the only job in a
+    worker that died.
 
     Args:
         least: if there are fewer jobs than this number, one worker gets all jobs. None: the engine simulates job after
@@ -195,8 +195,8 @@ class JobDealer:
         hand.suspects = hand.suspects if hand.costs else 0
 
     def died(self, hand: Hand) -> list[int]:
-        """Record that a worker died. Its jobs wait again, except for jobs that are given up. Returns the numbers of the
-        jobs that are given up."""
+        """Record that a worker died. The worker's jobs wait again, except for jobs that are given up. Returns the
+        numbers of the jobs that are given up."""
         jobs = [*hand.costs]
         self._deaths.update(jobs)
         if hand.suspects == 1:
@@ -212,7 +212,7 @@ class JobDealer:
         return []
 
     def put_back(self, hand: Hand) -> None:
-        """Record that a worker died before it started the jobs that it holds. These jobs wait again."""
+        """Record that a worker died before it started the jobs that it holds. The jobs of the worker wait again."""
         if hand.suspects:
             self._suspects.appendleft(tuple(hand.costs))
             return

@@ -40,7 +40,7 @@ REPORT_S = 0.2
 receives it."""
 
 Packet = list[tuple[int, Job]]
-"""Jobs that a worker gets at once, and the numbers by which the pool knows them."""
+"""Jobs that a worker gets at once, and the numbers by which the worker pool knows the jobs."""
 
 
 @dataclass(frozen=True)
@@ -169,7 +169,7 @@ class Worker:
             outcomes = _checked_outcomes(answered, jobs.sim, check_pool, wait=not going or not jobs.unanswered)
             if outcomes or not going or progress.message != last_message:
                 last_message = progress.message
-                # copies, since the engine keeps writing into these
+                # copies, since the engine goes on changing the originals
                 so_far = replace(progress, extra=dict(progress.extra), notes=dict(progress.notes))
                 yield pickle.dumps(Report(outcomes, so_far, jobs.error))
 
@@ -201,7 +201,7 @@ class _RunJobs:
 
     Attributes:
         stream: the stream from which the engine takes jobs. An engine that waits for many jobs gets the jobs that there
-            are, since the pool may have no others.
+            are, since the worker pool may have no others.
         count: number of jobs so far.
         error: the exception that ended the run.
     """
@@ -246,7 +246,8 @@ class _RunJobs:
         self.stream.followed()
 
     def answered(self, outcome: Outcome, engine: str) -> None:
-        """Take an outcome of the engine. Its stream number becomes the number that the pool gave the job."""
+        """Take an outcome of the engine. The outcome's stream number becomes the number that the worker pool gave the
+        job."""
         try:
             outcome.job, job = self.stream.answered(outcome.job)
         except KeyError:

@@ -93,7 +93,7 @@ def _restored_process() -> Iterator[None]:
 def _restored_sigterm() -> Iterator[None]:
     """Restores the handler of SIGTERM. Ray's own handler prints a list of addresses when the process ends, or ends the
     process silently once Ray has ended. In Python, only the main thread may set handlers, and it may be busy reading
-    plans. So this class calls C's ``sigaction``."""
+    plans. So ``_restored_sigterm`` calls C's ``sigaction``."""
     libc, saved_action = ctypes.CDLL(None), ctypes.create_string_buffer(_SIGACTION_BYTES)
     libc.sigaction(int(signal.SIGTERM), None, saved_action)
     try:
@@ -169,8 +169,8 @@ class _LocalRay:
         self.end()
         with suppress(KeyboardInterrupt):
             self._thread.join(END_S)
-        if self._thread.is_alive():  # Ray's processes will die with this process
-            atexit.unregister(self._ray.shutdown)  # this function would also wait for Ray
+        if self._thread.is_alive():  # Ray's processes end with this process.
+            atexit.unregister(self._ray.shutdown)  # This function would also wait for Ray.
             self._remove_folder()
 
     def _start(self) -> None:

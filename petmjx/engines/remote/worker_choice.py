@@ -44,7 +44,7 @@ class WorkerStartup:
         self._thread.start()
 
     def take(self) -> Begun:
-        """The started cluster and pool of workers. The caller must close them.
+        """The started cluster and pool of workers. The caller must close the cluster and the worker pool.
 
         Raises:
             InputError, EngineUnavailable: see ``resolve_workers``.
@@ -57,8 +57,8 @@ class WorkerStartup:
             self._decided.set()
 
     def give_up(self) -> None:
-        """Close the cluster and the pool as soon as they have started, in the thread that starts them. Returns at once.
-        If this process ends before they are closed, it waits for that thread, at most ``END_S`` seconds."""
+        """Close the cluster and the worker pool as soon as they have started, in the thread that starts them. Returns
+        at once. If this process ends before they are closed, it waits for that thread, at most ``END_S`` seconds."""
         self._decided.set()
 
     def _live(self) -> None:
@@ -104,20 +104,20 @@ class WorkerStartup:
 
 
 def resolve_workers(
-    options: RunOptions, work: Work, costs: Costs, ahead: WorkerStartup | None = None
+    options: RunOptions, work: Work, costs: Costs, startup: WorkerStartup | None = None
 ) -> tuple[WorkerPool, Choice]:
     """The pool of workers for a run, and the reason for the choice of its engine. The engine ``auto`` is chosen by the
     CPUs and GPUs of the cluster.
 
     Args:
-        ahead: workers that have already been started for these options.
+        startup: workers that have already been started for these options.
 
     Raises:
         InputError: the options are unusable, there is no cluster at the address, or the cluster does not have enough
             CPUs or GPUs for this number of workers.
         EngineUnavailable: Ray is not installed, or the engine cannot run in a worker.
     """
-    cluster, pool = ahead.take() if ahead is not None else (_run_cluster(options), None)
+    cluster, pool = startup.take() if startup is not None else (_run_cluster(options), None)
     try:
         choice = _pool_choice(options, cluster.nodes, work, costs)
         if pool is not None and pool.name != choice.name:
@@ -157,7 +157,7 @@ def _pool_choice(options: RunOptions, nodes: list[Node], work: Work, costs: Cost
             threads,
             used,
             why_no_gpu=lambda: why_no_gpus(nodes, workers),
-            why_no_kernel=lambda: "not chosen for workers",  # each worker would have to compile the kernels
+            why_no_kernel=lambda: "not chosen for workers",  # since each worker would have to compile the kernels
         )
     return Choice(name, reason, seconds.get(name))
 

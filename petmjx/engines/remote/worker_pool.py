@@ -35,9 +35,9 @@ FEED_S = 0.05
 """Longest wait for messages, s, while a worker has no jobs and further jobs are being made."""
 
 START_S = 30.0
-"""Longest wait for the first worker when the pool is created, s. So an engine that cannot run in a worker is reported
-before a run begins. A busy cluster may need longer. If no worker is ready after this time, the run begins without a
-worker, and waits for the first."""
+"""Longest wait for the first worker when a worker pool is created, s. So an engine that cannot run in a worker is
+reported before a run begins. A busy cluster may need longer. If no worker is ready after this time, the run begins
+without a worker, and waits for the first."""
 
 FALSE_STARTS = 3
 """If this number of workers in a row fail to start, the run ends, or dead workers are no longer replaced."""
@@ -58,7 +58,7 @@ reported; for other names, the sum."""
 
 @dataclass(eq=False)
 class _WorkerRecord:
-    """The pool's record of a worker.
+    """The worker pool's record of a worker.
 
     Attributes:
         hello: Ray's reference to the worker's first message; None when this message has arrived.
@@ -84,7 +84,7 @@ class _WorkerRecord:
 
 @dataclass(eq=False)
 class _PoolRun:
-    """A run of the pool.
+    """A run of a worker pool.
 
     Attributes:
         compiled_s: time that earlier runs spent on compiling programs, s.
@@ -228,7 +228,7 @@ class WorkerPool(Engine):
             progress.message = before
         finally:
             busy = [worker for worker in self._workers if worker.reports is not None]
-            for worker in busy:  # nobody needs these workers' other outcomes
+            for worker in busy:  # the run has ended, so nobody needs further outcomes
                 self._workers.remove(worker)
                 self._kill(worker)
 
@@ -255,7 +255,8 @@ class WorkerPool(Engine):
         # a worker takes packets of jobs while it reports about its run
         remote = self._ray.remote(Worker).options(**resources, max_concurrency=2, max_restarts=0)
         threads = None if self.name in LEAST else place.cpus
-        thorough = self.name != "mjx-warp" or self._deaths > 0  # after a death, the device may be broken
+        # after a worker's death, its device may be broken, so the next worker tries its engine first
+        thorough = self.name != "mjx-warp" or self._deaths > 0
         options = {"check_pool": self._check_pool, "thorough": thorough}
         actor = remote.remote(self._recipe, os.environ.get("PETMJX_CACHE_DIR"), threads, **options)
         return _WorkerRecord(place, actor, actor.hello.remote(), Hand(place.cpus), working=thorough)

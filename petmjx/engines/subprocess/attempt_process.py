@@ -179,7 +179,7 @@ def serve_attempts(make_engine: Callable[[str], Engine]) -> None:
     pool = ThreadPoolExecutor(max(cpu_threads() - 1, 1), thread_name_prefix="petmjx-attempts")
     while (task := next_of(tasks)) is not None:
         pool.submit(answer, task)
-    os._exit(0)  # the outcomes of running tasks are no longer needed
+    os._exit(0)  # ends running tasks, whose outcomes are no longer needed
 
 
 def answer_to(

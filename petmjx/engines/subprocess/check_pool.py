@@ -89,7 +89,7 @@ class CheckPool(Generic[Key]):
 
     @classmethod
     def here(cls) -> CheckPool[Key]:
-        """A pool with the number of processes that suits the number of CPU threads of this machine."""
+        """A check pool with the number of processes that suits the number of CPU threads of this machine."""
         return cls(max_check_processes(cpu_threads()))
 
     def hurry(self) -> None:
@@ -159,7 +159,8 @@ class CheckPool(Generic[Key]):
 
     def _take(self, process: _CheckProcess[Key], *, wait: bool, until: Callable[[], bool] = lambda: False) -> None:
         """Take those answers of a process that have already arrived. With ``wait``, wait for at least one answer,
-        unless the caller has other work (``until``). A process that has died or hangs is removed from the pool."""
+        unless the caller has other work (``until``). A process that has died or hangs is removed from the check
+        pool."""
         waits = 0  # waits are counted instead of seconds: while this process is stopped (Ctrl-Z), no answer is late
         while process.unanswered:
             try:

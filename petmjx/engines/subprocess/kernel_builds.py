@@ -97,7 +97,7 @@ class KernelBuilds:
                 if answer is None:
                     child.end()
                 self._begin_next(child if answer is not None else None)
-                yield answer or BuildAnswer(build, 0.0, "the process that compiled it died")
+                yield answer or BuildAnswer(build, 0.0, "the process that compiled the kernel died")
         finally:
             for child in self._children:
                 child.end()

@@ -49,7 +49,7 @@ class Child:
             )
             for target in (self._write, self._read):
                 threading.Thread(target=target, args=(self._popen,), name="petmjx-pipe", daemon=True).start()
-        except (OSError, RuntimeError):  # too little memory, or an interpreter inside another program
+        except (OSError, RuntimeError):  # memory is short, or no interpreter can be started
             self.answers.put(None)
 
     @property
@@ -125,7 +125,7 @@ def own_pipes(nice: int) -> tuple[IO[bytes], IO[bytes]]:
     if hasattr(os, "nice"):
         os.nice(nice)
     answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # output of libraries must not mix with answers
+    os.dup2(2, 1)  # libraries that print must not print among the answers
     return sys.stdin.buffer, answers
 
 

@@ -62,7 +62,8 @@ def _bytes_of(values: NDArray[Any]) -> NDArray[np.uint8]:
 
 @cache
 def _axis(axis: str) -> tuple[str, ...]:
-    """Names of the compared fields of ``Worlds`` whose second axis is this one; "": fields of the whole world."""
+    """Names of the compared fields of ``Worlds`` whose second axis is ``axis``. If ``axis`` is "", the names of the
+    fields with one value per world."""
     axis_of = {
         name: second if second in ("box", "body", "shape") else ""
         for name, second in second_axes(Worlds).items()

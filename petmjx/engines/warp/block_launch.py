@@ -49,7 +49,7 @@ def launch_device() -> wp.Device:
     Warp's own default is another device if several GPUs are visible: it is the GPU whose context the calling thread has
     used last, and JAX uses the contexts of all GPUs when it starts. A kernel cannot read arrays of another GPU.
     """
-    import jax  # processes that only compile kernels do not need JAX
+    import jax  # imported here, since processes that only compile kernels do not need JAX
 
     (device,) = jax.device_put(np.zeros((), np.float32)).devices()
     return wp.device_from_jax(device)
@@ -120,8 +120,8 @@ def launch_all(calls: Sequence[Call], clock: Any, slice_ns: int) -> None:
             for block in range(max(call.blocks for call in calls)):
                 running.append(_threads().submit(run, block))
             wait(running, timeout=min(slice_ns / 1e9, threading.TIMEOUT_MAX))
-        finally:  # also after an error, since the memory of the blocks is then freed
-            clock.numpy()[0] = 1  # stops the blocks, which read this number
+        finally:  # Also after an error, since the memory of the blocks is freed afterwards.
+            clock.numpy()[0] = 1  # Stops the blocks, which read this number.
             wait(running)
         for future in running:
             future.result()

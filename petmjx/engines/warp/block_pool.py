@@ -44,22 +44,22 @@ class BlockPool:
 
     @classmethod
     def of(cls, launch: Launch, blocks: int, n_boxes: int, boards: int, room: int) -> BlockPool:
-        """A pool whose buffers have room for the contacts and pairs of ``room`` boxes in each world."""
+        """A block pool whose buffers have room for the contacts and pairs of ``room`` boxes in each world."""
         return cls(launch, blocks, n_boxes, boards, *pairs_and_contacts(room + boards - 1))
 
     def halved(self) -> BlockPool:
-        """The same pool with half the number of blocks, but not fewer than ``MIN_BLOCKS``. Smaller pools do not
-        change."""
+        """The same block pool with half the number of blocks, but not fewer than ``MIN_BLOCKS``. A block pool with
+        ``MIN_BLOCKS`` blocks or fewer does not change."""
         return replace(self, blocks=min(self.blocks, max(self.blocks // 2, MIN_BLOCKS)))
 
     @property
     def is_extra(self) -> bool:
-        """Whether another pool also has room for the worlds of this pool."""
+        """Whether another block pool also has room for the worlds of this block pool."""
         return self.last or self.least > 0
 
     @property
     def most_idle(self) -> int:
-        """Largest number of lanes (places for a world) that may be empty while the pool is used."""
+        """Largest number of lanes (places for a world) that may be empty while the block pool is used."""
         return self.lanes - self.least if self.least else NEVER
 
     @property
@@ -69,5 +69,5 @@ class BlockPool:
 
     @property
     def sizes(self) -> dict[str, int]:
-        """Sizes of the axes of the pool's workspace."""
+        """Sizes of the axes of the block pool's workspace."""
         return world_arrays.axes(self.lanes, self.n_boxes, self.boards, self.npairmax, self.nconmax)

@@ -32,9 +32,9 @@ class BlockPools:
         self.buffers = ContactBuffers()
 
     def of(self, table: WorldTable) -> tuple[BlockPool, ...]:
-        """The block pools of a table. Pools for the last worlds and for small worlds, if there are any, come first.
-        Then comes one pool for each queue of ``KernelFeatures.queues``. ``Programs._advance`` makes the queues in the
-        order of the pools."""
+        """The block pools of a table. Block pools for the last worlds and for small worlds, if there are any, come
+        first. Then comes one block pool for each queue of ``KernelFeatures.queues``. ``Programs._advance`` makes the
+        queues in the order of the block pools."""
         run = table.run
         of_size = {size: self._of_size(run, size, table.boards) for size in run.needs.sizes}
         pools = tuple(
@@ -42,10 +42,10 @@ class BlockPools:
             for stiff, size in run.needs.queues
         )
         usual = self.buffers.growth(run, run.needs.sizes[-1]) == 1
-        # There is no pool for small worlds if buffers are enlarged: each of the pool's many lanes would need an
-        # enlarged buffer. There is no pool for small worlds with stiff contacts either. With stiff contacts, a step
-        # takes five times as many iterations, and in some worlds many more, for which the other worlds of the block
-        # would wait.
+        # There is no block pool for small worlds if buffers are enlarged: each of its many lanes would need an enlarged
+        # buffer. There is no block pool for small worlds with stiff contacts either. With stiff contacts, a step takes
+        # five times as many iterations, and in some worlds many more, for which the other worlds of the block would
+        # wait.
         if usual and not is_stiff(run.sim.physics):
             worlds = int((np.asarray(table.table.placed)[: len(table.jobs)] <= FEW_BOXES.most_boxes).sum())
             few = small_world_pool(pools[-1], worlds, self._lanes)

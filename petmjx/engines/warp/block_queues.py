@@ -41,8 +41,8 @@ class Queues:
 
     Third, worlds that have completed a leg of a chain (a part of a journey) come before all others. Among them, the
     world that was queued last comes first. So chains end one after another during the whole run, and the CPU writes
-    their results during the simulation. If length alone decided, the short last legs of all chains would come at the
-    end of the run.
+    their results during the simulation. If worlds were sorted by expected time alone, the short last legs of all chains
+    would come at the end of the run.
 
     Args:
         queues: the queues, in order (``kernel_features.Queue``).
@@ -85,7 +85,7 @@ class Queues:
 
     def examine(self, jobs: Sequence[Job], live: NDArray[np.bool_]) -> None:
         """Find out in which worlds loads act beyond or near edges, for as many worlds as ``EXAMINING_S`` allows, the
-        longest first. These worlds then begin earlier.
+        longest first. Worlds with loads beyond or near edges then begin earlier.
 
         Args:
             jobs: the job of each row.

@@ -31,16 +31,16 @@ PAUSE_S: Final = 0.05
 """Interval at which answers are awaited when no world is left on the GPU, s."""
 
 WORTH_A_PROCESS: Final = 64
-"""With this number of worlds in the first table, the process for long worlds starts before a world needs it. It takes
-some seconds to start."""
+"""With 64 worlds or more in the first table, the process for long worlds starts before a world needs it. The process
+takes some seconds to start."""
 
 
 def most_steps(jobs: Sequence[Job], sim: Simulation) -> NDArray[np.int32]:
     """(n,) number of steps after which the world of each job leaves the GPU.
 
-    The result is ``NEVER`` for worlds that stay: with the fixed schedule, in which all worlds are long, for placements
-    from whose states drives start, since these drives wait for them, and for worlds that begin or end with a placement
-    that pauses.
+    The number is ``NEVER`` for worlds that stay on the GPU. With the fixed schedule, all worlds stay, since all are
+    long. A placement from whose state drives start also stays, since the drives wait for the state. Worlds that begin
+    or end with a placement that pauses stay, too.
     """
     if sim.schedule is Schedule.FIXED:
         return np.full(len(jobs), NEVER, np.int32)
@@ -66,7 +66,8 @@ class ContinuedWorlds:
         self._many, self._prepared = False, set[bool]()
         """Whether there are many jobs; and whether the worlds for which the process is ready have drives."""
         self._left: dict[int, tuple[Job, Outcome]] = {}
-        """Stream number → job and outcome of each world that is simulated, as it left."""
+        """Stream number → job of each world that a CPU thread continues, and outcome with which the world left the
+        GPU."""
 
     def prepare(self, jobs: Sequence[Job]) -> None:
         """Start the process before the first slice, if there are many jobs. The process then simulates a world of one
@@ -82,14 +83,14 @@ class ContinuedWorlds:
             self._simulator.begin(AttemptTask(READY, ENGINE, Job(job.scene.first(1), job.drive), self._sim))
 
     def take(self, job: Job, outcome: Outcome) -> bool:
-        """Continue a world if it has left the GPU. Returns whether it has; if not, its outcome is final."""
+        """Continue a world that has left the GPU. Returns False if the world has not left the GPU, so that its outcome
+        is final."""
         self._get_ready(job)
         if not (isinstance(outcome.state, State) and int(outcome.state.status) == Status.LEFT):
             return False
         self._progress.notes[f"long worlds were simulated to their ends on {ENGINE}"] = None
         self._left[outcome.job] = job, outcome
-        # without ``poses``: they are the boxes' poses at the beginning of the drive, and the world has left the GPU
-        # later
+        # without ``poses``, which are the boxes' poses at the beginning of the drive: the world left the GPU later
         continued = replace(job, start=outcome.state, poses=None)
         self._simulator.begin(AttemptTask(outcome.job, ENGINE, continued, self._sim))
         return True

@@ -110,8 +110,8 @@ class MjxWarpEngine(Engine):
             return paths(bodies, sim, self._blocks, self.slice_ns, self.most_rows)
 
     def _continued(self, sim: Simulation, progress: Progress) -> ContinuedWorlds | None:
-        """An object that takes long worlds from this engine, and simulates them to their ends. None: this engine
-        simulates all worlds to their ends."""
+        """An object that takes long worlds from this engine, and simulates them to their ends. If the result is None,
+        this engine simulates all worlds to their ends."""
         return None
 
     def _drop(self) -> None:

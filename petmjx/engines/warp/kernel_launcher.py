@@ -1,9 +1,9 @@
 """Launches the kernels of mjx-warp, in a call from JAX in which each world advances at its own pace (docs/batching.md).
 
 The thread blocks for worlds of one size form a block pool, which has its own kernel
-(petmjx/engines/warp/block_launch.py) and its own queue of worlds. All pools run at the same time on the same tables of
-worlds. States are in the tables of petmjx/engines/mjx/world_state.py, and an interrupted world continues in the next
-call. So results do not depend on the blocks, on the order of worlds, or on the length of a slice.
+(petmjx/engines/warp/block_launch.py) and its own queue of worlds. All block pools run at the same time on the same
+tables of worlds. States are in the tables of petmjx/engines/mjx/world_state.py, and an interrupted world continues in
+the next call. So results do not depend on the blocks, on the order of worlds, or on the length of a slice.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ class KernelLauncher:
     Args:
         constants: the fields of ``world_arrays.Model``, except those that depend on the block pool.
         pools: block pools, in the order of the queues from which they take worlds. The device starts the blocks of the
-            first pools first.
+            first block pools first.
         slice_ns: length of a time slice, ns. With 0, each block takes one step.
-        of_stiff: ``BlockPool.stiff`` → the constants that pools with this value have instead.
+        of_stiff: ``BlockPool.stiff`` → the constants that block pools with this value have instead.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class KernelLauncher:
             )
             for queue, pool in enumerate(pools)
         ]
-        # extra pools and those for stiff contacts are left out, since they run in the place of blocks of other pools
+        # extra block pools and those for stiff contacts are left out: their blocks take the place of other blocks
         self.blocks = sum(pool.blocks for pool in pools if not pool.is_extra and pool.stiff is None)
         self.lanes = sum(pool.lanes for pool in pools)
         self.slice_ns = slice_ns
@@ -96,8 +96,8 @@ class KernelLauncher:
         workspace: jax.Array,
         frames: Mapping[str, jax.Array],
     ) -> tuple[dict[str, jax.Array], jax.Array, dict[str, jax.Array], dict[str, jax.Array]]:
-        """Simulate the worlds for a time slice. Returns their states, the workspace, the recorded frames, and
-        ``Counts``. Fields of a state that no kernel uses keep their values."""
+        """Simulate the worlds for a time slice. Returns the states of the worlds, the workspace, the recorded frames,
+        and ``Counts``. Fields of a state that no kernel uses keep their values."""
         kinds, shapes = array_types(Counts), world_arrays.array_shapes(Counts, {"queue": len(self.pools)})
         counts = {name: jnp.zeros(shapes[name], wp.dtype_to_numpy(kind.dtype)) for name, kind in kinds.items()}
         arrays = {**worlds, **state, **counts, "workspace": workspace}

@@ -254,8 +254,8 @@ _jitted_fork = jax.jit(fork)
 
 @jax.jit
 def _take(open_: OpenState, rows: Int[Array, " row"], count: Int[Array, ""]) -> OpenState:
-    """Copies of these worlds. Only the first ``count`` copies can continue. The others only fill up the table, and get
-    the status ``FINISHED``."""
+    """Copies of these worlds. Only the first ``count`` copies can continue. All other copies only fill up the table,
+    and get the status ``FINISHED``."""
     return OpenState(take_rows(open_.worlds, rows), _without_padding(take_rows(open_.state, rows), count))
 
 

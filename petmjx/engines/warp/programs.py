@@ -88,7 +88,8 @@ def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
         "kinetic_share": kinetic_share(physics),
         "impratio_invsqrt": physics.impratio**-0.5,
         "tolerance": sim.solver_tolerance or TOLERANCE,
-        "iterations": sim.solver_iterations or MAX_ITERATIONS,  # a world with many iterations delays no other world
+        # as many as in MuJoCo, since a world with many iterations delays no other world
+        "iterations": sim.solver_iterations or MAX_ITERATIONS,
         "driven_iterations": sim.solver_iterations or (MAX_ITERATIONS if has_walls(sim) else DRIVEN_ITERATIONS),
         "ls_iterations": LINE_SEARCH_ITERATIONS,
         "fixed": int(sim.schedule is Schedule.FIXED),
@@ -217,8 +218,8 @@ def load_usual_kernels(sim: Simulation, builds: KernelBuilds | None = None) -> b
 
 
 MOST_KEPT = 16
-"""Number of ``Programs`` objects that are kept. A score with further attempts needs up to four. The largest of these
-objects takes 16 MB."""
+"""Number of ``Programs`` objects that are kept. A score with further attempts needs up to four ``Programs`` objects.
+The largest of these objects takes 16 MB."""
 
 
 @functools.lru_cache(MOST_KEPT)

@@ -26,7 +26,7 @@ def small_world_pool(pool: BlockPool, worlds: int, lanes: int | None = None) -> 
     """The block pool for small worlds; None if this device has no such blocks, or if there are too few small worlds.
 
     Args:
-        pool: the pool from which these worlds come.
+        pool: the block pool from which these worlds come.
         worlds: number of worlds that begin with few boxes.
         lanes: largest number of worlds in blocks of one kind. If ``lanes`` is None, the limit is the number for which
             the device has room.

@@ -19,15 +19,15 @@ SPARE_ROWS: Final = 4
 """A table begins with this number of rows for each of its first jobs, if jobs may follow from outcomes."""
 
 WAITING_ROWS: Final = 8
-"""A table begins with this number of rows for each of its first jobs, if more jobs may follow, but none from outcomes.
-Thread blocks begin with the longest worlds of the table. So the more worlds wait in the table, the shorter are the
-worlds with which the run ends. A GPU begins with 1,600 worlds, so all worlds of a run of 10,000 plans are in the table
-after some slices."""
+"""A table begins with this number of rows for each of its first jobs, if more jobs may come, but none that follow from
+outcomes. Thread blocks begin with the longest worlds of the table. So the more worlds wait in the table, the shorter
+are the worlds with which the run ends. A GPU begins with 1,600 worlds, so all worlds of a run of 10,000 plans are in
+the table after some slices."""
 
 MOST_FOLLOWING_ROWS: Final = 2048
 """Smallest number of rows of a table that further jobs may join later, such as the many drives that follow a single
 placement. (A drive is a motion of the carrier.) If the stream has fewer jobs in all, the table has only as many rows as
-jobs. A GPU has fewer thread blocks than half of this number."""
+jobs. A GPU has fewer than 1,024 thread blocks."""
 
 MOST_JOINING: Final = 256
 """Largest number of jobs that join a table between two time slices (calls of the kernels). Joining takes about 50 ms,
@@ -46,7 +46,7 @@ one call for 256 jobs."""
 
 MOST_PROFILE_BYTES: Final = 1 << 30
 """Largest memory for the profiles (motions of the carrier) of the drives that follow from settled placements, bytes.
-This memory has room for 7,000 different profiles of 20 s. Further worlds wait until the row of a profile is free."""
+1 GiB has room for 7,000 different profiles of 20 s. Further worlds wait until the row of a profile is free."""
 
 _SAMPLE_BYTES: Final = 3 * 4
 

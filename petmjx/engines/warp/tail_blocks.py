@@ -34,7 +34,7 @@ def tail_pool(pool: BlockPool, lanes: int | None = None) -> BlockPool | None:
     """The block pool for the last worlds; None if this pool would be the same as the usual pool, as on a CPU.
 
     Args:
-        pool: the pool from which these worlds come.
+        pool: the block pool from which these worlds come.
         lanes: largest number of worlds in blocks of one kind. If ``lanes`` is None, the limit is the number for which
             the device has room.
     """
@@ -46,11 +46,12 @@ def tail_pool(pool: BlockPool, lanes: int | None = None) -> BlockPool | None:
 
 
 def stiff_pool(pool: BlockPool, stiff: float, lanes: int | None = None) -> BlockPool:
-    """The block pool for worlds with stiffer contacts, in a table of other worlds. Such a world has more steps, with
-    more iterations each, and other worlds may follow from it, so it gets a block like those for last worlds.
+    """The block pool for worlds with stiffer contacts, in a table of other worlds. A world with stiffer contacts has
+    more steps, with more iterations each, and other worlds may follow from this world. So the world gets a block like
+    those for last worlds.
 
     Args:
-        pool: the pool for other worlds of the same size.
+        pool: the block pool for other worlds of the same size.
         stiff: see ``Job.stiff``.
         lanes: see ``tail_pool``.
     """

@@ -200,7 +200,7 @@ class TableSlices:
             if self._rollout is None:
                 continue
             while not table.live.any() and self._outcomes_come and self._source.wait_for_following():
-                # the caller may have closed this generator meanwhile, or takes the outcomes of long worlds
+                # at this ``yield``, the caller may close the generator, or take the outcomes of long worlds
                 yield SliceResult((), table.recorder, {}, {})
             if not table.live.any() and self._join(wait=True):
                 self._keep_under_way(self._rollout)
@@ -325,7 +325,8 @@ def outcomes_of(
     def counted() -> Generator[SliceResult]:
         with closing(slices):
             for next_slice in slices:
-                count(sum(len(batch.rows) for batch in next_slice.picked))  # may be 0 if slices wait for the CPU
+                # the number may be 0 if slices wait for the CPU
+                count(sum(len(batch.rows) for batch in next_slice.picked))
                 yield next_slice
 
     try:

@@ -85,31 +85,31 @@ class Model:
     timestep: float
     gravity: float
     solref: wp.vec2
-    solimp: wp.vec3  # d₀, d_width, width
-    skin: float  # margin added to boxes in collision detection, m
-    carrier_skin: float  # margin added to the carrier in collision detection, m
-    pyramidal: int  # 1 with pyramidal friction cones
-    friction_damping: float  # damping along a contact's tangents, 1/s; 0: the same damping as along the normal
-    slip_slack: float  # tangential acceleration up to which a slip is not corrected, m/s²; inf: no slip is corrected
-    kinetic_share: float  # friction of contacts that slide fast, as a share of friction at rest
-    impratio_invsqrt: wp.float64  # 1 / √impratio
-    tolerance: wp.float64  # tolerance of the solver, as in MuJoCo
-    iterations: int  # largest number of solver iterations
-    driven_iterations: int  # largest number of solver iterations in a drive
-    ls_iterations: int  # largest number of iterations of the solver's line search
+    solimp: wp.vec3  # Impedances d₀ and d_width, and the width of the rise, m.
+    skin: float  # Margin added to boxes in collision detection, m.
+    carrier_skin: float  # Margin added to the carrier in collision detection, m.
+    pyramidal: int  # 1 with pyramidal friction cones.
+    friction_damping: float  # Damping along a contact's tangents, 1/s; 0: the same damping as along the normal.
+    slip_slack: float  # Tangential acceleration up to which a slip is not corrected, m/s²; inf: no slip is corrected.
+    kinetic_share: float  # Friction of contacts that slide fast, as a share of friction at rest.
+    impratio_invsqrt: wp.float64  # 1 / √impratio.
+    tolerance: wp.float64  # Tolerance of the solver, as in MuJoCo.
+    iterations: int  # Largest number of solver iterations.
+    driven_iterations: int  # Largest number of solver iterations in a drive.
+    ls_iterations: int  # Largest number of iterations of the solver's line search.
 
-    queue: int  # the queue from which these blocks take worlds
-    most_idle: int  # if more lanes (places for a world) than this number are empty, all lanes stop until the next call
-    most_placed: int  # a world with more placed boxes than this number moves to other blocks in the next call
-    npairmax: int  # largest number of pairs of near geoms of a world
-    nconmax: int  # largest number of contacts of a world
+    queue: int  # The queue from which these blocks take worlds.
+    most_idle: int  # If more lanes (places for a world) than this number are empty, all lanes stop until the next call.
+    most_placed: int  # A world with more placed boxes than this number moves to other blocks in the next call.
+    npairmax: int  # Largest number of pairs of near geoms of a world.
+    nconmax: int  # Largest number of contacts of a world.
 
     fixed: int  # 1 with the fixed schedule (placements at fixed times)
     waits_for_rest: int
     extends: int  # 1 if a world that still moves at its planned end gets more time
     early_stop: int
-    iteration_limit: int  # largest number of solver iterations of a placement or a drive; NEVER: no limit
-    soft_start: int  # number of steps of a soft start
+    iteration_limit: int  # Largest number of solver iterations of a placement or a drive; NEVER: no limit.
+    soft_start: int  # Number of steps of a soft start.
     sample_every: int
     rest_steps: int
     still_steps: int
@@ -131,12 +131,12 @@ class Model:
     quiet_steps: int
     landing_steps: int
     poll_steps: int
-    hand_rate: float  # rate of the hand's spring, 1/s
-    lowering_rate: float  # rate of the damper by which the hand sets boxes down, 1/s
-    stuck_steps: int  # largest number of steps for which a hand waits
-    film_rate: float  # rate of a box's spring on its film, 1/s
-    landing_time: float  # time in which a landing box is stopped, s
-    landing_lasts: int  # number of steps for which a box counts as landing after its first touch
+    hand_rate: float  # Rate of the hand's spring, 1/s.
+    lowering_rate: float  # Rate of the damper by which the hand sets boxes down, 1/s.
+    stuck_steps: int  # Largest number of steps for which a hand waits.
+    film_rate: float  # Rate of a box's spring on its film, 1/s.
+    landing_time: float  # Time in which a landing box is stopped, s.
+    landing_lasts: int  # Number of steps for which a box counts as landing after its first touch.
     restitution: float
 
     due: wp.array[int]  # index: step; as in Timetable
@@ -173,55 +173,55 @@ class Workspace:
     qacc: Annotated[wp.array2d[wp.float64], "block dof"]
     search: Annotated[wp.array2d[wp.float64], "block dof"]
     grad: Annotated[wp.array2d[wp.float64], "block dof"]
-    Jaref: Annotated[wp.array3d[wp.float64], "block contact 3"]  # J·qacc − aref
-    jv: Annotated[wp.array3d[wp.float64], "block contact 3"]  # J·search
-    contact_force: Annotated[wp.array3d[wp.float64], "block contact 3"]  # force in the contact's frame
-    worst: Annotated[wp.array[wp.int64], "block"]  # the largest excess over thresholds, and the box that has it
-    hessian: Annotated[wp.array2d[float], "block entry"]  # the non-zero part of the Hessian, if not in shared memory
-    strip: Annotated[wp.array2d[float], "block part"]  # rows of the Hessian's factor, if not in shared memory
-    efc: Annotated[wp.array3d[float], "block contact efc_word"]  # written by make_constraint; layout: efc.cuh
+    Jaref: Annotated[wp.array3d[wp.float64], "block contact 3"]  # Residuals J·qacc − aref.
+    jv: Annotated[wp.array3d[wp.float64], "block contact 3"]  # Products J·search.
+    contact_force: Annotated[wp.array3d[wp.float64], "block contact 3"]  # Force in the contact's frame.
+    worst: Annotated[wp.array[wp.int64], "block"]  # The largest excess over thresholds, and the box that has it.
+    hessian: Annotated[wp.array2d[float], "block entry"]  # The non-zero part of the Hessian, if not in shared memory.
+    strip: Annotated[wp.array2d[float], "block part"]  # Rows of the Hessian's factor, if not in shared memory.
+    efc: Annotated[wp.array3d[float], "block contact efc_word"]  # Written by make_constraint; efc.cuh has the layout.
     curvature: Annotated[wp.array3d[float], "block contact 6"]
-    qM: Annotated[wp.array2d[float], "block dof"]  # diagonal of the inertia matrix
-    qacc_smooth: Annotated[wp.array2d[float], "block dof"]  # accelerations without contacts
-    drag: Annotated[wp.array3d[float], "block contact 2"]  # see contact.cuh
-    excess: Annotated[wp.array2d[float], "block contact"]  # excess of a slip (contact_laws.py); negative: not corrected
-    geom_xpos: Annotated[wp.array2d[wp.vec3], "block geom"]  # centres of geoms
+    qM: Annotated[wp.array2d[float], "block dof"]  # Diagonal of the inertia matrix.
+    qacc_smooth: Annotated[wp.array2d[float], "block dof"]  # Accelerations without contacts.
+    drag: Annotated[wp.array3d[float], "block contact 2"]  # Friction as a share of the largest (contact.cuh).
+    excess: Annotated[wp.array2d[float], "block contact"]  # Slip excess (contact_laws.py); negative: not corrected.
+    geom_xpos: Annotated[wp.array2d[wp.vec3], "block geom"]  # Centres of geoms.
     geom_xmat: Annotated[wp.array2d[wp.mat33], "block geom"]
-    geom_reach: Annotated[wp.array2d[wp.vec3], "block geom"]  # half extents of a geom's bounding box, along x, y, z
-    listed_xpos: Annotated[wp.array2d[wp.vec3], "block geom"]  # geom_xpos and geom_reach at the last search for pairs
+    geom_reach: Annotated[wp.array2d[wp.vec3], "block geom"]  # Half extents of a geom's bounding box, along x, y, z.
+    listed_xpos: Annotated[wp.array2d[wp.vec3], "block geom"]  # Both at the last search for near pairs.
     listed_reach: Annotated[wp.array2d[wp.vec3], "block geom"]
     qpos_before: Annotated[wp.array3d[float], "block box 7"]  # poses at the beginning of a step
     top_force: Annotated[wp.array2d[float], "block box"]
     pair_geom1: Annotated[wp.array2d[int], "block pair"]  # the geom with the smaller index
     pair_geom2: Annotated[wp.array2d[int], "block pair"]
     pair_normal: Annotated[wp.array2d[wp.vec3], "block pair"]
-    pair_points: Annotated[wp.array3d[wp.vec4], "block pair 8"]  # contact point, and the two geoms' distance
-    pair_spring: Annotated[wp.array2d[float], "block pair"]  # stiffness of the contacts, N/m; 0: both geoms are rigid
-    # for each geom: the first pair in which this geom is pair_geom1
+    pair_points: Annotated[wp.array3d[wp.vec4], "block pair 8"]  # Contact point, and the two geoms' distance.
+    pair_spring: Annotated[wp.array2d[float], "block pair"]  # Stiffness of the contacts, N/m; 0: both geoms are rigid.
+    # For each geom, the first pair in which this geom is pair_geom1.
     geom1_pairadr: Annotated[wp.array2d[int], "block geom_end"]
-    geom2_pair: Annotated[wp.array2d[int], "block pair"]  # the pairs, sorted by pair_geom2
-    geom2_pairadr: Annotated[wp.array2d[int], "block geom_end"]  # for each geom: the geom's first entry in geom2_pair
-    pair_ncon: Annotated[wp.array2d[int], "block pair"]  # contacts of each pair
-    pair_conadr: Annotated[wp.array2d[int], "block pair_end"]  # the first contact of each pair
+    geom2_pair: Annotated[wp.array2d[int], "block pair"]  # The pairs, sorted by pair_geom2.
+    geom2_pairadr: Annotated[wp.array2d[int], "block geom_end"]  # For each geom, its first entry in geom2_pair.
+    pair_ncon: Annotated[wp.array2d[int], "block pair"]  # Contacts of each pair.
+    pair_conadr: Annotated[wp.array2d[int], "block pair_end"]  # The first contact of each pair.
     contact_pair: Annotated[wp.array2d[int], "block contact"]
     # the two bodies of a contact, as indices of free bodies, the smaller one first; negative: a body that does not move
     contact_bodies: Annotated[wp.array3d[int], "block contact 2"]
     # contacts of each body, grouped by body: 2 × number of the contact, + 1 for the contact's second body
     body_contact: Annotated[wp.array2d[int], "block link"]
     body_conadr: Annotated[wp.array2d[int], "block free_body_end"]
-    body_component: Annotated[wp.array2d[int], "block body"]  # first of the bodies that contacts join with a body
-    body_root: Annotated[wp.array2d[int], "block body"]  # the body from which distances in a component are counted
-    body_level: Annotated[wp.array2d[int], "block body"]  # distance from the root, in contacts
-    position: Annotated[wp.array2d[int], "block free_body"]  # position of a body in the solver's system
-    # by position of a body: the lowest position among the body itself and the bodies that it touches
+    body_component: Annotated[wp.array2d[int], "block body"]  # First of the bodies that contacts join with a body.
+    body_root: Annotated[wp.array2d[int], "block body"]  # The body from which distances in a component are counted.
+    body_level: Annotated[wp.array2d[int], "block body"]  # Distance from the root, in contacts.
+    position: Annotated[wp.array2d[int], "block free_body"]  # Position of a body in the solver's system.
+    # By position of a body: the lowest position among the body itself and the bodies that it touches.
     lowest: Annotated[wp.array2d[int], "block free_body"]
     bodies_conadr: Annotated[wp.array2d[int], "block contact"]  # first contact of each pair of free bodies, unsorted
     ncon: Annotated[wp.array[int], "block"]
     nfree: Annotated[wp.array[int], "block"]  # number of free bodies
     solver_niter: Annotated[wp.array[int], "block"]
-    solver_paused: Annotated[wp.array[int], "block"]  # number of iterations before the solver paused; 0 if it has ended
-    world: Annotated[wp.array[int], "block"]  # the world of a block; negative: no world
-    frame: Annotated[wp.array[int], "block"]  # the frame that a block writes
+    solver_paused: Annotated[wp.array[int], "block"]  # Number of iterations before a pause; 0: no pause.
+    world: Annotated[wp.array[int], "block"]  # The world of a block; negative: no world.
+    frame: Annotated[wp.array[int], "block"]  # The frame that a block writes.
 
 
 @record
@@ -242,9 +242,9 @@ class FrameBuffer:
 class Counts:
     """Counters of one call of the kernels."""
 
-    taken: Annotated[wp.array[int], "queue"]  # number of worlds that blocks have taken so far
-    idle: Annotated[wp.array[int], "queue"]  # number of lanes that found no further world
-    clock: Annotated[wp.array[int], "1"]  # time at which the call began (block.cuh)
+    taken: Annotated[wp.array[int], "queue"]  # Number of worlds that blocks have taken so far.
+    idle: Annotated[wp.array[int], "queue"]  # Number of lanes that found no further world.
+    clock: Annotated[wp.array[int], "1"]  # Time at which the call began (block.cuh).
     steps: Annotated[wp.array[int], "1"]
     iterations: Annotated[wp.array[int], "1"]
     contacts: Annotated[wp.array[int], "1"]  # largest number of contacts of a world
@@ -258,14 +258,14 @@ class Thread:
     thread: int
     threads: int
     world: int
-    placed: int  # number of placed boxes
-    geoms: int  # number of geoms: the floor, and the shapes of the carrier and of the placed boxes
-    held: int  # 1 if the carrier cannot move, and so is not a free body
-    hands: int  # 1 if a hand may carry boxes; if 0, the compiler leaves out the code for hands
-    gives: int  # 1 if boxes may be compliant; if 0, the compiler leaves out the code for compliance
-    wraps: int  # 1 if film may hold boxes; if 0, the compiler leaves out the code for film
-    lands: int  # 1 if the law of landing boxes may act; if 0, the compiler leaves out its code
-    carried: int  # 1 if a hand holds the box that was placed last
+    placed: int  # Number of placed boxes.
+    geoms: int  # Number of geoms: the floor, and the shapes of the carrier and of the placed boxes.
+    held: int  # 1 if the carrier cannot move, and so is not a free body.
+    hands: int  # 1 if a hand may carry boxes; if 0, the compiler leaves out the code for hands.
+    gives: int  # 1 if boxes may be compliant; if 0, the compiler leaves out the code for compliance.
+    wraps: int  # 1 if film may hold boxes; if 0, the compiler leaves out the code for film.
+    lands: int  # 1 if the law of landing boxes may act; if 0, the compiler leaves out its code.
+    carried: int  # 1 if a hand holds the box that was placed last.
 
 
 def most_panels(n_boxes: int) -> int:

@@ -23,7 +23,7 @@ MAX_WINDOWS = 100_000
 MAX_FORCE = 10_000.0
 """Largest component of a force, in units of total mass × 9.81 m/s². A larger component is probably a typing mistake."""
 MIN_DENSITY = 1e-30
-"""Smallest density of a PSD, g²/Hz. With this limit, ratios of densities do not overflow."""
+"""Smallest density of a PSD, g²/Hz. With smaller densities, ratios of densities might overflow."""
 MAX_RMS_G = 1000.0
 """Largest RMS acceleration of a random vibration, g."""
 MIN_HZ, MAX_HZ = 0.0001, 1e6

@@ -67,7 +67,7 @@ class Profile(Protocol):
 
 def allowed_sway_m(profile: Profile) -> float:
     """Distance by which a culprit may sway under a profile before it counts as lost, m (``Drive.allowed_sway_m``). The
-    value is infinite if the profile tilts the carrier, so that no box counts as lost: a box that slides to the
+    distance is infinite if the profile tilts the carrier, so that no box counts as lost: a box that slides to the
     carrier's edge tips at the edge, although its first failure was to slide."""
     return math.inf if profile.strength is Strength.ANGLE else 0.0
 
@@ -82,6 +82,6 @@ def step_averages(antiderivative_at_edges: FloatArray, timestep_s: float) -> Flo
 
 
 def steps_to_cover(duration_s: float, timestep_s: float) -> int:
-    """Smallest number of steps, but not 0, that together last ``duration_s`` or longer. If the duration exceeds whole
-    steps by up to a billionth of a step, the excess counts as rounding and adds no step."""
+    """Smallest number of steps, but not 0, that together last ``duration_s`` or longer. A remainder of up to a
+    billionth of a step counts as rounding and adds no step."""
     return max(int(np.ceil(duration_s / timestep_s - 1e-9)), 1)

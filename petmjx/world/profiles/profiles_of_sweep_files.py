@@ -223,8 +223,7 @@ def define_profiles(tables: Any, folder: Path) -> dict[str, Profile]:
 
     Raises:
         ValidationError: a field of a table is wrong. The message names the field and states what is allowed.
-        InputError: a file that a table names is wrong. Like a ValidationError, its message names the field and states
-            what is allowed.
+        InputError: a file that a table names is wrong. The message names the field and states what is allowed.
     """
     profiles: dict[str, Profile] = {}
     for name, table in _TABLES.validate_python(tables).items():

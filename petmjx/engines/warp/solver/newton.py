@@ -7,8 +7,9 @@ with H = M + Jᵀ·s″·J; a line search follows.
 
 Five things make this solver fast:
 
-- It starts from extrapolated accelerations: on the line through the accelerations of the last two steps. While boxes
-  come to rest, accelerations change smoothly, so the error of the start comes only from the curvature of this change.
+- The solver starts from extrapolated accelerations: on the line through the accelerations of the last two steps. While
+  boxes come to rest, accelerations change smoothly, so the error of the start comes only from the curvature of this
+  change.
 - A contact touches two bodies. So J is stored as 27 numbers per contact, and a product with J is cheap.
 - H is sparse, and bodies are ordered by their contacts (kernels/elimination_order.py), so that H has a narrow envelope.
   Each column of H belongs to a body. Let the first body be the one that comes first in the order among this body and
@@ -54,9 +55,9 @@ FEW_PANELS = 40
 kernels factor two panels at a time (panel_pairs.cuh)."""
 
 SLIP_ROUNDS = 12
-"""Number of iterations after the first that may change the excess of sliding contacts (petmjx/world/contact_laws.py).
-The other engines change the excess between two calls of their solver. With 12 rounds, steps of bricks that slide and
-tip take 6.6 iterations (7.4 without the law of sliding), and steps of a heap take 24.9 (21.8 without the law). With 40
+"""Number of iterations after the first that may change the slip excess of contacts (petmjx/world/contact_laws.py). The
+other engines change slip excesses between two calls of their solver. With 12 rounds, steps of bricks that slide and tip
+take 6.6 iterations (7.4 without the law of sliding), and steps of a heap take 24.9 (21.8 without the law). With 40
 rounds, steps of a heap take 40 iterations."""
 
 SLIP_MACROS = {
