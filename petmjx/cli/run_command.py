@@ -115,8 +115,8 @@ def run_watched(run: Callable[..., RunResults], options: Mapping[str, Any]) -> R
     """Execute a run with a progress bar.
 
     Args:
-        run: function that executes the run. Its keyword arguments are ``watcher`` (the object that is told about the
-            progress) and the options, including the folder ``out``.
+        run: function that executes the run. The keyword arguments of the function are ``watcher`` (the object that is
+            told about the progress) and the options, including the folder ``out``.
         options: the options that the user has typed.
 
     Raises:

@@ -149,8 +149,8 @@ def pack(
         n, seed: number and seed of the generated orders.
         packer: ``physical`` or ``learned``.
         look_ahead: number of boxes that ``learned`` sees at a time. If ``look_ahead`` is None, ``learned`` sees 1 box.
-        workers: number of processes for the search. The plans do not depend on this number. Scripts that use more than
-            one process need ``if __name__ == "__main__":``.
+        workers: number of processes for the search. The plans do not depend on the number of processes. Scripts that
+            use more than one process need ``if __name__ == "__main__":``.
         on_bad_order: function that is called with the error of each unusable order; the order is then skipped. If
             ``on_bad_order`` is None, the error is raised.
         target: carrier for orders whose file does not name a carrier. This may be ``euro-pallet``, ``rollcontainer``,

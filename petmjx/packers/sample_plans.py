@@ -100,8 +100,8 @@ def generate_one(
 
 
 def loose_share_of(packer: str | None, share: float | None = None) -> float:
-    """The share of loose plans. If ``share`` is given, this is ``share``. If ``share`` is None, the share is 0 for a
-    named packer, and else ``DEFAULT_LOOSE_SHARE``."""
+    """The share of loose plans. If ``share`` is given, the result is ``share``. If ``share`` is None, the result is 0
+    for a named packer, and else ``DEFAULT_LOOSE_SHARE``."""
     if share is not None:
         return share
     return DEFAULT_LOOSE_SHARE if packer is None else 0.0

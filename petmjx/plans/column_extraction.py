@@ -45,7 +45,8 @@ SIZE_WORDS: Final = ("length", "width", "height", "depth")
 HALF_EXTENTS: Final = "half extents"
 """Role of a column of sizes, in addition to its own role, if sizes are half extents."""
 LAST_CELLS: Final = "last cells"
-"""Role of a column of far corners, in addition to its own role, if they are those of the last cells of boxes."""
+"""Role of a column of far corners, in addition to its own role, if each far corner is the last grid cell inside its
+box."""
 ROLES: Final = (
     "length", "width", "height", "depth", "x size", "y size", "z size", "x", "y", "z", "sizes", "position", "weight",
     "rotation", "plan", "sequence", "article", "item_id", HALF_EXTENTS, LAST_CELLS,
@@ -159,8 +160,8 @@ class ColumnExtraction:
                 self.meanings[index] = ColumnMeaning("rotation")
 
     def _has_units(self, index: int, cells: Sequence[Any]) -> bool:
-        """Whether the cells of a column are names of units; ``cells`` are its first cells. If so, these units apply to
-        the numbers in the same rows, or, if all units are equal, to the whole list."""
+        """Whether the cells of a column are names of units; ``cells`` are its first cells. If the cells are units, they
+        apply to the numbers in the same rows, or, if all units are equal, to the whole list."""
         for units in (LENGTH_UNITS, MASS_UNITS):
             sure = units.keys() if _UNIT_WORDS.intersection(words_of(self.table.header[index])) else _SURE_UNITS
             if not all(isinstance(cell, str) and _as_unit(cell) in units.keys() & sure for cell in cells):
@@ -260,9 +261,9 @@ class ColumnExtraction:
         """(n, width) numbers of a column, NaN for rows without numbers. Also returns the unit of the numbers ("": none
         is given).
 
-        A number without a unit gets the unit that the column's name, an option or the form gives. If none of them gives
-        a unit, but other cells of the column have units, the number is bad, since the unit of one cell does not imply
-        the unit of another cell. Zero needs no unit.
+        A number without a unit gets the unit that the column's name, an option or the form gives. If neither the
+        column's name nor an option nor the form gives a unit, but other cells of the column have units, the number is
+        bad, since the unit of one cell does not imply the unit of another cell. Zero needs no unit.
         """
         values = np.full((len(rows), width), np.nan)
         is_mass = "kg" in units

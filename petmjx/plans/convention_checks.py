@@ -37,8 +37,8 @@ MOST_UNEXPLAINED: Final = 100
 ONE_IN: Final = 50
 """Limits of the search. The search is limited because reading a plan in all conventions takes 2 ms. After
 ``MOST_UNEXPLAINED`` odd plans that no convention explains, only one in ``ONE_IN`` of such plans is read in all
-conventions. The odd plans between are read only in conventions that explain at least ``LEAST_SHARE`` of the odd plans
-so far."""
+conventions. All other such plans are read only in conventions that explain at least ``LEAST_SHARE`` of the odd plans so
+far."""
 
 LIGHTEST_KG_M3: Final = 2.0
 HEAVIEST_KG_M3: Final = 20_000.0
@@ -165,7 +165,7 @@ LAYOUTS: Final[tuple[Convention, ...]] = (
     *(_scale_convention(unit, sizes=False) for unit in ("cm", "in", "m")),
     *(_scale_convention(unit, sizes=True) for unit in ("cm", "in", "m")),
 )
-"""Conventions that may explain an odd layout. The first one that explains the plan is used."""
+"""Conventions that may explain an odd layout. The first convention that explains the plan is used."""
 
 _SIZES_ALONE: Final = LAYOUTS[-3:]
 

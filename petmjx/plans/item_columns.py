@@ -37,7 +37,7 @@ _KINDS: Final[dict[str, Kind]] = {
     "quantity": "quantity", "layers": "layers", "per layer": "quantity", "total weight": "weight",
 }  # fmt: skip
 _LEAST_RISING: Final = 8
-"""Whole numbers that increase from row to row, by unequal steps, are identifiers if there are at least this many.
+"""Whole numbers that increase from row to row, by unequal steps, are identifiers if there are at least this many rows.
 This number of quantities would hardly be sorted by chance."""
 MOST_PIECES: Final = 100_000
 """Largest number of boxes that one row of a table may stand for."""

@@ -119,8 +119,8 @@ def with_items_of(best: BoxSource, items: BoxSource, name: str, by_number: bool 
     """Boxes with the columns of a table of items added; None if the items do not belong to the boxes.
 
     Args:
-        by_number: whether the column ID of each box has the number of the row of its item, from 0. If so, the sizes in
-            both tables must agree.
+        by_number: whether the column ID of each box has the number of the row of its item, from 0. If ``by_number`` is
+            True, the sizes in both tables must agree.
     """
     table, other = best.boxes.table, items.boxes.table
     rows = _rows_by_number(table, other) if by_number else _rows_by_name(table, other)
@@ -155,7 +155,8 @@ def _with_columns(
 
     def cell(row: int, index: int) -> Any:
         number = cell_number(other.rows[row][index], ",") if other.decimal == "," else None
-        return other.rows[row][index] if number is None or number.unit else number.value  # boxes may have points
+        # numbers of the boxes' own table may have decimal points
+        return other.rows[row][index] if number is None or number.unit else number.value
 
     table = best.boxes.table
     header = (*table.header, *(other.header[index] for index in added))

@@ -399,7 +399,8 @@ def check_orders(
         path: the file, gzipped or not.
         plans: all plans of the run, with distinct ids.
         takes: function that returns whether the plan or order with an id is in this shard.
-        all_plans: whether ``plans`` has all plans. If some are missing, orders without a plan are not counted.
+        all_plans: whether ``plans`` has all plans. If ``plans`` lacks some plans, orders without a plan are not
+            counted.
         strict: whether to raise at the first unusable order, instead of leaving it out of the comparison.
         articles: the user's table of articles, for properties that the orders do not give.
 

@@ -61,7 +61,7 @@ class InputColumn:
 
     Attributes:
         values: an Arrow array; or Python objects, if they have several types.
-        is_text: whether numbers are stored as text, as in CSV. If so, empty text is a missing value.
+        is_text: whether numbers are stored as text, as in CSV. If ``is_text`` is True, empty text is a missing value.
         decimal: the decimal mark of numbers stored as text. If the decimal mark is a comma, numbers have no points.
     """
 
@@ -244,7 +244,7 @@ OPTIONAL: Final = ("item_id", "product_group", "orientation", "order_sequence", 
 Without this column, ``sequence`` is used instead."""
 _TEXTS: Final = ("article", "item_id", "product_group", "material", "kind")
 NAMES: Final = ("plan_id", *_TEXTS)
-"""Columns of names. All other columns have numbers."""
+"""Columns of names. All columns that are not listed here have numbers."""
 _MAY_LACK: Final = ("item_id", "product_group", *_SELDOM)
 """Columns in which a value may be missing."""
 _ALIASES: Final = {

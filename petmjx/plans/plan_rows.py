@@ -46,7 +46,7 @@ class PalletSearch:
 
     def columns_with_pallets(self) -> tuple[BoxColumns, tuple[str, ...]]:
         """The columns, and notes. If boxes would overlap as one plan, or the packing order repeats numbers, the column
-        that separates the pallets becomes the column of plans. There must be exactly one such column.
+        that separates the pallets becomes the column of plans. Exactly one column must separate the pallets.
 
         Raises:
             InputError: the column does not have a word for pallets in its name, or several columns separate the

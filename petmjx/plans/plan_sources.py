@@ -77,7 +77,7 @@ def usable_of(gathered: PlanSet, sim: Simulation, options: RunOptions, earlier_l
 
 
 def with_some_plan(plan_set: PlanSet) -> PlanSet:
-    """The same plans. Raises InputError if there are none."""
+    """The same plans. Raises InputError if there are no plans."""
     if not plan_set.plans:
         first = f"; the first: {plan_set.skipped[0].message}" if plan_set.skipped else ""
         raise InputError(f"no usable plan ({len(plan_set.skipped)} skipped){first}")
@@ -85,7 +85,7 @@ def with_some_plan(plan_set: PlanSet) -> PlanSet:
 
 
 def are_files(plans: PlanSource | None) -> bool:
-    """Whether plans are read from files. Also true for the bundled plans (``plans`` is None)."""
+    """Whether plans are read from files. The result is also True for the bundled plans (``plans`` is None)."""
     if isinstance(plans, PlanSet | Plan | SupportsArrow):
         return False
     given = [plans] if plans is None or isinstance(plans, str | PathLike) else plans

@@ -202,8 +202,8 @@ def _outside(
 
 
 _POINTS: Final = ((0.0, 0.0), (0.5, 0.5), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (0.5, 1.0))
-"""Points of a box that coordinates may describe, as shares of its extents along two axes. The last one is the centre of
-the top, with y upwards."""
+"""Points of a box that coordinates may describe, as shares of its extents along two axes. The last point is the centre
+of the top, with y upwards."""
 
 
 def are_other_points(layout: Layout, mm: float, point: Sequence[float]) -> bool:
@@ -365,8 +365,8 @@ def load_fit(side_mm: float, load_mm: FloatArray, deck_mm: FloatArray, known: bo
 
 
 _WHOLE_MM: Final = 0.03
-"""A length counts as whole millimetres if it differs from them by at most this, mm. Lengths in inches have three
-decimals, so they are not exact."""
+"""A length counts as whole millimetres if it differs from whole millimetres by at most this length, mm. Lengths in
+inches have three decimals, so they are not exact."""
 
 
 def converted_share(lengths_mm: FloatArray) -> float:

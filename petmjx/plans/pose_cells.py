@@ -1,5 +1,5 @@
 """Poses in other forms than nested matrices (``with_pose_column``): numbers of a matrix in columns or in a text, and
-frames of KUKA robots. They become one column of matrices."""
+frames of KUKA robots. The poses become one column of matrices."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ _CONSTRUCTED: Final = re.compile(
     r"(?:Decimal|float(?:32|64)|u?int(?:8|16|32|64)|array)\(([^()]*?)(?:, dtype=\w+)?\)"
 )
 """A number or an array as Python shows it: "Decimal('60.0')", "np.float64(1.5)", "array([0, 0, 200])". Here and below,
-repetitions have limits, as some texts would take very long without them."""
+repetitions have limits, since otherwise some texts would take very long."""
 _PRINTED_OBJECT: Final = re.compile(r"\[?\s*[A-Za-z_][\w.]*\(\s*[A-Za-z_]\w*=")
 """The beginning of an object with named fields as Python prints it: "Box(x=0, y=0, …)"."""
 _NOT_FINITE: Final = re.compile(r"(?<![\w'\"])(-?(?:nan|inf))(?![\w'\"])")

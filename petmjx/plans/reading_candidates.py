@@ -1,4 +1,5 @@
-"""Candidates for a reading: all readings of the numbers that column names, the form and the caller allow."""
+"""Lists the candidates for the reading of a file: all ways to read the file's numbers that its column names, its form
+and the caller's options allow."""
 
 from __future__ import annotations
 
@@ -27,7 +28,7 @@ _PERMUTATIONS: Final = np.array(list(permutations(range(3))))
 """Number of a permutation of the three sizes → which of the sizes lies along each axis. The permutations are numbered
 in alphabetical order, as in files of other programs: 0 is XYZ, 1 is XZY, and so on (``ROTATION_RULES``)."""
 _ANCHOR_PRIOR: Final = {"corner": 0.0, "centre": 1.0, "base-centre": 1.8, "far-corner": 2.5, "top-centre": 3.0}
-_OTHER_CORNER: Final = 3.0  # of a reading with coordinates of another corner
+_OTHER_CORNER: Final = 3.0  # cost of a reading with coordinates of another corner
 _GUESSED_TURNS: Final = 2.0
 """Cost of a reading in which a column of unknown meaning has rotations."""
 _FIRM: Final = 3.0
@@ -118,8 +119,8 @@ def _container_along(candidate: Candidate, container: Mapping[str, float], order
 
 
 def candidates(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
-    """Yield all readings that names, the form and the caller allow. Each has a prior: its cost before any numbers are
-    considered."""
+    """Yield all readings that names, the form and the caller allow. Each reading has a prior: its cost before any
+    numbers are considered."""
     form = columns.source.form
     sizes, places = wishes.length_units
     scale = LENGTH_UNITS[sizes] / LENGTH_UNITS[places] if sizes != places else 1.0

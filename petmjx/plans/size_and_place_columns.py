@@ -116,7 +116,7 @@ def sizes_in(extraction: ColumnExtraction) -> Sizes | None:
 
 def other_sizes_in(extraction: ColumnExtraction, first: Sizes) -> Sizes | None:
     """A second set of sizes, such as "size_1" … beside "sp_size_1" …, if no name shows which set has the sizes of the
-    placed boxes. None if there is none, if a cell of it is bad, or if both sets are equal."""
+    placed boxes. None if there is no second set, if a cell of the second set is bad, or if both sets are equal."""
     if first.placed or any(role_of(axis) in extraction.fixed for axis in first.axes) or "sizes" in extraction.fixed:
         return None
     faults = dict(extraction.faults)
@@ -368,7 +368,8 @@ def _are_whole(*numbers: FloatArray) -> bool:
 
 def _same_stems(header: Sequence[str], picked: Sequence[Sequence[int]]) -> Iterator[tuple[int, ...]]:
     """Yield each choice of three columns that belong to the same object, such as ``dimensions.length``,
-    ``dimensions.width`` and ``dimensions.height``. If there is none, yield the first column of each size."""
+    ``dimensions.width`` and ``dimensions.height``. If no three columns belong to the same object, yield the first
+    column of each size."""
     by_stem: dict[str, dict[int, int]] = {}
     for number, columns in enumerate(picked):
         for index in columns:
@@ -397,7 +398,8 @@ def _columns_of_places(header: Sequence[str], columns_of_axes: Sequence[Sequence
 
 
 _DENSEST: Final = 1.5
-"""A column without a name has densities only if they are at most this, relative to water. Cartons are less dense."""
+"""A column without a name has densities only if its numbers are at most this value, relative to water. Cartons are less
+dense."""
 _MOST_SOUND: Final = 0.9
 """In a table without a header, at least this share of the rows must match the guessed meaning of a column. Rows that do
 not match have bad cells."""

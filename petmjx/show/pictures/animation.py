@@ -153,7 +153,8 @@ def h264_encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Call
     the file is complete.
 
     imageio-ffmpeg itself would start ffmpeg with a Python function between fork and exec. Such a function is unsafe if
-    the process has threads: after a run on a GPU, JAX warns of a deadlock. So petmjx starts ffmpeg without it.
+    the process has threads: after a run on a GPU, JAX warns of a deadlock. So petmjx starts ffmpeg without such a
+    function.
 
     Args:
         path: the file to write. An existing file is replaced.
