@@ -84,8 +84,8 @@ _MESSAGES: Final = re.compile(
 )
 """The beginning of messages of protocol buffers as text: "boxes { sku: ..."."""
 _FIELD: Final = re.compile(r"#[^\n]*|\"(?:\\.|[^\"\\\n])*+\"?|(?<!\w)([A-Za-z_]\w{0,99})[ \t]{0,9}(:?[ \t]{0,9}\{|:)")
-"""A field of a message of protocol buffers: "boxes {" or "sku:"; or a comment, or a text in quotation marks, which may contain
-the like."""
+"""A field of a message of protocol buffers: "boxes {" or "sku:"; or a comment, or a text in quotation marks, which may
+contain the like."""
 _RULES: Final = re.compile(r"^(?:[-=]{3,}|[#%][^\n]*)$", re.MULTILINE)
 """Lines between named arrays that hold no values."""
 
