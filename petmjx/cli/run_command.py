@@ -167,8 +167,8 @@ def folder_of_run(options: Mapping[str, Any]) -> Iterator[Path]:
 
 
 def _version_of_run(folder: Path) -> tuple[int, int] | None:
-    """The inode and the time of the last change of the ``run.json`` in a folder; None if the folder has none. Both
-    change whenever a run writes the file."""
+    """The inode and the time of the last change of the ``run.json`` in a folder; None if the folder has none. The inode
+    and the time change whenever a run writes the file."""
     from petmjx.results.run_folder import RUN_FILE
 
     with suppress(OSError):

@@ -49,8 +49,8 @@ def add_points(
         box_corner_mm, box_size_mm: (n, k, 3) corners and sizes of the boxes on the pallets; ``n_boxes``: (n,) number
             of boxes on each pallet.
         gap_mm: free space behind each box along x and y.
-        points: (n, p) points as x + iy, mm; ``n_points``: (n, c) number of points after the first 0, 1, … boxes. Both
-            tables need room for the new points.
+        points: (n, p) points as x + iy, mm; ``n_points``: (n, c) number of points after the first 0, 1, … boxes. The
+            tables ``points`` and ``n_points`` need room for the new points.
     """
     boxes = table(box_corner_mm, wp.vec3d), table(box_size_mm, wp.vec3d), table(n_boxes, wp.int64)
     tables = _points_table(points), table(n_points, wp.int64)

@@ -140,7 +140,7 @@ class FourSidedStream(ItemStream):
     def places(self, least_support: float = LEAST_SUPPORT) -> Places:
         """All candidates for the visible boxes that have sufficient support and are not too high.
 
-        These candidates are not checked for balance, which ``keeps_balance`` does later.
+        The candidates are not checked for balance, which ``keeps_balance`` does later.
 
         Args:
             least_support: smallest allowed supported share of a base.

@@ -79,7 +79,7 @@ class Convention:
         read: function that converts corners and sizes to petmjx's convention. None: the convention does not change
             corners and sizes.
         least_odd: smallest number of floating boxes and overlaps that a plan must have before this convention may
-            explain it. This limit applies only if the lowest box does not float.
+            explain it. ``least_odd`` applies only if the lowest box does not float.
         of_turned: whether ``read`` is applied only to boxes that their orientation turns. All other boxes are not
             changed.
         of_some: whether ``read`` changes only those turned boxes that overlap fewer boxes after the change.

@@ -60,7 +60,7 @@ def with_items(sources: Sequence[BoxSource], path: Path | None, items: Path | No
 
 def _with_articles_beside(best: BoxSource, path: Path) -> BoxSource:
     """Boxes with sizes added from a file of items in the folder of the boxes' file, if the items of exactly one file
-    match. Otherwise, the boxes are returned unchanged."""
+    match. If the items of no file or of several files match, the boxes are returned unchanged."""
     try:
         beside = sorted(file for file in path.parent.iterdir() if file != path and _OF_ITEMS.search(file.name))
     except OSError:

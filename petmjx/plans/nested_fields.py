@@ -1,5 +1,5 @@
 """The fields of a box in nested values (``flattened``), named by their path, as in ``position.x``, ``stackable.dx`` and
-``WHD[0]``. Also makes objects with fields from values that are stored by column or as lists of numbers."""
+``WHD[0]``. The module also makes objects with fields from values that are stored by column or as lists of numbers."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ _LIGHT_FACTOR = 0.3
 """Share of the articles that are mostly air (crisps, paper cups), whatever their size, and the factor by which their
 mass is multiplied."""
 
-# First parts of the keys of a seed's random streams. The second part is the number of the order or article.
+# First parts of the keys of a seed's random streams. The second part of a key is the number of the order or article.
 _CATALOGUE_STREAM = 0
 _ORDER_STREAM = 1
 PACKER_STREAM = 2

@@ -1,5 +1,5 @@
-"""Converts the boxes of another tool's file to millimetres and kilograms, with the deck's corner as the origin. Also
-finds sizes, coordinates and weights that are out of range."""
+"""Converts the boxes of another tool's file to millimetres and kilograms, with the deck's corner as the origin. The
+module also finds sizes, coordinates and weights that are out of range."""
 
 from __future__ import annotations
 

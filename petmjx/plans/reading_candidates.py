@@ -279,9 +279,9 @@ def _sizes_by_article(columns: BoxColumns, geometry: Geometry) -> str:
 
 _LEAST_BY_LENGTH: Final = 3
 _MOSTLY_LONGER: Final = 0.9
-"""Lengths and widths show whether sizes are those of placed boxes or of items only if two conditions hold. There are at
-least this number of turned boxes, and of unturned boxes; and in at least this share of the unturned boxes, length
-exceeds width."""
+"""Lengths and widths show whether sizes are those of placed boxes or of items only if two conditions hold. There must
+be at least this number of turned boxes, and of unturned boxes; and in at least this share of the unturned boxes, length
+must exceed width."""
 
 
 def _sizes_by_length(columns: BoxColumns, geometry: Geometry) -> str:

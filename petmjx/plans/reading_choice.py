@@ -99,7 +99,8 @@ class _Judged:
     Attributes:
         layouts: the layout of each plan that is used to judge readings.
         rows: the row numbers of all boxes of the layouts.
-        units: all choices of units, cheapest first. Their costs depend on which sides of the load lie on the deck.
+        units: all choices of units, cheapest first. The costs of units depend on which sides of the load lie on the
+            deck.
         order_cost: how implausible it is that the load begins where it does, and that boxes are listed in this order.
     """
 
@@ -435,7 +436,7 @@ def _is_likely(units: _Units) -> bool:
 def _other_mass(best: _Judged) -> str | None:
     """Another unit of masses that is plausible and that no column name excludes; None if there is none.
 
-    This unit is only mentioned, because a factor on all masses hardly affects a verdict.
+    The other unit is only mentioned, because a factor on all masses hardly affects a verdict.
     """
     first, *others = best.units
     rivals = (

@@ -294,9 +294,9 @@ _SEVERAL: Final = "if the file has several pallets, name their column with --col
 
 
 CHOOSER: ContextVar[Callable[[str, AmbiguousFile], Reading | None] | None] = ContextVar("CHOOSER", default=None)
-"""Function that asks the user which reading of a file is right. Its arguments are the name of the file and the possible
-readings. The function returns the right reading, or None if the user does not know. If None is given instead of a
-function, the file is refused without a question."""
+"""Function that asks the user which reading of a file is right. The arguments of the function are the name of the file
+and the possible readings. The function returns the right reading, or None if the user does not know. If None is given
+instead of a function, the file is refused without a question."""
 
 
 # Files with readings, and options for reading.

@@ -197,8 +197,8 @@ _RULE: Final = re.compile(r"^(?=.*[-=_]{2})[\s|+:]*[-=_]+(?:[\s|+:]+[-=_]+)+[\s|
 
 def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
     """Fields separated by white space. If there is a line of dashes, the dashes show where columns are, so a cell may
-    be empty. Otherwise fields are separated by two or more spaces, or by one or more, whichever gives more rows with
-    equally many fields.
+    be empty. Without a line of dashes, fields are separated by two or more spaces, or by one or more, whichever gives
+    more rows with equally many fields.
     """
     rule = next((index for index, line in enumerate(lines) if _RULE.match(line)), None)
     if rule is not None:

@@ -1,9 +1,9 @@
 """Worlds with the same first boxes share the simulation of these boxes (``CommonPlacements``).
 
 Changed plans often begin with the same placements, up to the first box that differs. The placement of the common first
-boxes is simulated once. This simulation pauses before the first different box is placed, and all worlds with the same
-first boxes start from its state. The outcomes of the worlds are the same to the last bit as if each world had been
-simulated from its beginning.
+boxes is simulated once. The simulation of the common first boxes pauses before the first different box is placed, and
+all worlds with the same first boxes start from its state. The outcomes of the worlds are the same to the last bit as if
+each world had been simulated from its beginning.
 """
 
 from __future__ import annotations

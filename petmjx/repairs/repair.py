@@ -35,8 +35,8 @@ OF_READING: Final = (*READING, "articles", "limit", "strict")
 """Fields of ``RunOptions`` about the reading of plans."""
 
 AT_ONCE: Final = 256
-"""Largest number of plans that are repaired at the same time. Their trials share runs of the engine, which fills a
-GPU."""
+"""Largest number of plans that are repaired at the same time. The trials of plans that are repaired at the same time
+share runs of the engine, which fills a GPU."""
 
 SHOWN: Final = (
     ShownColumn("plan_id", "plan"),

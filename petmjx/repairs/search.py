@@ -83,12 +83,12 @@ SHORTER: Final = 0.04
 """Once a repair is known, a shorter one is sought in this share of all trials."""
 
 MOST_NEARLY: Final = 2
-"""Largest number of plans that are scored before plans are built anew. Only plans with a single fault are scored for
-this reason: plans that fell when they were judged, because a box tilted."""
+"""Largest number of plans that are scored before plans are built anew. Plans with a single fault are scored if they
+fell when they were judged because a box tilted."""
 
 MOST_ANEW: Final = 2
-"""Largest number of changed plans that are built anew at once. Each plan is built in up to sixteen ways. All ways
-together take about a second."""
+"""Largest number of changed plans that are built anew at once. Each changed plan is built anew in up to sixteen ways.
+All ways together take about a second."""
 
 CONFIRMED_AT_ONCE: Final = 2
 """Of the plans that stand when judged, this many are scored at once."""
@@ -331,8 +331,8 @@ class Search(Candidates):
 
     def _rivals(self, queues: Sequence[list[Candidate]], states: Sequence[State], count: int) -> list[Candidate]:
         """Take candidates off the queues that may be chosen instead of the plans that stand. If worlds with errors are
-        simulated, any candidate may be chosen. Otherwise, only candidates that statics prefers to all of the shortest
-        plans that stand may be chosen."""
+        simulated, any candidate may be chosen. If no worlds with errors are simulated, only candidates that statics
+        prefers to all of the shortest plans that stand may be chosen."""
         if not self.options.worlds:
             standing = shortest([state for state in states if state.trial.stands])
             fewest, best = len(standing[0].changes), min(self._risks(standing))
@@ -493,9 +493,9 @@ class Search(Candidates):
         self.repairs = tuple(different[k] for k in sorted(range(len(ranks)), key=ranks.__getitem__))
 
     def _strengthened(self) -> Steps[None]:
-        """Put the repair first that stands in the most worlds with errors. Then change the first repair further until
-        it stands in the wanted share of the worlds with errors. The repair is changed where it falls in these worlds,
-        just as a plan that falls without errors is changed where it falls."""
+        """Put the repair first that stands in the most worlds with errors. Then change the repair that stands most
+        often further, until it stands in the wanted share of the worlds with errors. The repair is changed where it
+        falls in these worlds, just as a plan that falls without errors is changed where it falls."""
         options = self.options
         wanted = math.ceil(options.share * ERROR_WORLDS)
         compared: list[State] = []
