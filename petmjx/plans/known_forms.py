@@ -208,7 +208,7 @@ def _by_pallet_rows(boxes: BoxList) -> tuple[BoxList, str]:
 
 def _axis_above(boxes: BoxList, last_of_pallet: Mapping[int, int]) -> str:
     """The vertical axis, "y" or "z": the only one of the two along which each box has a larger coordinate than its
-    pallet. "" if there is no such axis.
+    pallet. The result is "" if there is no such axis.
 
     Args:
         last_of_pallet: row of a pallet → the last row of its boxes.

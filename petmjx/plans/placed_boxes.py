@@ -348,7 +348,7 @@ def empty_rows(columns: BoxColumns) -> dict[int, tuple[str, str]]:
 
 def first_bad_row(columns: BoxColumns, wishes: Wishes) -> tuple[int, str] | None:
     """The first row that is bad in every reading of the file, and its fault: a bad cell, or a size that is not
-    positive. None if all rows are good."""
+    positive. The result is None if all rows are good."""
     weight = columns.columns.get("weight", "") if wishes.density_kg_m3 is not None else ""
     faults = {row: f"{name} {text}" for row, (name, text) in columns.faults.items() if name != weight}
     geometries = columns.geometries
@@ -433,7 +433,7 @@ def limits_in(low: float, high: float, unit: str, units: Mapping[str, float] = L
 
 def fault_of_rows(rows: Sequence[int], faults: Mapping[int, str], place_of: Callable[[int], str]) -> str | None:
     """The error text for a plan or an order with bad rows: the first fault with its place, and the number of further
-    bad rows. None if all rows are good.
+    bad rows. The result is None if all rows are good.
 
     Args:
         faults: row → fault.

@@ -193,7 +193,7 @@ def _numeric_text(array: pa.Array, decimal: str) -> pa.Array:
 
 
 def _as_number(text: str, decimal: str) -> Any:
-    """The number in a text. A text that is not a number is returned unchanged. None for an empty text."""
+    """The number in a text. A text that is not a number is returned unchanged. The result is None for an empty text."""
     if not text:
         return None
     if _WHOLE.fullmatch(text) and len(text) < 300:

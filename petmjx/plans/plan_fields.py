@@ -38,8 +38,8 @@ LARGEST_DEG: Final = 360.0
 
 
 def vanishing_side(size_mm: FloatArray, size_reduction_mm: float) -> tuple[int, str] | None:
-    """The number of the first box that has no extent left after the size reduction, and a text about this box. None if
-    there is no such box. ``size_mm``: (n, 3) sizes of the boxes."""
+    """The number of the first box that has no extent left after the size reduction, and a text about this box. The
+    result is None if there is no such box. ``size_mm``: (n, 3) sizes of the boxes."""
     if size_mm.min(initial=np.inf) > size_reduction_mm:
         return None
     thin = np.flatnonzero((size_mm <= size_reduction_mm).any(axis=1))

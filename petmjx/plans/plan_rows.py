@@ -181,7 +181,8 @@ def packing_order(
 
 
 def repeated_number(columns: BoxColumns, rows: NDArray[np.int64]) -> str | None:
-    """The fault of a plan's packing order: a number that is repeated or is not whole. None if there is no fault."""
+    """The fault of a plan's packing order: a number that is repeated or is not whole. The result is None if there is no
+    fault."""
     sequence, places = columns.sequence, columns.source.boxes.table.places
     if sequence is None:
         return None

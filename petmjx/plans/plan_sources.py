@@ -124,7 +124,7 @@ def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
 
 
 def carrier_extent_mm(sim: Simulation) -> tuple[float, float] | None:
-    """Extent of the carrier along x and y, mm. None if the carrier is as large as the plan."""
+    """Extent of the carrier along x and y, mm. The result is None if the carrier is as large as the plan."""
     extent = extent_m(sim.carrier)
     return None if extent is None else (extent[0] * MM_PER_M, extent[1] * MM_PER_M)
 
@@ -153,8 +153,8 @@ def _with_articles(plan_set: PlanSet, file: Path, strict: bool) -> PlanSet:
 
 
 def _idle_rows(articles: Articles, plans: Sequence[Plan], name: str) -> list[str]:
-    """A list with at most one line: about the rows of a table of articles that match no box. Empty if every row matches
-    a box.
+    """A list with at most one line: about the rows of a table of articles that match no box. The result is empty if
+    every row matches a box.
 
     Args:
         plans: the plans before and after the table is applied, since the materials of boxes may come from the table

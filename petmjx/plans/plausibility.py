@@ -346,7 +346,7 @@ _OF_PALLET_MM: Final = (580.0, 1500.0, 380.0, 1320.0)
 
 def load_fit(side_mm: float, load_mm: FloatArray, deck_mm: FloatArray, known: bool) -> int:
     """How well boxes and a load fit a carrier if lengths are in a certain unit: 0 not at all; 1 they fit a carrier of
-    unusual size; 2 they fit a usual carrier that is known or that the load fills. Masses do not matter.
+    unusual size; 2 they fit a usual carrier that is known or that the load fills. Masses do not matter for the fit.
 
     Args:
         side_mm: geometric mean of the boxes' sides.

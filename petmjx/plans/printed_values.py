@@ -92,7 +92,7 @@ _RULES: Final = re.compile(r"^(?:[-=]{3,}|[#%][^\n]*)$", re.MULTILINE)
 
 def printed_values(text: str) -> Any:
     """The values in a text that a program has printed: a structure, one structure in each line, named arrays, or
-    messages of protocol buffers. None for other texts.
+    messages of protocol buffers. The result is None for other texts.
 
     Raises:
         InputError: the text begins as a structure, but is damaged. The error names the line, but not the file.

@@ -264,8 +264,8 @@ decimal signs."""
 
 
 def decimal_of(rows: Sequence[Sequence[Any]]) -> str:
-    """The decimal sign of numbers that are stored as text. "" if the numbers do not show which sign it is, so that
-    "1,200" could be 1200 or 1.2.
+    """The decimal sign of numbers that are stored as text. The result is "" if the numbers do not show which sign it
+    is, so that "1,200" could be 1200 or 1.2.
 
     "1,200" has a decimal comma if the other numbers have no mark between their thousands. "1.200" may mean 1200 if the
     numbers of its column have no decimals.

@@ -168,7 +168,7 @@ def further_candidates(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidat
 
 def _turning_axis(turn: FloatArray) -> str:
     """The axis about which boxes are turned, "y" or "z", if all turned boxes are turned about it. Boxes of a pile are
-    turned about the vertical. "" if no box is turned, or boxes are turned about several axes.
+    turned about the vertical. The result is "" if no box is turned, or boxes are turned about several axes.
 
     Args:
         turn: (n, 3, 3) absolute values of rotation matrices.
@@ -256,7 +256,7 @@ def _rules(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tupl
 
 def _sizes_by_article(columns: BoxColumns, geometry: Geometry) -> str:
     """Whether sizes are those of the placed box or those of the item. Boxes of one article in different orientations
-    show which of the two is true. "" if this is unknown."""
+    show which of the two is true. The result is "" if this is unknown."""
     turns, names = columns.turns, columns.article
     if turns is None or names is None:
         return ""
@@ -286,8 +286,8 @@ must exceed width."""
 
 def _sizes_by_length(columns: BoxColumns, geometry: Geometry) -> str:
     """Whether sizes are those of the placed box or those of the item. The length of an item is rarely smaller than its
-    width. So if lengths are larger than widths even for turned boxes, sizes are those of items. "" if this is
-    unknown."""
+    width. So if lengths are larger than widths even for turned boxes, sizes are those of items. The result is "" if
+    this is unknown."""
     turns = columns.turns
     if turns is None or not {"length", "width"} <= set(geometry.axes):
         return ""

@@ -101,8 +101,8 @@ def are_yes_or_no(cells: Sequence[Any]) -> bool:
 
 
 def letters_of(cell: Any) -> tuple[int, int, int] | None:
-    """For three letters such as "YXZ" or "WLH": the index of the size along x, y and z. None if the letters name no
-    orientation."""
+    """For three letters such as "YXZ" or "WLH": the index of the size along x, y and z. The result is None if the
+    letters name no orientation."""
     text = cell_text(cell).upper().removeprefix("ROTATIONTYPE.").removeprefix("RT_").removeprefix("ORIENTATION.")
     for letters in ("XYZ", "LWH", "WHD", "LBH", "LHD", "WDH", "ABC"):
         if sorted(text) == sorted(letters):

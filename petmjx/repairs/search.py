@@ -437,8 +437,8 @@ class Search(Candidates):
 
     def _stripped(self, state: State) -> Steps[list[State]]:
         """The state without the boxes that fall. Boxes that fall are left out one by one, with all boxes on them, until
-        the remaining boxes stand. Empty: a box that is already built, or the last box, would have to be left out. The
-        loop always ends, since each step leaves out a box."""
+        the remaining boxes stand. The result is empty if a box that is already built, or the last box, would have to be
+        left out. The loop always ends, since each step leaves out a box."""
         while not state.trial.stands:
             lifted = lifted_with(state.draft, _lost(state.draft, state.trial))
             if min(lifted) < self.rules.built or len(lifted) >= len(state.draft.order):

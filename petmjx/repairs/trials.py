@@ -71,7 +71,8 @@ GPU_GRANULE: Final = 32
 size of a table takes seconds to compile."""
 
 SHEETS_MORE: Final = 2
-"""Room in tables for this many tie sheets in a plan. A world with more sheets needs another table."""
+"""Room in tables for this many tie sheets in a plan. A world with more than this number of sheets needs another
+table."""
 
 MOST_LISTED: Final = 1024
 """Largest number of worlds at once for an engine that takes no stream of jobs."""
@@ -432,7 +433,8 @@ class TrialStream:
             self._queues[kind].entries.append((request, jobs))
 
     def answers(self) -> Iterator[TrialAnswer | None]:
-        """The answers, until no request is left. None: the engine pauses, so further requests can be put.
+        """The answers, until no request is left. An answer None means that the engine pauses, so further requests can
+        be put.
 
         Raises:
             OutOfTime: the time is up.
