@@ -188,8 +188,8 @@ class ColumnExtraction:
         self.faults.setdefault(row, (self.table.header[index], text))
 
     def numbers(self, index: int, units: Mapping[str, float]) -> tuple[FloatArray, str]:
-        """(n,) numbers of a column, NaN if a cell is bad. Also returns the unit according to the column's name or cells
-        ("": none is given)."""
+        """(n,) numbers of a column, NaN if a cell is bad. The function also returns the unit according to the column's
+        name or cells ("": none is given)."""
         rows: list[Sequence[CellNumber]] = []
         cells, decimal = self.cells(index), self.table.decimal
         is_grouped = self.groups_thousands or are_grouped(cells, decimal)
@@ -208,8 +208,8 @@ class ColumnExtraction:
         return values[:, 0], unit
 
     def densities(self, index: int) -> tuple[FloatArray, str]:
-        """(n,) densities of a column, NaN if a cell is bad. Also returns their unit according to the column's name, one
-        of ``DENSITY_UNITS`` ("": none is given).
+        """(n,) densities of a column, NaN if a cell is bad. The function also returns their unit according to the
+        column's name, one of ``DENSITY_UNITS`` ("": none is given).
 
         Raises:
             InputError: the name has an unknown unit.
@@ -225,12 +225,13 @@ class ColumnExtraction:
         return self.numbers(index, {"kg/m3": 1.0})[0], unit
 
     def triples(self, index: int) -> tuple[FloatArray, str]:
-        """(n, 3) numbers of a column with three numbers per cell. Also returns the unit of the numbers."""
+        """(n, 3) numbers of a column with three numbers per cell. The function also returns the unit of the numbers."""
         cells = [cell_triple(cell, self.table.decimal) for cell in self.cells(index)]
         return self._lists(index, cells, "three", 3)
 
     def corners(self, index: int) -> tuple[FloatArray, str]:
-        """(n, 6) coordinates of a column with two corners per cell. Also returns the unit of the numbers."""
+        """(n, 6) coordinates of a column with two corners per cell. The function also returns the unit of the
+        numbers."""
         pairs = [cell_corners(cell, self.table.decimal) for cell in self.cells(index)]
         cells = [None if pair is None else [*pair[0], *pair[1]] for pair in pairs]
         return self._lists(index, cells, "two times three", 6)
@@ -238,7 +239,7 @@ class ColumnExtraction:
     def _lists(
         self, index: int, cells: Sequence[Sequence[CellNumber] | None], count_words: str, count: int
     ) -> tuple[FloatArray, str]:
-        """(n, count) numbers of a column with several numbers per cell. Also returns their unit.
+        """(n, count) numbers of a column with several numbers per cell. The function also returns their unit.
 
         Args:
             cells: the numbers of each cell; None: the cell is bad.
@@ -258,8 +259,8 @@ class ColumnExtraction:
     def _in_one_unit(
         self, index: int, rows: Sequence[Sequence[CellNumber]], units: Mapping[str, float], width: int
     ) -> tuple[FloatArray, str]:
-        """(n, width) numbers of a column, NaN for rows without numbers. Also returns the unit of the numbers ("": none
-        is given).
+        """(n, width) numbers of a column, NaN for rows without numbers. The function also returns the unit of the
+        numbers ("": none is given).
 
         A number without a unit gets the unit that the column's name, an option or the form gives. If neither the
         column's name nor an option nor the form gives a unit, but other cells of the column have units, the number is

@@ -56,8 +56,8 @@ def statics_of(plans: Sequence[Plan]) -> Statics:
 
 
 def loose_and_ties(plan: Plan) -> tuple[int, int]:
-    """The first loose box, in packing order; n if there is none. Also returns the number of ties: all supports of all
-    boxes, without the first support of each box.
+    """The first loose box, in packing order; n if there is none. The function also returns the number of ties: all
+    supports of all boxes, without the first support of each box.
 
     A box is loose if its centre of mass is not over its supports. The supports of a box are the highest tops of earlier
     boxes under it, or the carrier. The centre of mass is over the supports if it lies within the bounding rectangle of

@@ -92,8 +92,8 @@ def _line(row: Sequence[Any]) -> str:
 def _table_below(
     rows: Sequence[tuple[Any, ...]], head: int, end: int, begin: int, title: str, above: tuple[str, ...], more: bool
 ) -> tuple[list[RawTable], list[str]]:
-    """The tables below a header, one for each named section. Also returns the remaining lines, from the next header
-    on."""
+    """The tables below a header, one for each named section. The function also returns the remaining lines, from the
+    next header on."""
     names = [cell_text(cell) for cell in rows[head]]
     while names and not names[-1]:
         names.pop()

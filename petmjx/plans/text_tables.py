@@ -27,7 +27,7 @@ _SPACES: Final = " "
 
 
 def decoded_text(data: bytes | bytearray) -> tuple[str, str]:
-    """Decode bytes to text. Also returns a note about the encoding ("" for UTF-8).
+    """Decode bytes to text. The function also returns a note about the encoding ("" for UTF-8).
 
     UTF-8, UTF-16 and UTF-32 are recognised with certainty. All other bytes are read as Windows-1252, or as Windows-1250
     if that gives more known words in headers.
