@@ -61,8 +61,8 @@ def loose_and_ties(plan: Plan) -> tuple[int, int]:
 
     A box is loose if its centre of mass is not over its supports. The supports of a box are the highest tops of earlier
     boxes under it, or the carrier. The centre of mass is over the supports if it lies within the bounding rectangle of
-    their contact areas. The convex hull of the contact areas can be smaller than this rectangle, so a rule with the
-    hull would find more loose boxes.
+    their contact areas. The convex hull of the contact areas can be smaller than their bounding rectangle, so a rule
+    with the hull would find more loose boxes.
     """
     low, high = plan.corner_mm, plan.corner_mm + plan.size_mm
     along = [shared_length(low[:, axis], high[:, axis]) for axis in (0, 1)]

@@ -409,7 +409,8 @@ class _TableReader:
 
     @cached_property
     def _com(self) -> dict[str, FloatArray]:
-        """Centres of mass along the sides of the items, mm. 0 if missing, NaN if unusable."""
+        """Centres of mass along the sides of the items, mm. A coordinate is 0 if it is missing, and NaN if it is
+        unusable."""
         columns = {}
         for name, of in zip(COM_FIELDS, _SIZE, strict=True):
             if name in self.table.columns:

@@ -310,7 +310,7 @@ class Search(Candidates):
                 last = min(last, self.n_trials + int(SHORTER * most_trials))
             standing = shortest([*standing, *shortened])
             self.repairs = tuple(standing)
-            if is_late and standing:  # to build plans anew again hardly needs fewer changes
+            if is_late and standing:  # plans built anew hardly need fewer changes next time
                 break
             pairs = zip(states, batch, strict=True)
             changed = [Node(one, self._remaining(one, c.parent), rank=c.key) for one, c in pairs]
