@@ -26,7 +26,7 @@ farthest in this direction is computed. All other corners are ignored, so a comp
 too large."""
 
 _NO_EDGE: Final = -1e3
-"""Offset of an edge that does not exist, m. With this offset, every load lies far inside the edge."""
+"""Offset of an edge that does not exist, m. With so large an offset, every load lies far inside the edge."""
 
 _EXACT: Final = jax.lax.Precision.HIGHEST
 """Precision of matrix products. With JAX's default precision, GPUs round the factors to 10 bits."""

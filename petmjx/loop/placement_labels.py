@@ -166,7 +166,7 @@ class Labeller:
             ``GROUPS_ON_GPU`` on a GPU, else 1.
         explore: share of boxes that are tried at a random place first.
         errors: number of additional simulations of each label in which a robot places the box inexactly. If ``errors``
-            is None, no such simulations are made.
+            is None, no simulations with an inexact robot are made.
         max_height_mm: largest allowed height of a box's top.
         others: options of ``petmjx.Pallets``.
 

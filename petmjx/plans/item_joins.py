@@ -26,7 +26,7 @@ _MATCHED: Final = 0.9
 _MEASURES: Final = word_set(
     "size sizes position positions low high quaternion euler weight density volume quantity sequence"
 )
-"""Kinds of columns that cannot name the item of a box. If a box and an item have equal numbers in such columns, this is
+"""Kinds of columns that cannot name the item of a box. In such columns, a box and an item have equal numbers only by
 chance."""
 _OF_WEIGHT: Final = word_set("weight density")
 _OF_ITEMS: Final = re.compile(r"item|article|artikel|sku|product|produkt", re.IGNORECASE)

@@ -404,7 +404,7 @@ _GEOMETRIC: Final = (*_SIZE_KINDS, "position", "positions", "low")
 
 
 def _named(names: Sequence[str], kinds: Collection[str]) -> set[str]:
-    """The names whose meaning is of one of these kinds."""
+    """The names with a meaning whose kind is one of ``kinds``."""
     return {
         name for name, meaning in known_meanings(names).items() if meaning.kind in kinds and not meaning.of_container
     }

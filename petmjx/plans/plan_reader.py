@@ -95,8 +95,8 @@ def load_plans(
             Arrow's stream interface; or boxes in another tool's form: py3dbp's packer or bins, a NumPy array, nested
             dictionaries. Files are BED-BPP's JSON, CSV (``*.csv``, ``*.tsv``) or Parquet, or files of other tools: JSON
             with boxes anywhere, tables of any locale, sheets (.xlsx, .ods), arrays (.npy, .npz), MJCF. JSON and text
-            may be gzipped. A file may have at most 4 GiB; devices and FIFOs are not read. In a folder, all such files
-            that are directly in it are read, sorted by name.
+            may be gzipped. A file may have at most 4 GiB; devices and FIFOs are not read. Of a folder, the files
+            of known kinds that are directly in it are read, sorted by name.
         limit: number of good plans after which reading stops.
         strict: whether to raise an error instead of skipping anything.
         max_boxes: largest number of boxes. Plans with more boxes are skipped.

@@ -307,8 +307,8 @@ class Candidates:
 
     def _unsolved(self, after: Balance, failing: Mapping[int, float], culprit: int | None) -> float:
         """How much of a failure remains after a change, from 0 to 2. The failure is caused by loads beyond edges. The
-        result is the sum of two shares of distances beyond edges: the mean share that remains for all these loads, and
-        the share that remains for the load of the box that fell first.
+        result is the sum of two shares of distances beyond edges: the share that remains for all loads beyond edges
+        (the mean), and the share that remains for the load of the box that fell first.
 
         Args:
             failing: box → depth of its load before the change, mm.

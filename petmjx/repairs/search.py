@@ -70,7 +70,7 @@ LATE_AT_ONCE: Final = 2 * AT_ONCE
 
 PAIR: Final = 2
 """Once a repair with one change more than this number is known, a repair with this number of changes is sought widely.
-To seek repairs with more changes in this way takes too many trials."""
+A wide search for repairs with more than ``PAIR`` changes takes too many trials."""
 
 PAIRS: Final = 0.2
 """Share of all trials in which a repair with ``PAIR`` changes is sought widely."""
@@ -202,7 +202,7 @@ class Search(Candidates):
         self.begin(scored.trial)
 
     def _begun_with_built(self, judged: Trial) -> Steps[None]:
-        """Score the plan as it is, and its built boxes alone, after a built box fell when no other boxes were placed.
+        """A built box fell when no other boxes were placed: score the plan as it is, and the built boxes alone.
         Every changed plan begins with the same placements, so no change helps if the built boxes fall alone."""
         alone = replace(self._start, order=self._start.order[: self.rules.built])
         parts: list[Steps[Any]] = [self._begun(judged)] if self.before is None else []
@@ -405,7 +405,8 @@ class Search(Candidates):
 
     def _faults_of(self, state: State) -> Steps[tuple[Fault, ...]]:
         """The faults of a plan. Boxes that fall are taken off one by one, with all boxes that need them, until the rest
-        stands. With a drive, this would be too expensive, so only the boxes that fell are counted."""
+        stands. With a drive, to take boxes off one by one would be too expensive, so only the boxes that fell are
+        counted."""
         draft, trial, faults = state.draft, state.trial, list[Fault]()
         if self.options.profile is not None and not trial.stands:
             return (Fault.of(_lost(draft, trial), len(trial.fallen)),)
@@ -599,8 +600,8 @@ class Search(Candidates):
         """The given states, which stand, without their needless changes. Changes are taken back one by one.
 
         Args:
-            judged: whether shorter states are only judged, and only the shortest one of each state is scored. To score
-                all shorter states would take minutes.
+            judged: whether states with fewer changes are only judged. Then, for each given state, only the cheapest
+                state that remains is scored. To score all states with fewer changes would take minutes.
         """
         shorter = list(states)
         remaining = [k for k, state in enumerate(states) if len(state.changes) > 1]
