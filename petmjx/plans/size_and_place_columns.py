@@ -354,8 +354,8 @@ _OF_LAST_CELLS: Final = 2.0
 
 
 def with_last_cells(geometry: Geometry) -> Geometry | None:
-    """The geometry, with far corners read as the last cells of boxes on a grid: a box from 1 to 40 is 40 cells long. The
-    result is None if the geometry does not consist of two corners with whole numbers."""
+    """The geometry, with far corners read as the last cells of boxes on a grid: a box from 1 to 40 is 40 cells long.
+    The result is None if the geometry does not consist of two corners with whole numbers."""
     far = [name for role, name in geometry.columns.items() if role.endswith("(far)") or role == "corners"]
     if not far or not _are_whole(geometry.size, geometry.place):
         return None
