@@ -21,8 +21,8 @@ import pytest
 pytest_plugins = ("support.browser",)
 
 XLA_CPU_FLAGS = {
-    # With it on, programs of the mjx-jax engine hang in XLA's thread pool (jaxlib 0.10.2, two cores: 7 runs of 7;
-    # with it off 0 of 4).
+    # With the concurrency-optimised scheduler on, programs of the mjx-jax engine hang in XLA's thread pool (jaxlib
+    # 0.10.2, two cores: 7 runs of 7; with it off 0 of 4).
     "--xla_cpu_enable_concurrency_optimized_scheduler": "false",
     # Most programs run for a moment, and take longer to compile. Without optimisation, the tests of mjx-jax and of
     # petmjx.jax take half to two thirds of the CPU time.
@@ -43,21 +43,23 @@ if os.environ.get("PETMJX_TEST_GPU") != "1":
     added = [f"{flag}={value}" for flag, value in XLA_CPU_FLAGS.items() if flag not in given]
     os.environ["XLA_FLAGS"] = " ".join([given, *added]).strip()
 
-# Processes that tests start import petmjx from bytecode. Without it, each of them takes a quarter of a second longer.
+# Processes that tests start import petmjx from bytecode. Without bytecode, each of these processes takes a quarter of a
+# second longer.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
 # Runs of tests need not outlive a power failure, and a test with a hundred small runs waits for the disk for seconds.
 os.fsync = lambda descriptor: None
 
-# The same examples on each machine, however slow it is.
+# Tests of hypothesis draw the same examples on each machine, and have no deadline, however slow the machine is.
 if importlib.util.find_spec("hypothesis") is not None:
     from hypothesis import HealthCheck, settings
 
     settings.register_profile("petmjx", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
     settings.load_profile("petmjx")
 
-# Whatever a shell starts in the background ignores Ctrl-C, and after nohup also SIGHUP. So would all that tests start.
+# Whatever a shell starts in the background ignores Ctrl-C, and after nohup also SIGHUP. Without the next lines, all
+# processes that tests start would ignore these signals, too.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:

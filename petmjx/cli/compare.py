@@ -47,8 +47,8 @@ def compare(
     """Compare two runs of the same plans: whether their verdicts agree, and by how much each metric differs.
 
     For each metric, the command prints the median, the 95th percentile and the largest value of |b - a|, and the plan
-    and the box with the largest value. If the sign of b - a has a meaning, it also prints the mean of b - a. If a plan
-    is not the same in both runs, only its verdicts are compared.
+    and the box with the largest value. If the sign of b - a has a meaning, the command also prints the mean of b - a.
+    If a plan is not the same in both runs, only its verdicts are compared.
 
     With --packers, packers are compared on the same orders (plans with the same ids). For each packer, the command
     prints the share of plans that stand, with an interval, and the utilisation; with --orders, also KPIs. For each pair

@@ -1,4 +1,5 @@
-"""Standard output and standard error. Each of the two may be a terminal, a file, a pipe, or closed."""
+"""Standard output and standard error. Standard output and standard error may each be a terminal, a file, a pipe, or
+closed."""
 
 from __future__ import annotations
 

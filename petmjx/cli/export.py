@@ -31,7 +31,8 @@ def export(
     variant: opt.Variant = None,
     **options: Any,
 ) -> None:
-    """Write the exact MuJoCo model of one plan as MJCF, with every box at its place. MuJoCo's viewer can open it.
+    """Write the exact MuJoCo model of one plan as MJCF, with every box at its place. MuJoCo's viewer can open the
+    model.
 
     If DIR, the folder of a run, is given, the model is the one that the run simulated. Without DIR, the options
     determine the model.

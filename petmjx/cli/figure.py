@@ -48,9 +48,9 @@ def figure(
     """Draw the answers of a run as a figure for a paper.
 
     For a search of the largest level survived, the figure shows the share of plans that survive each level, by
-    direction. For other sweeps, it shows the share of simulations in which plans stand, with intervals, for each value
-    that is varied. For a score with --confidence, it shows for each plan the share of simulations in which the plan
-    stands.
+    direction. For other sweeps, the figure shows the share of simulations in which plans stand, with intervals, for
+    each value that is varied. For a score with --confidence, the figure shows for each plan the share of simulations in
+    which the plan stands.
 
     With the same options, the commands compare --packers and criteria draw figures of their results.
     """

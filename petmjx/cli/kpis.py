@@ -58,8 +58,8 @@ def kpis(
     """Rate plans as BED-BPP does, by BED-BPP's KPIs for each plan, the means of the KPIs, and the leaderboard's score.
 
     A run of petmjx tells which plans stand. BED-BPP's own rule puts all boxes in place at once, and calls a plan
-    unstable if a box moves by more than 10 mm along z. This rule gives kpi_6, and needs a run with --check static.
-    petmjx's verdict is shown beside the KPIs.
+    unstable if a box moves by more than 10 mm along z. BED-BPP's own rule gives kpi_6, and needs a run with --check
+    static. petmjx's verdict is shown beside the KPIs.
     """
     from petmjx.analysis.kpi_files import check_kpis_free, write_kpis
     from petmjx.analysis.kpi_submission import parse_name, write_submission

@@ -67,7 +67,7 @@ def leaderboard(
     The site has the rating of each packer with its interval, statistical tests, KPIs, pages on which simulations can be
     played, the plans, and the command that makes the site again. The options apply to the plans that the command
     scores. If an entry is the folder of a run, the command uses the verdicts of the run, and simulates some of the
-    plans again. If these simulations contradict the run, the entry is not rated.
+    plans again. If the new simulations contradict the run, the entry is not rated.
     """
     from petmjx.show.leaderboard.leaderboard import board_line
     from petmjx.show.leaderboard.leaderboard import leaderboard as make

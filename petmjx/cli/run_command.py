@@ -115,8 +115,8 @@ def run_watched(run: Callable[..., RunResults], options: Mapping[str, Any]) -> R
     """Execute a run with a progress bar.
 
     Args:
-        run: function that executes the run. Its keyword arguments are ``watcher`` (the object that is told about the
-            progress) and the options, including the folder ``out``.
+        run: function that executes the run. The keyword arguments of the function are ``watcher`` (the object that is
+            told about the progress) and the options, including the folder ``out``.
         options: the options that the user has typed.
 
     Raises:
@@ -167,8 +167,8 @@ def folder_of_run(options: Mapping[str, Any]) -> Iterator[Path]:
 
 
 def _version_of_run(folder: Path) -> tuple[int, int] | None:
-    """The inode and the time of the last change of the ``run.json`` in a folder; None if the folder has none. Both
-    change whenever a run writes the file."""
+    """The inode and the time of the last change of the ``run.json`` in a folder; None if the folder has none. The inode
+    and the time change whenever a run writes the file."""
     from petmjx.results.run_folder import RUN_FILE
 
     with suppress(OSError):

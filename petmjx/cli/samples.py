@@ -107,14 +107,14 @@ def samples(
     purpose.
 
     The packer physical simulates several packings of each order, and chooses the densest packing that stands often
-    enough. This takes seconds per order on CPUs.
+    enough. The simulations take seconds per order on CPUs.
 
     The packer learned places boxes in the sequence of the order, and sees the next --lookahead boxes. The other packers
     see the whole order.
 
     With --orders, the orders of a file are packed instead. Boxes for which there is no place below 2 m are left out.
-    For each order with boxes left out, the command prints a line that names these boxes. For random orders, it prints
-    only the first 10 of these lines.
+    For each order with boxes left out, the command prints a line that names these boxes. For random orders, the command
+    prints only the first 10 of these lines.
     """
     from petmjx.common.machine import cpu_threads
     from petmjx.packers.pack import reading_of

@@ -222,7 +222,7 @@ class Actions:
         return np.asarray((force_n > self.strength_n[pallets, : force_n.shape[1]]).any(axis=1))
 
     def _geometric(self, places: Places) -> NDArray[np.bool_]:
-        """(c,) whether each place is legal according to geometry. If the mask uses physics, these places are later
+        """(c,) whether each place is legal according to geometry. If the mask uses physics, legal places are later
         tested by simulations."""
         if places.centred is not None:
             return places.centred

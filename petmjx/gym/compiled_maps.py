@@ -1,4 +1,5 @@
-"""Machine code that updates the maps of many pallets. Twin of the NumPy code in ``petmjx.gym.observation_maps``.
+"""Machine code that updates the maps of many pallets. This module is a twin of the NumPy code in
+``petmjx.gym.observation_maps``.
 
 Warp compiles the code (petmjx/gym/map_kernel.py) once per machine, for the CPU. The results are the same as NumPy's,
 bit for bit. The code writes only the cells that boxes cover, in threads that do not need Python's global lock.

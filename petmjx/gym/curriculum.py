@@ -23,8 +23,8 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True)
 class Curriculum:
-    """Properties of episodes, each as a pair of values: one for level 0 and one for level 1. Between these levels, each
-    value changes linearly.
+    """Properties of episodes, each as a pair of values: one for level 0 and one for level 1. Between level 0 and level
+    1, each value changes linearly.
 
     Attributes:
         boxes: largest number of boxes of an order. If an order has more boxes, the last boxes are dropped. If ``boxes``

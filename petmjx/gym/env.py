@@ -62,8 +62,8 @@ class PalletizingEnv(gym.Env[Observation, np.int64]):
         """Begin an episode. Equal seeds give equal episodes.
 
         Args:
-            options: a dict that may have the entry ``level``, from 0 to 1. This entry sets the level of difficulty of
-                the new episode and of all later episodes.
+            options: a dict that may have the entry ``level``, from 0 to 1. The entry ``level`` sets the level of
+                difficulty of the new episode and of all later episodes.
         """
         super().reset(seed=seed)
         if (level := level_of(options, 1)) is not None:

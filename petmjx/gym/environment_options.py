@@ -42,8 +42,8 @@ class PalletizingOptions:
             the fields of ``petmjx.RunOptions``. If ``orders_units``, ``orders_columns`` or ``orders_density`` is None,
             the most plausible value is used.
         articles: a table of articles (docs/loads.md), from which the strengths of boxes are read.
-        look_ahead: number of boxes that are visible in an observation. 1 means online packing. A number as large as the
-            order means offline packing.
+        look_ahead: number of boxes that are visible in an observation. The value 1 means online packing. A value as
+            large as the order means offline packing.
         buffer: number of boxes from which an action may choose. The boxes of the buffer are the first of the visible
             boxes.
         actions: if ``candidates``, an action selects a place from a list of places with features. If ``cells``, an

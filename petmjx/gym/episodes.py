@@ -157,7 +157,7 @@ class Episodes:
         last = self.pallets.n_boxes[on]
         queues: list[NDArray[Any]] = []
 
-        def go_on() -> None:  # these updates need only the places of boxes, not the results of the simulation
+        def go_on() -> None:  # updates of the packing need only the places of boxes, not the results of the simulation
             self._actions.strength_n[on, last] = self._queues.take(rows, box)
             self._maps.add(on, last, size, corner)
             queues.extend(self._queues.kept(rows))

@@ -1,4 +1,5 @@
-"""Warp kernels that update the maps of pallets. Twins of the NumPy code in ``petmjx.gym.observation_maps``."""
+"""Warp kernels that update the maps of pallets. The kernels are twins of the NumPy code in
+``petmjx.gym.observation_maps``."""
 
 from __future__ import annotations
 

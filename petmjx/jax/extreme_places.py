@@ -28,8 +28,8 @@ load on a box below from the edge of the hull of that box's own contacts, mm. Bo
 negative outside, and at most 200 mm."""
 
 _PER_ASIDE: Final = 0.01
-"""Cost of a millimetre of distance from the nearest edges of the carrier, as millimetres of height. Because of this
-cost, the place nearest to the edges is preferred among equally low places (``cost_mm`` of
+"""Cost of a millimetre of distance from the nearest edges of the carrier, as millimetres of height. Because distances
+have a cost, the place nearest to the edges is preferred among equally low places (``cost_mm`` of
 petmjx/packers/learned_candidates.py)."""
 
 LOOKED_AT: Final = 3

@@ -127,8 +127,8 @@ def _of_kind(values: Any, name: str, kind: Any, kind_name: str) -> jax.Array:
 
 
 def _boxes(size_mm: Any, corner_mm: Any, mass_kg: Any, m: int) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """The boxes as arrays. Raises InputError for wrong shapes. The function does not check the numbers, because these
-    are unknown under ``jit``."""
+    """The boxes as arrays. Raises InputError for wrong shapes. The function does not check the values in the arrays,
+    because values are unknown under ``jit``."""
     arrays = []
     for name, values, shape in (
         ("size_mm", size_mm, (m, 3)),

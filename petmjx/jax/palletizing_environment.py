@@ -104,8 +104,8 @@ class Palletizing:
     """An environment with one pallet, on which each step places one box, as in ``petmjx/Palletizing-v0``.
 
     ``state, timestep = env.reset(key)`` begins an episode, and ``state, timestep = env.step(state, action)`` carries
-    out an action. Both functions are pure. Methods and classes have the same names as in the library jumanji, which
-    need not be installed. Under ``jax.vmap``, all pallets are simulated in one call.
+    out an action. The functions ``reset`` and ``step`` are pure. Methods and classes have the same names as in the
+    library jumanji, which need not be installed. Under ``jax.vmap``, all pallets are simulated in one call.
 
     Args:
         orders: as in ``petmjx/Palletizing-v0``, except that ``endless`` means 256 orders from the generator of random

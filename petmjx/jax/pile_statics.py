@@ -2,9 +2,9 @@
 whose docstring names the sources, but in single precision.
 
 A load is a vector (F, F·x, F·y) in kg and kg·m, where F acts at (x, y). A box presses on the boxes below it with a
-pressure that is a linear function of x and y. This pressure is linear in the load. So for each pair of boxes, a 3 × 3
-matrix turns the load on the upper box into the part of this load that reaches the lower box. Adding a box to the pile
-therefore needs only one product of matrices.
+pressure that is a linear function of x and y. The pressure is linear in the load on the box. So for each pair of boxes,
+a 3 × 3 matrix turns the load on the upper box into the part of this load that reaches the lower box. Adding a box to
+the pile therefore needs only one product of matrices.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ farthest in this direction is computed. All other corners are ignored, so a comp
 too large."""
 
 _NO_EDGE: Final = -1e3
-"""Offset of an edge that does not exist, m. With this offset, every load lies far inside the edge."""
+"""Offset of an edge that does not exist, m. With so large an offset, every load lies far inside the edge."""
 
 _EXACT: Final = jax.lax.Precision.HIGHEST
 """Precision of matrix products. With JAX's default precision, GPUs round the factors to 10 bits."""
@@ -114,10 +114,11 @@ def hull_planes(contacts: Contacts) -> Planes:
 def margins_m(
     statics: Statics, contacts: Contacts, planes: Planes, mass_kg: Float[Array, ""]
 ) -> tuple[Float[Array, " placement"], Float[Array, " placement"], Bool[Array, " placement"]]:
-    """Three arrays (q,), with a value for each of q boxes that might be put onto the pile. The first has the distance
-    by which the box's weight would act inside the hull of the box's contacts, m. The second has the smallest distance
-    by which the load of any box below would act inside the hull of that box's contacts, m. The third tells whether the
-    loads of all boxes below would act far enough inside. A distance above ``FAR_M`` is replaced by ``FAR_M``."""
+    """Three arrays (q,), with a value for each of q boxes that might be put onto the pile. The first array has the
+    distance by which the box's weight would act inside the hull of the box's contacts, m. The second array has the
+    smallest distance by which the load of any box below would act inside the hull of that box's contacts, m. The third
+    array tells whether the loads of all boxes below would act far enough inside. A distance above ``FAR_M`` is replaced
+    by ``FAR_M``."""
     floats = ~contacts.bears.any(axis=1) & ~contacts.on_carrier
     inside = jnp.where(floats, -FAR_M, -planes[..., 0].max(axis=1))
     moments, inverse = _moments(contacts)
@@ -136,7 +137,7 @@ def margins_m(
 
 def least_m(size_mm: Float[Array, "placement 3"], least_mm: float) -> Float[Array, " placement"]:
     """(q,) how far inside the hull of its contacts the load of each box must act, m, as in the packer ``balanced``.
-    This distance is ``least_mm``, or, if less, a share of the shorter side of the box's base."""
+    The distance is ``least_mm``, or, if less, a share of the shorter side of the box's base."""
     return jnp.minimum(least_mm, MARGIN_SHARE * size_mm[:, :2].min(axis=1)) / MM_PER_M
 
 

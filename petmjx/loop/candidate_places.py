@@ -48,7 +48,7 @@ class Places(NamedTuple):
         corner_mm: (c, 3) position of the box's front-left-bottom corner at the place.
         support: (c,) share of the box's base that would rest on the carrier or on the tops of other boxes.
         centred: (c,) whether the centre of the box's base lies over the convex hull of the areas on which the box would
-            rest, as in the criterion ``centre``. If it was not requested, ``centred`` is None.
+            rest, as in the criterion ``centre``. If ``centred`` was not requested, it is None.
     """
 
     row: NDArray[np.intp]

@@ -1,5 +1,5 @@
-"""Machine code that finds the extreme points of many pallets, and lowers boxes at these points. Twin of the NumPy code
-in ``petmjx.loop.extreme_points`` and ``petmjx.loop.candidate_places``.
+"""Machine code that finds the extreme points of many pallets, and lowers boxes at these points. This module is a twin
+of the NumPy code in ``petmjx.loop.extreme_points`` and ``petmjx.loop.candidate_places``.
 
 Warp compiles the code (petmjx/loop/place_kernel.py) once per machine, for the CPU. The results are the same as NumPy's,
 bit for bit. Machine code does not need Python's global lock, for which NumPy's threads wait most of their time.
@@ -28,7 +28,7 @@ _WORTH_A_THREAD: Final = 32
 """Smallest number of boxes or pallets for which another thread is started."""
 
 _AT_ONCE: Final = 4096
-"""Largest number of new boxes that are lowered at a time. It limits the memory of the results."""
+"""Largest number of new boxes that are lowered at a time. This number limits the memory of the results."""
 
 
 def add_points(
@@ -49,8 +49,8 @@ def add_points(
         box_corner_mm, box_size_mm: (n, k, 3) corners and sizes of the boxes on the pallets; ``n_boxes``: (n,) number
             of boxes on each pallet.
         gap_mm: free space behind each box along x and y.
-        points: (n, p) points as x + iy, mm; ``n_points``: (n, c) number of points after the first 0, 1, … boxes. Both
-            tables need room for the new points.
+        points: (n, p) points as x + iy, mm; ``n_points``: (n, c) number of points after the first 0, 1, … boxes. The
+            tables ``points`` and ``n_points`` need room for the new points.
     """
     boxes = table(box_corner_mm, wp.vec3d), table(box_size_mm, wp.vec3d), table(n_boxes, wp.int64)
     tables = _points_table(points), table(n_points, wp.int64)

@@ -64,7 +64,7 @@ class Points:
 
         Args:
             low, high: (m, k, 3) lowest and highest corners of the boxes on the pallets, including the free space. The
-                box whose points are added has the number ``boxes[pallet]``. Later boxes are ignored.
+                box whose points are added has the number ``boxes[pallet]``. Boxes with larger numbers are ignored.
         """
         number, rows = self.boxes[pallets], np.arange(len(pallets))
         points, count = self.of(pallets), self._count[pallets, number]

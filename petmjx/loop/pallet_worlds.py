@@ -32,8 +32,8 @@ class PalletWorlds:
         margin: (n,) margin of stability of each pallet that is at rest and for which the bounds are valid; −1 for all
             other pallets.
         apart_mm: (n, k) largest distance of any corner of each box from its planned position, mm.
-        placing: whether another thread is currently simulating pallets until they rest. While another thread does so,
-            only that thread may use the worlds.
+        placing: whether another thread is currently simulating pallets until they rest. While another thread simulates
+            pallets, only that thread may use the worlds.
     """
 
     def __init__(self, n: int, engine: Engine, sim: Simulation, most_boxes: int) -> None:

@@ -201,7 +201,7 @@ class Pallets(Closable):
                 ``PlacementResults.share`` is the share of these simulations in which the pallet stands. The errors are
                 those of ``petmjx score --confidence``.
             drive: the name of a profile (a motion of the carrier) that shakes the pallet with the candidate on it, such
-                as ``eumos-40509``. The results are then those after the shaking.
+                as ``eumos-40509``. If a drive is named, the results are those after the shaking.
             level: strength of the profile, in the profile's unit, such as 0.3 for 0.3 g.
             direction_deg: horizontal direction of the profile, degrees.
 

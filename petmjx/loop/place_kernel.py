@@ -1,5 +1,5 @@
 """Warp kernels that find the extreme points of pallets, and lower boxes at these points until they rest on something.
-Twins of ``petmjx.loop.extreme_points`` and ``petmjx.loop.candidate_places``."""
+The kernels are twins of ``petmjx.loop.extreme_points`` and ``petmjx.loop.candidate_places``."""
 
 from __future__ import annotations
 

@@ -79,8 +79,8 @@ NEAR_MM: Final = 2.0
 their planned places."""
 
 CALM_DEG: Final = 0.5
-"""Largest tilt of a box that counts as resting at its planned place, degrees. For a box of 350 mm, this is a difference
-in height of 3 mm."""
+"""Largest tilt of a box that counts as resting at its planned place, degrees. At this tilt, two sides of a box of 350
+mm differ by 3 mm in height."""
 
 HOLDING: Final = 1.1
 """Largest friction with which boxes on one side may hold a turning box, as a multiple of μ² times the weight of the

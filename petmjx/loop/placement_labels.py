@@ -3,9 +3,9 @@ with the result of a simulation of the pile with this box.
 
 Episode i packs order i of a source, box by box. After the last order, the first order is packed again. Each box is put
 to a random place, or to a place that a careful packer chooses, and each of these placements is a label. If the pallet
-does not stand, the box is removed. After a random place, the box is then tried once at a careful place, which makes
-another label. If the pallet does not stand with the careful place either, the box is left out. An episode depends only
-on its number and the seed, so a larger set begins with the labels of a smaller set.
+does not stand, the box is removed. A box that was removed from a random place is then tried once at a careful place,
+which gives another label. If the pallet does not stand with the box at the careful place either, the box is left out.
+An episode depends only on its number and the seed, so a larger set begins with the labels of a smaller set.
 """
 
 from __future__ import annotations
@@ -52,9 +52,10 @@ MOST_EPISODES: Final = 4
 of pallets."""
 
 SURE_SHARE: Final = 0.8
-"""Expected number of labels for each box that is still to be placed. For some boxes there is no place, and others are
-tried twice. The number is cautious: if a further episode had to begin at the end because there were too few labels, all
-work would wait for the boxes of this episode, which are placed one after another."""
+"""Expected number of labels for each box that is still to be placed. A box without a place gives no label, and a box
+that is tried twice gives two labels. The number is rather too small, so that more episodes begin than are needed: if a
+further episode had to begin at the end, all pallets would wait for the boxes of this episode, which are placed one
+after another."""
 
 GROUPS_ON_GPU: Final = 2
 """Number of groups into which pallets on a GPU are divided. While the GPU simulates one group, the CPU checks the
@@ -165,7 +166,7 @@ class Labeller:
             ``GROUPS_ON_GPU`` on a GPU, else 1.
         explore: share of boxes that are tried at a random place first.
         errors: number of additional simulations of each label in which a robot places the box inexactly. If ``errors``
-            is None, no such simulations are made.
+            is None, no simulations with an inexact robot are made.
         max_height_mm: largest allowed height of a box's top.
         others: options of ``petmjx.Pallets``.
 
@@ -450,7 +451,8 @@ class _Packing:
 
 
 def _careful_places(places: Places, some: NDArray[np.intp]) -> NDArray[np.intp]:
-    """The lowest places with enough support. ``some`` are the indices of the places from which they are chosen."""
+    """The lowest places with enough support. ``some`` are the indices of the places from which the lowest places are
+    chosen."""
     borne = some[places.support[some] >= CAREFUL_SUPPORT]
     return borne[np.argsort(places.corner_mm[borne, 2], kind="stable")][:LOWEST]
 

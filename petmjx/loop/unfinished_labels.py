@@ -7,7 +7,7 @@ parts.
 
 Parts are written and read like those of a run (petmjx.results.tables_in_progress): a part is ignored until the list
 names it and its digest. So if a process is killed, only the labels of the last minute and of unfinished episodes are
-lost. Another process can then continue.
+lost. Another process can then continue the unfinished set.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ class LabelParts:
     Args:
         folder: folder of the set; ``head``: description of the set, as plain JSON values.
         count: number of labels that the set is to have.
-        resume: whether to continue with the parts in the folder, if there are any. If ``resume`` is False, these parts
-            are deleted.
+        resume: whether to continue with the parts in the folder, if there are any. If ``resume`` is False, the parts in
+            the folder are deleted.
 
     Attributes:
         n_labels: number of labels in the parts; ``next_episode``: number of the first episode whose labels are not in

@@ -29,8 +29,8 @@ class Placing(CheckedRecord):
     """How boxes are placed. A ``Placing`` can be made from the name of a ``Way`` ("hand"), or from a mapping
     (``{"name": "hand", "force_n": 50}``).
 
-    The defaults are assumptions. No publication was found that states where a robot's last movement starts, its speed,
-    or the largest force with which the robot may press.
+    The defaults of the options are assumptions. No publication was found that states where a robot's last movement
+    starts, its speed, or the largest force with which the robot may press.
     """
 
     name: Annotated[Way, CliFlag("--placing")] = Field(

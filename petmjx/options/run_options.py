@@ -168,9 +168,9 @@ class Transport(CheckedRecord):
 class RunOptions(CheckedRecord):
     """The options of how a run is computed: engine, threads, workers (processes), files and so on.
 
-    Only two options of a run affect results. With a different ``engine``, the outcome of a plan may differ.
-    ``world_timeout_s`` may end a simulation before it has an outcome; the verdict is then ``invalid``, for the reason
-    ``timeout``.
+    Of the options of a run, only ``engine`` and ``world_timeout_s`` affect results. With a different ``engine``, the
+    outcome of a plan may differ. ``world_timeout_s`` may end a simulation before it has an outcome; the verdict is then
+    ``invalid``, for the reason ``timeout``.
     """
 
     engine: Annotated[Any, CliFlag("--engine")] = Field(

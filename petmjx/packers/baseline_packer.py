@@ -28,7 +28,7 @@ class PackRules:
     Attributes:
         min_support: smallest share of a box's base that must rest on the carrier or on other boxes (0 to 1).
         centre_supported: whether the centre of the base must be inside the convex hull of the contact areas under the
-            base. Without this rule, a box may tip as soon as it is placed.
+            base. If the centre is not supported, a box may tip as soon as it is placed.
         max_height_mm: greatest allowed height of a box's top, mm.
         y_first: which of several equally low places is chosen. If ``y_first`` is True, it is the place with the
             smallest y, and then with the smallest x. If ``y_first`` is False, it is the place with the smallest x, and

@@ -176,7 +176,7 @@ def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fil
 
 def _worst(best: Sequence[_SearchBranch], width: int, n_items: int) -> float:
     """Height that a further packing may have at most to be among the ``width`` best packings, mm; infinite if ``best``
-    has fewer than ``width`` packings, or if its worst packing lacks boxes."""
+    has fewer than ``width`` packings, or if the worst packing in ``best`` lacks boxes."""
     if len(best) < width or len(best[-1].filled.placed) < n_items:  # at any height, more boxes are better
         return inf
     return best[-1].filled.height_mm

@@ -61,7 +61,8 @@ class ItemStream(Packing):
         items: items of one order, in order of arrival.
         extent_mm: length and width of the target, mm.
         clearance_mm: free space between a box and its neighbours along x and y, mm.
-        look_ahead: number of boxes that the packer sees at a time. Any of these visible boxes may be placed next.
+        look_ahead: number of boxes that the packer sees at a time. Any of the boxes that the packer sees may be placed
+            next.
         taste: weights with which candidates are rated, as in the packer ``balanced``. If ``taste`` is None, the first
             set of weights of ``balanced`` is used.
     """

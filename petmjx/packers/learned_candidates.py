@@ -24,8 +24,8 @@ from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM
 from petmjx.plans.order_generator import Item
 
 LEAST_SUPPORT: Final = 0.2
-"""Smallest supported share of a base. This smallest share can be low, because two other rules decide where boxes are
-placed: the static balance, and the probability to stand that a network predicts."""
+"""Smallest supported share of a base. This share can be low, because the static balance, and the probability to stand
+that a network predicts, also decide where boxes are placed."""
 
 COARSE_MM: Final = 50.0
 
@@ -140,7 +140,7 @@ class FourSidedStream(ItemStream):
     def places(self, least_support: float = LEAST_SUPPORT) -> Places:
         """All candidates for the visible boxes that have sufficient support and are not too high.
 
-        These candidates are not checked for balance, which ``keeps_balance`` does later.
+        The candidates are not checked for balance, which ``keeps_balance`` does later.
 
         Args:
             least_support: smallest allowed supported share of a base.

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from petmjx.plans.item_orders import OrderReading
 
 OF_RUN: Final = ("engine", "threads", "lanes", "world_timeout_s")
-"""Fields of ``RunOptions`` that ``pack`` accepts. These fields affect how packings are simulated."""
+"""Fields of ``RunOptions`` that ``pack`` accepts. The accepted fields affect how packings are simulated."""
 
 SHOWN: Final = (
     ShownColumn("plan_id", "order"),
@@ -149,13 +149,13 @@ def pack(
         n, seed: number and seed of the generated orders.
         packer: ``physical`` or ``learned``.
         look_ahead: number of boxes that ``learned`` sees at a time. If ``look_ahead`` is None, ``learned`` sees 1 box.
-        workers: number of processes for the search. The plans do not depend on this number. Scripts that use more than
-            one process need ``if __name__ == "__main__":``.
+        workers: number of processes for the search. The plans do not depend on the number of processes. Scripts that
+            use more than one process need ``if __name__ == "__main__":``.
         on_bad_order: function that is called with the error of each unusable order; the order is then skipped. If
             ``on_bad_order`` is None, the error is raised.
-        target: carrier for orders whose file does not name a carrier. This may be ``euro-pallet``, ``rollcontainer``,
-            or sizes in mm such as ``1200x1000``. If ``target`` is None, the carrier is the file's container if that
-            container is a pallet, else a Euro pallet.
+        target: carrier for orders whose file does not name a carrier. The carrier may be ``euro-pallet``,
+            ``rollcontainer``, or sizes in mm such as ``1200x1000``. If ``target`` is None, the carrier is the file's
+            container if that container is a pallet, else a Euro pallet.
         options: options of the packer ``physical``: ``width``, ``branch``, ``clearances_mm``, ``worlds``,
             ``least_share``, ``maximise`` (docs/packers.md). Options of the simulation: ``errors``, a sweep file; fields
             of ``petmjx.Simulation``; ``engine``, ``threads``, ``lanes``. Options for reading a file of orders:

@@ -98,7 +98,7 @@ class _PackingWorld(World):
 
 class WorldsOfPlans:
     """Makes the worlds of plans, the same worlds as in ``petmjx.score`` with ``confidence``. Variant 0 of a plan is the
-    nominal (unchanged) world. All other variants have errors.
+    nominal (unchanged) world. All variants other than 0 have errors.
 
     Attributes:
         sim: options of the simulation of every world.

@@ -61,7 +61,8 @@ class NextCandidate(NamedTuple):
 
 
 class FullPacking(NamedTuple):
-    """A packing in which there is no place for any more boxes. Its fields have the same meanings as in ``Packing``."""
+    """A packing in which there is no place for any more boxes. The fields of ``FullPacking`` have the same meanings
+    as in ``Packing``."""
 
     placed: tuple[PlacedBox, ...]
     top_mm: float

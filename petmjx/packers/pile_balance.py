@@ -161,8 +161,8 @@ class Balance:
 
         Args:
             corner_mm, base_mm, mass_kg: the box, as for the method ``rest``.
-            rest: what the method ``rest`` has returned for this box. None: the method was not called, or the box or a
-                box below would tip.
+            rest: what the method ``rest`` has returned for this box. ``rest`` is None if the method was not called, or
+                if the box or a box below would tip.
         """
         let_down = rest or self._let_down(corner_mm, base_mm, mass_kg)
         if let_down is None:  # the box has no support

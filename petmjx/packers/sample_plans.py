@@ -2,10 +2,10 @@
 
 ``generate`` and ``write_samples`` generate orders with BED-BPP's statistics and pack them. If no packer is named, these
 functions make a mixed set for trials and benchmarks, in which some plans stand and some collapse. About half of the
-plans of a mixed set (``loose_share``) are loose, that is, packed with an unsafe support rule. The other plans are
-strict: they are packed with a safe support rule. If a packer is named, it packs all plans by its own rules, so that
-packers can be compared. Plan i depends only on the seed, i, the packer and ``loose_share``. So with ``n = 10``, the
-plans are the first ten plans of ``n = 1000``.
+plans of a mixed set (``loose_share``) are loose, that is, packed with an unsafe support rule. The other plans of a
+mixed set are strict: they are packed with a safe support rule. If a packer is named, it packs all plans by its own
+rules, so that packers can be compared. Plan i depends only on the seed, i, the packer and ``loose_share``. So with ``n
+= 10``, the plans are the first ten plans of ``n = 1000``.
 
 ``pack_orders`` packs the orders of a file.
 """
@@ -100,8 +100,8 @@ def generate_one(
 
 
 def loose_share_of(packer: str | None, share: float | None = None) -> float:
-    """The share of loose plans. If ``share`` is given, this is ``share``. If ``share`` is None, the share is 0 for a
-    named packer, and else ``DEFAULT_LOOSE_SHARE``."""
+    """The share of loose plans. If ``share`` is given, the result is ``share``. If ``share`` is None, the result is 0
+    for a named packer, and else ``DEFAULT_LOOSE_SHARE``."""
     if share is not None:
         return share
     return DEFAULT_LOOSE_SHARE if packer is None else 0.0

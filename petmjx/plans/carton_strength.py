@@ -1,8 +1,8 @@
 """The strength of cartons (``CartonStrength``): measured, or computed from the carton's board by McKee's formula.
 
 The formula is 5.87 · edge crush strength · √(thickness · perimeter) (McKee, Gander, Wachuta 1963, "Compression strength
-formula for corrugated boxes", Paperboard Packaging 48(8)). It gives the strength of a new box in a press; the strength
-in use is this strength divided by a safety factor.
+formula for corrugated boxes", Paperboard Packaging 48(8)). McKee's formula gives the strength of a new box in a press;
+the strength in use is this strength divided by a safety factor.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ class CartonStrength:
     """The strength that one row of a table of articles gives: in newtons, or through properties of the cartons' board.
 
     Attributes:
-        strength_n: strength, N. If None, the strength is computed from the board by McKee's formula.
+        strength_n: strength, N. If ``strength_n`` is None, the strength is computed from the board by McKee's formula.
         ect_kn_m: edge crush strength of the board, kN/m.
         thickness_mm: thickness of the board, mm.
-        safety_factor: divisor of the strength. If None, the strength is not divided.
+        safety_factor: divisor of the strength. If ``safety_factor`` is None, the strength is not divided.
     """
 
     strength_n: float | None = None

@@ -45,7 +45,8 @@ SIZE_WORDS: Final = ("length", "width", "height", "depth")
 HALF_EXTENTS: Final = "half extents"
 """Role of a column of sizes, in addition to its own role, if sizes are half extents."""
 LAST_CELLS: Final = "last cells"
-"""Role of a column of far corners, in addition to its own role, if they are those of the last cells of boxes."""
+"""Role of a column of far corners, in addition to its own role, if each far corner is the last grid cell inside its
+box."""
 ROLES: Final = (
     "length", "width", "height", "depth", "x size", "y size", "z size", "x", "y", "z", "sizes", "position", "weight",
     "rotation", "plan", "sequence", "article", "item_id", HALF_EXTENTS, LAST_CELLS,
@@ -159,8 +160,8 @@ class ColumnExtraction:
                 self.meanings[index] = ColumnMeaning("rotation")
 
     def _has_units(self, index: int, cells: Sequence[Any]) -> bool:
-        """Whether the cells of a column are names of units; ``cells`` are its first cells. If so, these units apply to
-        the numbers in the same rows, or, if all units are equal, to the whole list."""
+        """Whether the cells of a column are names of units; ``cells`` are its first cells. If the cells are units, they
+        apply to the numbers in the same rows, or, if all units are equal, to the whole list."""
         for units in (LENGTH_UNITS, MASS_UNITS):
             sure = units.keys() if _UNIT_WORDS.intersection(words_of(self.table.header[index])) else _SURE_UNITS
             if not all(isinstance(cell, str) and _as_unit(cell) in units.keys() & sure for cell in cells):
@@ -187,8 +188,8 @@ class ColumnExtraction:
         self.faults.setdefault(row, (self.table.header[index], text))
 
     def numbers(self, index: int, units: Mapping[str, float]) -> tuple[FloatArray, str]:
-        """(n,) numbers of a column, NaN if a cell is bad. Also returns the unit according to the column's name or cells
-        ("": none is given)."""
+        """(n,) numbers of a column, NaN if a cell is bad. The function also returns the unit according to the column's
+        name or cells ("": none is given)."""
         rows: list[Sequence[CellNumber]] = []
         cells, decimal = self.cells(index), self.table.decimal
         is_grouped = self.groups_thousands or are_grouped(cells, decimal)
@@ -207,8 +208,8 @@ class ColumnExtraction:
         return values[:, 0], unit
 
     def densities(self, index: int) -> tuple[FloatArray, str]:
-        """(n,) densities of a column, NaN if a cell is bad. Also returns their unit according to the column's name, one
-        of ``DENSITY_UNITS`` ("": none is given).
+        """(n,) densities of a column, NaN if a cell is bad. The function also returns their unit according to the
+        column's name, one of ``DENSITY_UNITS`` ("": none is given).
 
         Raises:
             InputError: the name has an unknown unit.
@@ -224,12 +225,13 @@ class ColumnExtraction:
         return self.numbers(index, {"kg/m3": 1.0})[0], unit
 
     def triples(self, index: int) -> tuple[FloatArray, str]:
-        """(n, 3) numbers of a column with three numbers per cell. Also returns the unit of the numbers."""
+        """(n, 3) numbers of a column with three numbers per cell. The function also returns the unit of the numbers."""
         cells = [cell_triple(cell, self.table.decimal) for cell in self.cells(index)]
         return self._lists(index, cells, "three", 3)
 
     def corners(self, index: int) -> tuple[FloatArray, str]:
-        """(n, 6) coordinates of a column with two corners per cell. Also returns the unit of the numbers."""
+        """(n, 6) coordinates of a column with two corners per cell. The function also returns the unit of the
+        numbers."""
         pairs = [cell_corners(cell, self.table.decimal) for cell in self.cells(index)]
         cells = [None if pair is None else [*pair[0], *pair[1]] for pair in pairs]
         return self._lists(index, cells, "two times three", 6)
@@ -237,7 +239,7 @@ class ColumnExtraction:
     def _lists(
         self, index: int, cells: Sequence[Sequence[CellNumber] | None], count_words: str, count: int
     ) -> tuple[FloatArray, str]:
-        """(n, count) numbers of a column with several numbers per cell. Also returns their unit.
+        """(n, count) numbers of a column with several numbers per cell. The function also returns their unit.
 
         Args:
             cells: the numbers of each cell; None: the cell is bad.
@@ -257,12 +259,12 @@ class ColumnExtraction:
     def _in_one_unit(
         self, index: int, rows: Sequence[Sequence[CellNumber]], units: Mapping[str, float], width: int
     ) -> tuple[FloatArray, str]:
-        """(n, width) numbers of a column, NaN for rows without numbers. Also returns the unit of the numbers ("": none
-        is given).
+        """(n, width) numbers of a column, NaN for rows without numbers. The function also returns the unit of the
+        numbers ("": none is given).
 
-        A number without a unit gets the unit that the column's name, an option or the form gives. If none of them gives
-        a unit, but other cells of the column have units, the number is bad, since the unit of one cell does not imply
-        the unit of another cell. Zero needs no unit.
+        A number without a unit gets the unit that the column's name, an option or the form gives. If neither the
+        column's name nor an option nor the form gives a unit, but other cells of the column have units, the number is
+        bad, since the unit of one cell does not imply the unit of another cell. Zero needs no unit.
         """
         values = np.full((len(rows), width), np.nan)
         is_mass = "kg" in units

@@ -332,7 +332,7 @@ def _quotient(name: str) -> str:
 
 def density_unit(name: str) -> str:
     """The unit of density (one of ``DENSITY_UNITS``) in a name, such as "Dichte [kg/m³]", "density_lb_ft3" or "density
-    g per cm3". "" if there is none."""
+    g per cm3". The result is "" if there is none."""
     if quotient := _quotient(name):
         return _DENSITY_LETTERS.get(re.sub(r"[^a-z\d]", "", quotient.lower()), "")
     spaced = re.sub(r"(?<=[a-z\d])(?=[A-Z])", " ", plain_text(name)).lower().replace("^", "")

@@ -37,8 +37,8 @@ MOST_UNEXPLAINED: Final = 100
 ONE_IN: Final = 50
 """Limits of the search. The search is limited because reading a plan in all conventions takes 2 ms. After
 ``MOST_UNEXPLAINED`` odd plans that no convention explains, only one in ``ONE_IN`` of such plans is read in all
-conventions. The odd plans between are read only in conventions that explain at least ``LEAST_SHARE`` of the odd plans
-so far."""
+conventions. All other such plans are read only in conventions that explain at least ``LEAST_SHARE`` of the odd plans so
+far."""
 
 LIGHTEST_KG_M3: Final = 2.0
 HEAVIEST_KG_M3: Final = 20_000.0
@@ -62,7 +62,7 @@ coordinates separate even boxes that really overlap."""
 _MM3_PER_M3: Final = 1e9
 
 _MOST_ROUNDS: Final = 5
-"""Largest number of passes over the turned boxes. Two passes are usually enough."""
+"""Largest number of passes over the turned boxes. Two passes over the boxes are usually enough."""
 
 _Layout = tuple[FloatArray, FloatArray]
 """Corners and sizes, (n, 3) each, mm, in packing order."""
@@ -79,7 +79,7 @@ class Convention:
         read: function that converts corners and sizes to petmjx's convention. None: the convention does not change
             corners and sizes.
         least_odd: smallest number of floating boxes and overlaps that a plan must have before this convention may
-            explain it. This limit applies only if the lowest box does not float.
+            explain it. ``least_odd`` applies only if the lowest box does not float.
         of_turned: whether ``read`` is applied only to boxes that their orientation turns. All other boxes are not
             changed.
         of_some: whether ``read`` changes only those turned boxes that overlap fewer boxes after the change.
@@ -165,7 +165,7 @@ LAYOUTS: Final[tuple[Convention, ...]] = (
     *(_scale_convention(unit, sizes=False) for unit in ("cm", "in", "m")),
     *(_scale_convention(unit, sizes=True) for unit in ("cm", "in", "m")),
 )
-"""Conventions that may explain an odd layout. The first one that explains the plan is used."""
+"""Conventions that may explain an odd layout. The first convention that explains the plan is used."""
 
 _SIZES_ALONE: Final = LAYOUTS[-3:]
 

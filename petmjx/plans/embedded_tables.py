@@ -31,8 +31,8 @@ _NOT_COLUMNS: Final = frozenset(("PRIMARY", "UNIQUE", "KEY", "INDEX", "CONSTRAIN
 
 
 def rows_of_sql(text: str) -> dict[str, list[list[str]]]:
-    """Name of a table → its rows in a dump of a database, the first of them with the names of the columns. Empty if the
-    text has no such rows.
+    """Name of a table → its rows in a dump of a database, the first of them with the names of the columns. The result
+    is empty if the text has no such rows.
 
     Raises:
         InputError: the names of the columns of a table are missing, or a row is damaged.
@@ -104,8 +104,8 @@ _AMPERSAND: Final = "\ue002"
 
 
 def text_of_latex(text: str) -> str:
-    """The rows of the tables in a LaTeX text, with "&" between fields; all other lines are empty. "" if the text has no
-    table."""
+    """The rows of the tables in a LaTeX text, with "&" between fields; all other lines are empty. The result is "" if
+    the text has no table."""
     if _TABULAR.search(text) is None:
         return ""
     lines = []

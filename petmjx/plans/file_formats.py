@@ -124,7 +124,8 @@ def looks_like_json(data: bytes | bytearray) -> bool:
 
 
 def separator_mark(header: bytes | bytearray) -> str | None:
-    """The error text for a first row that is Excel's separator mark, such as "sep=;". None for any other first row."""
+    """The error text for a first row that is Excel's separator mark, such as "sep=;". The result is None for any other
+    first row."""
     if not _SEPARATOR_MARK.fullmatch(header):
         return None
     mark = header.decode("utf-8", "replace").strip().strip('"')[:5]
@@ -159,8 +160,8 @@ def wide_encoding(data: bytes | bytearray) -> str | None:
 
 
 def nul_fault(text: str) -> str | None:
-    """The error text for a text that ends in NUL characters and has no others; else None. A file ends so if the program
-    or the computer that wrote it was stopped."""
+    """The error text for a text that ends in NUL characters and has no others; else None. A file ends in NUL characters
+    if the program or the computer that wrote it was stopped."""
     n_nul = len(text) - len(text.rstrip("\0"))
     if not n_nul or text.count("\0") > n_nul:
         return None
@@ -211,7 +212,7 @@ def number_hint(text: str) -> str:
 
 def point_fault(field: str, value: object) -> str | None:
     """The error text for a number with a decimal point, or with points between its thousands, in a table whose numbers
-    have decimal commas. None if the value has no point.
+    have decimal commas. The result is None if the value has no point.
     """
     if not isinstance(value, str) or "." not in value or len(value) > _LONGEST_NUMBER or number_hint(value):
         return None

@@ -92,7 +92,7 @@ def _has_three_places(source: BoxSource) -> bool:
 
 def _with_articles(sources: Sequence[BoxSource], items: Path | None) -> BoxSource | None:
     """Lines of orders, joined with the sizes of their articles from another table of the file, or from a file of items.
-    None if there are no such lines.
+    The result is None if there are no such lines.
 
     Raises:
         InputError: the file of items cannot be read, or its items do not belong to the orders.

@@ -38,8 +38,8 @@ def plans_of_sources(
     Args:
         path: the file of the lists; None: they come from an object.
         source: name of the file or object in messages.
-        items: file with the sizes and weights of items, for files that contain only places. If None, such a file is
-            searched for in the folder of the file of plans.
+        items: file with the sizes and weights of items, for files that contain only places. If ``items`` is None, a
+            file of items is searched for in the folder of the file of plans.
 
     Raises:
         AmbiguousFile: the file can be read in two ways.
@@ -55,13 +55,14 @@ def plans_of_sources(
             ways.append(_plans_of(_with_decimal(chosen, decimal), sources, path, source, wishes))
     ways.sort(key=lambda plans: plans.reading.cost)
     if not ways or (len(ways) == 2 and ways[1].reading.cost - ways[0].reading.cost < TIE):
-        return _plans_of(chosen, sources, path, source, wishes)  # raises the error that names the ambiguous number
+        return _plans_of(chosen, sources, path, source, wishes)  # this call raises the error about the ambiguous number
     return ways[0]
 
 
 def _other_plans(sources: Sequence[BoxSource]) -> list[str]:
-    """Lines about lists of boxes that are not read. They have sizes and places, but other columns than the first list,
-    which is read. Objects around the boxes of the first list, such as layers, are no such boxes."""
+    """Lines about lists of boxes that are not read. The lists that are not read have sizes and places, but other
+    columns than the first list, which is read. Objects around the boxes of the first list, such as layers, do not count
+    as boxes that are not read."""
     lines = []
     first = sources[0].boxes.path
     for other in sources[1:]:
@@ -87,7 +88,7 @@ def _plans_of(
     if not columns.geometries or not columns.n_boxes:
         raise _no_geometry(columns, sources, path, source)
     written = [one for one in columns.geometries if one.columns.items() <= wishes.exact.items()]
-    written = [max(written, key=lambda one: len(one.columns))] if written else []  # further roles tell a way to read
+    written = [max(written, key=lambda one: len(one.columns))] if written else []  # of several, the most exact one
     columns = replace(columns, geometries=written or columns.geometries)
     decks, up = named_decks(columns, rows_by_name(plan_names(columns, source, [])))
     if decks and wishes.up in ("", up):

@@ -1,5 +1,5 @@
-"""Recognises headers and rows of totals in raw tables. Also makes the names in headers complete: units below them,
-merged headings above them, and repeated names."""
+"""Recognises headers and rows of totals in raw tables. The module also makes the names in headers complete: units below
+them, merged headings above them, and repeated names."""
 
 from __future__ import annotations
 
@@ -163,9 +163,9 @@ def distinct_names(names: Sequence[str]) -> list[str]:
 
 
 def is_total(row: Sequence[Any], geometric: Sequence[int]) -> bool:
-    """Whether a row is a total or a mean. Its first text must be a word for a total or a mean. If the text only begins
-    with a word for a total or a mean, the row must also lack a size or a place, since a box may be called "Total
-    fruit"."""
+    """Whether a row is a total or a mean. The first text of such a row must be a word for a total or a mean. If the
+    text only begins with a word for a total or a mean, the row must also lack a size or a place, since a box may be
+    called "Total fruit"."""
     text = next((cell for cell in row if isinstance(cell, str) and not is_number(cell)), "")
     plain = plain_text(text).strip()
     if not _TOTAL.match(plain):

@@ -37,8 +37,8 @@ _KINDS: Final[dict[str, Kind]] = {
     "quantity": "quantity", "layers": "layers", "per layer": "quantity", "total weight": "weight",
 }  # fmt: skip
 _LEAST_RISING: Final = 8
-"""Whole numbers that increase from row to row, by unequal steps, are identifiers if there are at least this many.
-This number of quantities would hardly be sorted by chance."""
+"""Whole numbers that increase from row to row, by unequal steps, are identifiers if there are at least this many rows.
+Quantities in this many rows would hardly be sorted by chance."""
 MOST_PIECES: Final = 100_000
 """Largest number of boxes that one row of a table may stand for."""
 
@@ -100,8 +100,8 @@ two meanings it has."""
 STRENGTH: Final = "strength_n"
 UPRIGHT: Final = "upright"
 BOX_PROPERTIES: Final = (STRENGTH, UPRIGHT)
-"""Columns that are read only for environments in which packers are trained (``OrderReading.for_episodes``). They are
-recognised only under exactly these names."""
+"""Columns that are read only for environments in which packers are trained (``OrderReading.for_episodes``). Columns for
+environments are recognised only under exactly these names."""
 SIZE_LETTERS: Final = "lwh"
 """The letters that the column ``upright`` may have: l for length, w for width, h for height."""
 
@@ -538,7 +538,8 @@ def _weight(work: _ItemExtraction, columns: dict[str, str]) -> tuple[FloatArray 
 
 def _orders_in(work: _ItemExtraction, index: int) -> list[str] | None:
     """(n,) customers' orders from a column called "order". The column counts as one of customers' orders if some of its
-    values are repeated or are not numbers. Otherwise the column is a packing order, and the result is None."""
+    values are repeated or are not numbers. If all its values are different numbers, the column is a packing order, and
+    the result is None."""
     if not _ORDER.intersection(words_of(work.table.header[index])) or "sequence" in work.fixed:
         return None
     cells = [cell_text(cell) for cell in work.cells(index)]

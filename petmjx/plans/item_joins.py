@@ -26,7 +26,7 @@ _MATCHED: Final = 0.9
 _MEASURES: Final = word_set(
     "size sizes position positions low high quaternion euler weight density volume quantity sequence"
 )
-"""Kinds of columns that cannot name the item of a box. If a box and an item have equal numbers in such columns, this is
+"""Kinds of columns that cannot name the item of a box. In such columns, a box and an item have equal numbers only by
 chance."""
 _OF_WEIGHT: Final = word_set("weight density")
 _OF_ITEMS: Final = re.compile(r"item|article|artikel|sku|product|produkt", re.IGNORECASE)
@@ -60,7 +60,7 @@ def with_items(sources: Sequence[BoxSource], path: Path | None, items: Path | No
 
 def _with_articles_beside(best: BoxSource, path: Path) -> BoxSource:
     """Boxes with sizes added from a file of items in the folder of the boxes' file, if the items of exactly one file
-    match. Otherwise, the boxes are returned unchanged."""
+    match. If the items of no file or of several files match, the boxes are returned unchanged."""
     try:
         beside = sorted(file for file in path.parent.iterdir() if file != path and _OF_ITEMS.search(file.name))
     except OSError:
@@ -119,8 +119,8 @@ def with_items_of(best: BoxSource, items: BoxSource, name: str, by_number: bool 
     """Boxes with the columns of a table of items added; None if the items do not belong to the boxes.
 
     Args:
-        by_number: whether the column ID of each box has the number of the row of its item, from 0. If so, the sizes in
-            both tables must agree.
+        by_number: whether the column ID of each box has the number of the row of its item, from 0. If ``by_number`` is
+            True, the sizes in both tables must agree.
     """
     table, other = best.boxes.table, items.boxes.table
     rows = _rows_by_number(table, other) if by_number else _rows_by_name(table, other)
@@ -155,7 +155,8 @@ def _with_columns(
 
     def cell(row: int, index: int) -> Any:
         number = cell_number(other.rows[row][index], ",") if other.decimal == "," else None
-        return other.rows[row][index] if number is None or number.unit else number.value  # boxes may have points
+        # numbers of the boxes' own table may have decimal points
+        return other.rows[row][index] if number is None or number.unit else number.value
 
     table = best.boxes.table
     header = (*table.header, *(other.header[index] for index in added))

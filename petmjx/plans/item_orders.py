@@ -77,8 +77,9 @@ class OrderReading:
             "1200x1000"; "": the file's container if it is a pallet, else a Euro pallet.
         most_items: largest number of items of an order.
         items: file with the sizes and weights of articles, for orders that give only the articles; None: no file.
-        for_episodes: whether ``strength_n`` and ``upright`` are read. If true, no line about the reading is made for a
-            table that has only petmjx's own column names, because an environment reads its orders often.
+        for_episodes: whether ``strength_n`` and ``upright`` are read. If ``for_episodes`` is True, no line about the
+            reading is made for a table that has only petmjx's own column names, because an environment reads its orders
+            often.
     """
 
     wishes: Wishes = field(default_factory=Wishes)

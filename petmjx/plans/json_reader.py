@@ -56,8 +56,8 @@ def unpacked_bytes(path: Path) -> tuple[bytearray, str | None]:
 
 
 def _gunzip(packed: bytearray) -> tuple[bytearray, str | None]:
-    """Unpack a gzip stream, which may have several members, up to its first error. Also returns the error, or None if
-    there is none."""
+    """Unpack a gzip stream, which may have several members, up to its first error. The function also returns the error,
+    or None if there is none."""
     most = allowed_bytes(len(packed), FREE_BYTES)
     view = memoryview(packed)
     plain = bytearray()

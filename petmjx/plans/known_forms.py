@@ -178,8 +178,8 @@ _BOX_RECORDS: Final = word_set(
 def _by_pallet_rows(boxes: BoxList) -> tuple[BoxList, str]:
     """Divide a list into plans by its rows of pallets. In such a list, the row of a pallet comes before the rows of the
     boxes on the pallet, and a column has the type of each row: "PALLET", "BOX", "BOX", "PALLET", "BOX" … The rows of
-    pallets are removed. A list without rows of pallets is returned unchanged. Also returns the vertical axis that the
-    places of pallets and boxes show ("y", "z"; "": none)."""
+    pallets are removed. A list without rows of pallets is returned unchanged. The function also returns the vertical
+    axis that the places of pallets and boxes show ("y", "z"; "": none)."""
     table = boxes.table
     if not table.has_header or any(boxes.parts):
         return boxes, ""
@@ -208,7 +208,7 @@ def _by_pallet_rows(boxes: BoxList) -> tuple[BoxList, str]:
 
 def _axis_above(boxes: BoxList, last_of_pallet: Mapping[int, int]) -> str:
     """The vertical axis, "y" or "z": the only one of the two along which each box has a larger coordinate than its
-    pallet. "" if there is no such axis.
+    pallet. The result is "" if there is no such axis.
 
     Args:
         last_of_pallet: row of a pallet → the last row of its boxes.
@@ -251,8 +251,8 @@ def _container_in(boxes: BoxList, row: int) -> Mapping[str, float]:
 
 
 def _without_corner_posts(boxes: BoxList) -> tuple[BoxList, int]:
-    """Remove the posts that the fork of py3dbp puts into the corners of its container. Also returns the number of
-    removed posts."""
+    """Remove the posts that the fork of py3dbp puts into the corners of its container. The function also returns the
+    number of removed posts."""
     kinds = boxes.table.column("type") if "type" in boxes.table.header else []
     box_rows = [index for index, kind in enumerate(kinds) if kind != "corner"]
     return (rows_of(boxes, box_rows), len(kinds) - len(box_rows)) if box_rows else (boxes, 0)

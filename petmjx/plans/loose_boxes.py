@@ -56,13 +56,13 @@ def statics_of(plans: Sequence[Plan]) -> Statics:
 
 
 def loose_and_ties(plan: Plan) -> tuple[int, int]:
-    """The first loose box, in packing order; n if there is none. Also returns the number of ties: all supports of all
-    boxes, without the first support of each box.
+    """The first loose box, in packing order; n if there is none. The function also returns the number of ties: all
+    supports of all boxes, without the first support of each box.
 
     A box is loose if its centre of mass is not over its supports. The supports of a box are the highest tops of earlier
     boxes under it, or the carrier. The centre of mass is over the supports if it lies within the bounding rectangle of
-    their contact areas. The convex hull of the contact areas can be smaller than this rectangle, so a rule with the
-    hull would find more loose boxes.
+    their contact areas. The convex hull of the contact areas can be smaller than their bounding rectangle, so a rule
+    with the hull would find more loose boxes.
     """
     low, high = plan.corner_mm, plan.corner_mm + plan.size_mm
     along = [shared_length(low[:, axis], high[:, axis]) for axis in (0, 1)]

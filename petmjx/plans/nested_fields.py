@@ -1,5 +1,5 @@
 """The fields of a box in nested values (``flattened``), named by their path, as in ``position.x``, ``stackable.dx`` and
-``WHD[0]``. Also makes objects with fields from values that are stored by column or as lists of numbers."""
+``WHD[0]``. The module also makes objects with fields from values that are stored by column or as lists of numbers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _LEAST_COLUMNS: Final = 5
 def rows_by_column(value: Mapping[str, Any]) -> list[dict[str, Any]] | None:
     """The rows of an object that stores a table in one of three forms: a list for each column; an object for each
     column, with one value per row; or the names of all columns in one field, and in another field a list of values for
-    each row (such as ``columns`` and ``data`` of pandas). None if the object has another form.
+    each row (such as ``columns`` and ``data`` of pandas). The result is None if the object has another form.
 
     Raises:
         InputError: the lists for sizes and places have several lengths.
@@ -81,7 +81,7 @@ LEAST_NUMBERS: Final = 6
 
 def rows_of_numbers(value: Sequence[Any]) -> list[dict[str, Any]] | None:
     """One row for each box in a list of lists. Each inner list has the numbers of a box (sizes, coordinates and
-    others), or is a matrix. None if the list has another form."""
+    others), or is a matrix. The result is None if the list has another form."""
     if not value or not all(isinstance(row, list | tuple) for row in value):
         return None
     first = value[0]

@@ -195,8 +195,8 @@ def _joined(group: Sequence[BoxList], names: Sequence[str]) -> BoxList:
     """Join lists of boxes into one list.
 
     Args:
-        names: for each list, the step in which its path differs from the others. This step is the name of a plan,
-            unless it is the name of a layer.
+        names: for each list, the step in which its path differs from the others. The step that differs is the name of a
+            plan, unless it is the name of a layer.
     """
     table = united([boxes.table for boxes in group])
     parts: list[str] = []
@@ -404,7 +404,7 @@ _GEOMETRIC: Final = (*_SIZE_KINDS, "position", "positions", "low")
 
 
 def _named(names: Sequence[str], kinds: Collection[str]) -> set[str]:
-    """The names whose meaning is of one of these kinds."""
+    """The names with a meaning whose kind is one of ``kinds``."""
     return {
         name for name, meaning in known_meanings(names).items() if meaning.kind in kinds and not meaning.of_container
     }
@@ -452,7 +452,7 @@ def _with_zeros(flat: list[dict[str, Any]]) -> list[str]:
     numbers = [[cell_number(row.get(name)) for row in flat] for name in columns]
     is_zero = any(number is not None and number.value == 0 for column in numbers for number in column)
     n_lacking = [sum(name not in row for name in columns) for row in flat]
-    in_part = any(0 < count < 3 for count in n_lacking)  # else a box has no place at all, perhaps by mistake
+    in_part = any(0 < count < 3 for count in n_lacking)  # otherwise, each box without a place may be a mistake
     if len(columns) < 3 or is_zero or not in_part or not all(any(name not in row for row in flat) for name in columns):
         return []
     for row in flat:

@@ -63,7 +63,7 @@ _LIGHT_FACTOR = 0.3
 """Share of the articles that are mostly air (crisps, paper cups), whatever their size, and the factor by which their
 mass is multiplied."""
 
-# First parts of the keys of a seed's random streams. The second part is the number of the order or article.
+# First parts of the keys of a seed's random streams. The second part of a key is the number of the order or article.
 _CATALOGUE_STREAM = 0
 _ORDER_STREAM = 1
 PACKER_STREAM = 2
@@ -100,10 +100,10 @@ class Item:
             middle.
         stiffness_n_mm: as in ``Plan``; None: rigid.
         kind: "box", "sheet" or "" (a box).
-        strength_n: load that the box can bear on its top, N; None: unknown. Written files of orders do not contain this
-            field.
-        upright: the letters, among l, w and h, of the sizes that may be vertical; "": only the height. Written files do
-            not contain this field.
+        strength_n: load that the box can bear on its top, N; None: unknown. Written files of orders do not contain
+            ``strength_n``.
+        upright: the letters, among l, w and h, of the sizes that may be vertical; "": only the height. Written files of
+            orders do not contain ``upright``.
     """
 
     article: str
@@ -130,7 +130,7 @@ class Item:
 class Order:
     """An order: the items for one target ("euro-pallet", "rollcontainer", or sizes in millimetres, "1200x1000").
 
-    ``numbers`` are the sequence numbers that the items have in a file. Generated orders have none.
+    ``numbers`` are the sequence numbers that the items have in a file. Generated orders have no sequence numbers.
     """
 
     target: str
@@ -191,8 +191,9 @@ def _volumes_m3(seed: int) -> FloatArray:
 
 
 def draw_order(seed: int, index: int) -> Order:
-    """The order with the number ``index`` among the orders of ``seed``. Its target (the kind of carrier: "euro-pallet"
-    or "rollcontainer"), its number of boxes, and its articles with their quantities are drawn at random."""
+    """The order with the number ``index`` among the orders of ``seed``. The order's target (the kind of carrier:
+    "euro-pallet" or "rollcontainer"), its number of boxes, and its articles with their quantities are drawn at
+    random."""
     articles = catalogue(seed)
     target, numbers = drawn_articles(seed, index)
     return Order(target, tuple(articles[j] for j in numbers.tolist()))

@@ -399,7 +399,8 @@ def check_orders(
         path: the file, gzipped or not.
         plans: all plans of the run, with distinct ids.
         takes: function that returns whether the plan or order with an id is in this shard.
-        all_plans: whether ``plans`` has all plans. If some are missing, orders without a plan are not counted.
+        all_plans: whether ``plans`` has all plans. If ``plans`` lacks some plans, orders without a plan are not
+            counted.
         strict: whether to raise at the first unusable order, instead of leaving it out of the comparison.
         articles: the user's table of articles, for properties that the orders do not give.
 
@@ -494,8 +495,8 @@ def on_target(plan: Plan, order: Order) -> NDArray[np.bool_]:
     """(n,) whether each box of a plan is on the order's target (the carrier for which the order was made).
 
     If the plan's bounding box fits on the target, possibly turned, all boxes count as on the target, wherever the plan
-    has its origin. Otherwise the target's corner is assumed to be at the origin, and a box is on the target if its
-    middle is.
+    has its origin. If the bounding box does not fit, the target's corner is assumed to be at the origin, and a box is
+    on the target if its middle is.
     """
     extent = np.array(target_extent_mm(order.target), float)
     low, high = plan.corner_mm[:, :2], plan.corner_mm[:, :2] + plan.size_mm[:, :2]

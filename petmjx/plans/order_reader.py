@@ -153,8 +153,8 @@ def _read(path: Path, name: str) -> tuple[bytearray, bool]:
 
 
 def _begins_with_plan(data: bytes | bytearray) -> bool:
-    """Whether the first entry of a text in BED-BPP's form is a packing plan. A text that is damaged there does not
-    count."""
+    """Whether the first entry of a text in BED-BPP's form is a packing plan. A text whose first entry is damaged does
+    not count."""
     try:
         return any(_is_plan(entry.value) for entry in islice(scan_plans(data), 1))
     except InputError:

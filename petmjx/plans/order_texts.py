@@ -126,7 +126,7 @@ def order_source(data: bytes | bytearray) -> BoxSource | None:
 
 def _flags_at(line: _Line) -> int | None:
     """Position of the word with the length in the line of a box type. The length is recognised by the marks (0 or 1)
-    after each of the three sizes. None if the line has no such marks."""
+    after each of the three sizes. The result is None if the line has no such marks."""
     for begin in (1, 0):  # the line may begin with the number of the type
         marks = line.words[begin + 1 : begin + 6 : 2]
         if len(line) >= begin + 7 and len(marks) == 3 and sum(mark in ("0", "1") for mark in marks) >= 2:
@@ -247,7 +247,7 @@ def _problem_head(lines: Sequence[_Line], position: int) -> tuple[dict[str, floa
 
 def _bin_packing(lines: Sequence[_Line]) -> BoxSource | None:
     """The problems of a text in the form of Martello, Pisinger and Vigo: the number of boxes, the bin, and a line per
-    box with its width, height and depth. None if the first lines have another form.
+    box with its width, height and depth. The result is None if the first lines have another form.
 
     Each problem begins with one line "n W H D", or with two lines, "n" and "W H D"; either of these two may come first.
     n is the number of boxes; W, H and D are the width, height and depth of the bin. The height is vertical.
@@ -287,7 +287,8 @@ def _bin_packing(lines: Sequence[_Line]) -> BoxSource | None:
 
 def _bin_head(lines: Sequence[_Line], position: int) -> tuple[int, list[float], int] | None:
     """The number of boxes, the bin's width, height and depth, and the position of the first box's line, from the first
-    lines of a problem (see ``_bin_packing``). None if the lines from ``position`` on do not begin a problem."""
+    lines of a problem (see ``_bin_packing``). The result is None if the lines from ``position`` on do not begin a
+    problem."""
     head_line = lines[position]
     after = lines[position + 1] if position + 1 < len(lines) else _Line(0, ())
     if len(head_line) == 4 and head_line.is_numeric:
@@ -318,8 +319,8 @@ def _counts_up(lines: Sequence[_Line]) -> bool:
 
 
 def _lengths(lines: Sequence[_Line]) -> BoxSource | None:
-    """The boxes of a file with three lengths per line, grouped into orders of ``SET_ITEMS`` boxes. None if most lines
-    do not have three words.
+    """The boxes of a file with three lengths per line, grouped into orders of ``SET_ITEMS`` boxes. The result is None
+    if most lines do not have three words.
 
     Raises:
         InputError: all lines are numbers, but most lines have fewer than three.

@@ -1,5 +1,5 @@
-"""Converts the boxes of another tool's file to millimetres and kilograms, with the deck's corner as the origin. Also
-finds sizes, coordinates and weights that are out of range."""
+"""Converts the boxes of another tool's file to millimetres and kilograms, with the deck's corner as the origin. The
+module also finds sizes, coordinates and weights that are out of range."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def _deck_heights(
 ) -> dict[str, float]:
     """Height of the deck of each plan, mm. All plans of a file measure heights from the same level.
 
-    This level is 0 if the lowest box of any plan is at 0; else it is the height of the lowest box of the file. So if a
+    The level is 0 if the lowest box of any plan is at 0; else it is the height of the lowest box of the file. So if a
     plan lacks its bottom layer, its boxes float. If heights are measured from the middle of a container, the deck is at
     the plan's own lowest box (half the container's height below 0).
     """
@@ -181,8 +181,8 @@ def named_decks(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]]) -> 
     """Numbers of the rows that describe pallets, one for each plan, and the vertical axis that they show, "y" or "z".
     The numbers are empty, and the axis is "", if a plan has no such row, or if rows do not show one axis.
 
-    Such a row is named as a pallet, is flat, and has the largest base of its plan. Along the vertical axis, and only
-    along this axis, all boxes of the plan have larger coordinates than the pallet.
+    The row of a pallet is named as a pallet, is flat, and has the largest base of its plan. Along the vertical axis,
+    and only along this axis, all boxes of the plan have larger coordinates than the pallet.
     """
     geometry = columns.geometries[0]
     sides = np.sort(geometry.size, axis=1)
@@ -348,7 +348,7 @@ def empty_rows(columns: BoxColumns) -> dict[int, tuple[str, str]]:
 
 def first_bad_row(columns: BoxColumns, wishes: Wishes) -> tuple[int, str] | None:
     """The first row that is bad in every reading of the file, and its fault: a bad cell, or a size that is not
-    positive. None if all rows are good."""
+    positive. The result is None if all rows are good."""
     weight = columns.columns.get("weight", "") if wishes.density_kg_m3 is not None else ""
     faults = {row: f"{name} {text}" for row, (name, text) in columns.faults.items() if name != weight}
     geometries = columns.geometries
@@ -425,14 +425,15 @@ def _place_names(columns: Mapping[str, str]) -> list[str]:
 
 
 def limits_in(low: float, high: float, unit: str, units: Mapping[str, float] = LENGTH_UNITS) -> Limits:
-    """Limits of a value in a unit, from the limits in millimetres or kilograms. ``units``: the unit is one of these."""
+    """Limits of a value in a unit, from the limits in millimetres or kilograms. ``units``: name of a unit → its length
+    in millimetres, or its mass in kilograms."""
     factor = units[unit]
     return Limits(low / factor, high / factor, UNIT_WORDS.get(unit, unit))
 
 
 def fault_of_rows(rows: Sequence[int], faults: Mapping[int, str], place_of: Callable[[int], str]) -> str | None:
     """The error text for a plan or an order with bad rows: the first fault with its place, and the number of further
-    bad rows. None if all rows are good.
+    bad rows. The result is None if all rows are good.
 
     Args:
         faults: row → fault.

@@ -61,7 +61,7 @@ class InputColumn:
 
     Attributes:
         values: an Arrow array; or Python objects, if they have several types.
-        is_text: whether numbers are stored as text, as in CSV. If so, empty text is a missing value.
+        is_text: whether numbers are stored as text, as in CSV. If ``is_text`` is True, empty text is a missing value.
         decimal: the decimal mark of numbers stored as text. If the decimal mark is a comma, numbers have no points.
     """
 
@@ -193,7 +193,7 @@ def _numeric_text(array: pa.Array, decimal: str) -> pa.Array:
 
 
 def _as_number(text: str, decimal: str) -> Any:
-    """The number in a text. A text that is not a number is returned unchanged. None for an empty text."""
+    """The number in a text. A text that is not a number is returned unchanged. The result is None for an empty text."""
     if not text:
         return None
     if _WHOLE.fullmatch(text) and len(text) < 300:
@@ -244,7 +244,7 @@ OPTIONAL: Final = ("item_id", "product_group", "orientation", "order_sequence", 
 Without this column, ``sequence`` is used instead."""
 _TEXTS: Final = ("article", "item_id", "product_group", "material", "kind")
 NAMES: Final = ("plan_id", *_TEXTS)
-"""Columns of names. All other columns have numbers."""
+"""Columns of names. All columns that are not listed here have numbers."""
 _MAY_LACK: Final = ("item_id", "product_group", *_SELDOM)
 """Columns in which a value may be missing."""
 _ALIASES: Final = {
@@ -409,7 +409,8 @@ class _TableReader:
 
     @cached_property
     def _com(self) -> dict[str, FloatArray]:
-        """Centres of mass along the sides of the items, mm. 0 if missing, NaN if unusable."""
+        """Centres of mass along the sides of the items, mm. A coordinate is 0 if it is missing, and NaN if it is
+        unusable."""
         columns = {}
         for name, of in zip(COM_FIELDS, _SIZE, strict=True):
             if name in self.table.columns:

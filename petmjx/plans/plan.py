@@ -146,8 +146,8 @@ class Plan:
                 ``com_length_mm``, ``com_width_mm``, ``com_height_mm``, ``stiffness_n_mm``, ``strength_n`` and ``kind``.
                 The field ``sequence`` gives a packing order that differs from the order of the boxes.
             size_mm: (n, 3) extents along x, y, z as placed, mm, as in ``Plan.size_mm``, instead of lengths, widths and
-                heights. An ``orientation`` then only records how the boxes were turned, since these extents already
-                include the turn.
+                heights. With ``size_mm``, an ``orientation`` only records how the boxes were turned, since the extents
+                already include the turn.
             corner_mm: (n, 3) front-left-bottom corners, mm, instead of x, y and z; z = 0 is the top of the carrier.
             mass_kg: (n,) masses, kg, instead of weights.
             units: unit of all these lengths (mm, cm, m, in or ft) and unit of all masses (kg, g, lb or t), such as

@@ -106,8 +106,9 @@ class DecoderOptions:
 
 
 def decode_entries(data: bytes | bytearray, options: DecoderOptions) -> list[ReadEntry] | None:
-    """Decode the entries of a file, in order. None if the text is not JSON, or not an object with distinct ids. The
-    caller then reads the text again, up to the error; ``options.unread`` is not changed."""
+    """Decode the entries of a file, in order. The result is None if the text is not JSON, or not an object with
+    distinct ids. If the result is None, the caller reads the text again, up to the error; ``options.unread`` is not
+    changed."""
     try:
         values = _PLANS.decode(data)
     except (msgspec.DecodeError, UnicodeError, RecursionError):

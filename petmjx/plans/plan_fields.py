@@ -22,10 +22,11 @@ LARGEST_MM: Final = 4_000.0
 4 m also keeps waiting boxes apart: boxes that wait to be placed hang at least 8 m apart, and the diagonal of a cube of
 4 m is 6.9 m, so the bounding spheres of two such cubes do not touch."""
 FARTHEST_MM: Final = 20_000.0
-"""Limit of coordinates. Boxes that wait to be placed hang at least 50 m high, far above all places of a plan."""
+"""Largest absolute value of a coordinate. The limit keeps all places of a plan far below the boxes that wait to be
+placed, which hang at least 50 m high."""
 SMALLEST_KG: Final = 0.001
 LARGEST_KG: Final = 10_000.0
-"""Limits of masses. A pallet carries at most a few tonnes."""
+"""Limits of masses. For comparison: a pallet carries at most a few tonnes."""
 COM_FIELDS: Final = ("com_length_mm", "com_width_mm", "com_height_mm")
 """Columns of a centre of mass in tables, along the item's length, width and height."""
 
@@ -37,8 +38,8 @@ LARGEST_DEG: Final = 360.0
 
 
 def vanishing_side(size_mm: FloatArray, size_reduction_mm: float) -> tuple[int, str] | None:
-    """The number of the first box that has no extent left after the size reduction, and a text about this box. None if
-    there is no such box. ``size_mm``: (n, 3) sizes of the boxes."""
+    """The number of the first box that has no extent left after the size reduction, and a text about this box. The
+    result is None if there is no such box. ``size_mm``: (n, 3) sizes of the boxes."""
     if size_mm.min(initial=np.inf) > size_reduction_mm:
         return None
     thin = np.flatnonzero((size_mm <= size_reduction_mm).any(axis=1))

@@ -95,8 +95,8 @@ def load_plans(
             Arrow's stream interface; or boxes in another tool's form: py3dbp's packer or bins, a NumPy array, nested
             dictionaries. Files are BED-BPP's JSON, CSV (``*.csv``, ``*.tsv``) or Parquet, or files of other tools: JSON
             with boxes anywhere, tables of any locale, sheets (.xlsx, .ods), arrays (.npy, .npz), MJCF. JSON and text
-            may be gzipped. A file may have at most 4 GiB; devices and FIFOs are not read. In a folder, all such files
-            that are directly in it are read, sorted by name.
+            may be gzipped. A file may have at most 4 GiB; devices and FIFOs are not read. Of a folder, the files
+            of known kinds that are directly in it are read, sorted by name.
         limit: number of good plans after which reading stops.
         strict: whether to raise an error instead of skipping anything.
         max_boxes: largest number of boxes. Plans with more boxes are skipped.
@@ -188,7 +188,8 @@ def read_json_plans(
         extent_mm: see :func:`load_plans`.
 
     Returns:
-        The plans, and the counts of the fields that petmjx ignores. ``PlanSet.notes`` does not mention these fields.
+        The plans, and the counts of the fields that petmjx ignores. ``PlanSet.notes`` does not mention the ignored
+        fields.
 
     Raises:
         InputError: a plan is unusable, and ``strict`` does not allow it to be skipped.
@@ -424,7 +425,7 @@ class _PlanLoader:
             return
         if fault is not None:
             self._skip(source, None, f"{source}: {fault}")
-        if is_csv(path) or (regular_file(path) != path and looks_like_table(data)):  # a pipe has no name
+        if is_csv(path) or (regular_file(path) != path and looks_like_table(data)):  # a pipe's name tells no form
             if looks_like_json(data):
                 self._skip(source, None, f"{source}: is JSON: it is read as such if its name ends in .json")
                 return
@@ -447,7 +448,7 @@ class _PlanLoader:
     def _table_fault(
         self, source: str, read: Callable[[], Table], otherwise: Callable[[], InputError | None] | None
     ) -> InputError | None:
-        """Read a table. Returns an error if it cannot be read, else None.
+        """Read a table. Returns an error if the table cannot be read, else None.
 
         Args:
             otherwise: function that reads the table as one of another tool, if it has none of petmjx's forms. The
@@ -484,7 +485,8 @@ class _PlanLoader:
         """Read the plans of a text in BED-BPP's form or in the form of another tool.
 
         Args:
-            damaged: whether the text is known to be damaged JSON. If so, the plans before the damage are kept.
+            damaged: whether the text is known to be damaged JSON. If ``damaged`` is True, the plans before the damage
+                are kept.
         """
         if damaged or looks_like_own_json(data) or self._is_left_to_own(source, path, data):
             self._read_own_json(source, data, damaged)
@@ -595,8 +597,8 @@ def _kind_of_text(data: bytearray, named: bool) -> str | None:
     """The error text for a text that does not begin like JSON; None for JSON, including damaged JSON.
 
     Args:
-        named: whether the file has the name of a JSON file. If so, any text that does not look like a table is taken
-            for damaged JSON.
+        named: whether the file has the name of a JSON file. If ``named`` is True, any text that does not look like a
+            table is taken for damaged JSON.
     """
     if looks_like_table(data):
         return "looks like a table as text: it is read as one if its name ends in .csv or .tsv"

@@ -46,7 +46,7 @@ class PalletSearch:
 
     def columns_with_pallets(self) -> tuple[BoxColumns, tuple[str, ...]]:
         """The columns, and notes. If boxes would overlap as one plan, or the packing order repeats numbers, the column
-        that separates the pallets becomes the column of plans. There must be exactly one such column.
+        that separates the pallets becomes the column of plans. Exactly one column must separate the pallets.
 
         Raises:
             InputError: the column does not have a word for pallets in its name, or several columns separate the
@@ -181,7 +181,8 @@ def packing_order(
 
 
 def repeated_number(columns: BoxColumns, rows: NDArray[np.int64]) -> str | None:
-    """The fault of a plan's packing order: a number that is repeated or is not whole. None if there is no fault."""
+    """The fault of a plan's packing order: a number that is repeated or is not whole. The result is None if there is no
+    fault."""
     sequence, places = columns.sequence, columns.source.boxes.table.places
     if sequence is None:
         return None

@@ -111,8 +111,8 @@ def read_segment(segment: Segment, options: RunOptions, extent_mm: tuple[float, 
 
 
 def joined(contents: Sequence[SegmentContent], extent_mm: tuple[float, float] | None) -> PlanSet | None:
-    """The plans of all segments of a file, as if the file had been read at once. None if two segments have plans with
-    the same id, or too many plans are skipped.
+    """The plans of all segments of a file, as if the file had been read at once. The result is None if two segments
+    have plans with the same id, or too many plans are skipped.
 
     Args:
         extent_mm: see :func:`read_segment`.

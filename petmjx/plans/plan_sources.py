@@ -77,7 +77,7 @@ def usable_of(gathered: PlanSet, sim: Simulation, options: RunOptions, earlier_l
 
 
 def with_some_plan(plan_set: PlanSet) -> PlanSet:
-    """The same plans. Raises InputError if there are none."""
+    """The same plans. Raises InputError if there are no plans."""
     if not plan_set.plans:
         first = f"; the first: {plan_set.skipped[0].message}" if plan_set.skipped else ""
         raise InputError(f"no usable plan ({len(plan_set.skipped)} skipped){first}")
@@ -85,7 +85,7 @@ def with_some_plan(plan_set: PlanSet) -> PlanSet:
 
 
 def are_files(plans: PlanSource | None) -> bool:
-    """Whether plans are read from files. Also true for the bundled plans (``plans`` is None)."""
+    """Whether plans are read from files. The result is also True for the bundled plans (``plans`` is None)."""
     if isinstance(plans, PlanSet | Plan | SupportsArrow):
         return False
     given = [plans] if plans is None or isinstance(plans, str | PathLike) else plans
@@ -124,7 +124,7 @@ def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
 
 
 def carrier_extent_mm(sim: Simulation) -> tuple[float, float] | None:
-    """Extent of the carrier along x and y, mm. None if the carrier is as large as the plan."""
+    """Extent of the carrier along x and y, mm. The result is None if the carrier is as large as the plan."""
     extent = extent_m(sim.carrier)
     return None if extent is None else (extent[0] * MM_PER_M, extent[1] * MM_PER_M)
 
@@ -153,8 +153,8 @@ def _with_articles(plan_set: PlanSet, file: Path, strict: bool) -> PlanSet:
 
 
 def _idle_rows(articles: Articles, plans: Sequence[Plan], name: str) -> list[str]:
-    """A list with at most one line: about the rows of a table of articles that match no box. Empty if every row matches
-    a box.
+    """A list with at most one line: about the rows of a table of articles that match no box. The result is empty if
+    every row matches a box.
 
     Args:
         plans: the plans before and after the table is applied, since the materials of boxes may come from the table

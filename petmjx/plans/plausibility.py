@@ -202,8 +202,8 @@ def _outside(
 
 
 _POINTS: Final = ((0.0, 0.0), (0.5, 0.5), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (0.5, 1.0))
-"""Points of a box that coordinates may describe, as shares of its extents along two axes. The last one is the centre of
-the top, with y upwards."""
+"""Points of a box that coordinates may describe, as shares of its extents along two axes. The last point is the centre
+of the top, with y upwards."""
 
 
 def are_other_points(layout: Layout, mm: float, point: Sequence[float]) -> bool:
@@ -346,7 +346,7 @@ _OF_PALLET_MM: Final = (580.0, 1500.0, 380.0, 1320.0)
 
 def load_fit(side_mm: float, load_mm: FloatArray, deck_mm: FloatArray, known: bool) -> int:
     """How well boxes and a load fit a carrier if lengths are in a certain unit: 0 not at all; 1 they fit a carrier of
-    unusual size; 2 they fit a usual carrier that is known or that the load fills. Masses do not matter.
+    unusual size; 2 they fit a usual carrier that is known or that the load fills. Masses do not matter for the fit.
 
     Args:
         side_mm: geometric mean of the boxes' sides.
@@ -365,8 +365,8 @@ def load_fit(side_mm: float, load_mm: FloatArray, deck_mm: FloatArray, known: bo
 
 
 _WHOLE_MM: Final = 0.03
-"""A length counts as whole millimetres if it differs from them by at most this, mm. Lengths in inches have three
-decimals, so they are not exact."""
+"""A length counts as whole millimetres if it differs from whole millimetres by at most this length, mm. Lengths in
+inches have three decimals, so they are not exact."""
 
 
 def converted_share(lengths_mm: FloatArray) -> float:

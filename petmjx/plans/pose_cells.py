@@ -1,5 +1,5 @@
 """Poses in other forms than nested matrices (``with_pose_column``): numbers of a matrix in columns or in a text, and
-frames of KUKA robots. They become one column of matrices."""
+frames of KUKA robots. The poses become one column of matrices."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def _matrix_columns(header: Sequence[str]) -> tuple[str, list[int], tuple[int, i
 
 
 def _matrices_of_texts(cells: Sequence[Any]) -> list[Any] | None:
-    """The matrices in a column of texts. A cell without a matrix is unchanged. None if most cells have no
+    """The matrices in a column of texts. A cell without a matrix is unchanged. The result is None if most cells have no
     matrix."""
     texts = [cell for cell in cells if isinstance(cell, str) and cell.strip()]
     if not texts or len(texts[0]) > 2000:
@@ -114,7 +114,7 @@ def _matrix_of_frame(cell: Any) -> list[list[float]] | None:
 
 def _matrices(rows: Sequence[Sequence[Any]], shape: tuple[int, int] | None) -> list[Any] | None:
     """Nested lists from the entries of matrices. A row in which an entry is no number keeps its entries as they are.
-    None if the numbers of most rows are no rotation.
+    The result is None if the numbers of most rows are no rotation.
 
     Args:
         shape: shape of the matrices; None: the entries are listed by rows or by columns, whichever gives rotations.

@@ -2,8 +2,8 @@
 structures of Rust, Go, JavaScript, Java, Kotlin, C#, PHP and Lua, EDN, named arrays, messages of protocol buffers, and
 lines of named values.
 
-All of them put names and values into brackets. A name may stand before a bracket ("Box3D {"), separators may be commas,
-semicolons or white space, and a name is followed by ":", "=" or "=>", or begins with ":".
+All these forms put names and values into brackets. A name may stand before a bracket ("Box3D {"), separators may be
+commas, semicolons or white space, and a name is followed by ":", "=" or "=>", or begins with ":".
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ _JSON_NAME: Final = re.compile(r'"[^"\n]*"(?:\s*:(?![A-Za-z])|\s*:(?:true|false|
 """A name in JSON. A text with such names is JSON, perhaps damaged, and is not read here. In EDN, the colon is part of
 the next name."""
 _OPEN: Final = re.compile(r"(?:Array\s*|[A-Za-z_][\w\\]* Object\s*|[#&]?([A-Za-z_][\w.:<>$]*)[ \t]*|&)?([\[({])")
-"""A bracket, perhaps behind a name. PHP begins a new line between both. A pointer of Go begins with "&", a tag of EDN
-with "#"."""
+"""A bracket, perhaps behind a name. PHP begins a new line between the name and the bracket. A pointer of Go begins with
+"&", a tag of EDN with "#"."""
 _CLOSES: Final = {"[": "]", "(": ")", "{": "}"}
 _SEPARATORS: Final = re.compile(r"[\s,;]*")
 _GAP: Final = re.compile(
@@ -62,8 +62,8 @@ _TEXT: Final = re.compile(
     r"[^,;\[\](){}\n]{0,1000}?(?=\s{0,9}(?:[,;\])}\n]|/\*|$)|\s{1,9}(?://|--(?=[\s\[]))"
     r"|\s{1,9}:?[A-Za-z_]\w{0,99}[:=](?:\S|\s{0,9}(?:[\])}\n]|$)|\s{1,9}[A-Za-z_]\w{0,99}[:=]))"
 )
-"""A value behind a name, which may have several words. It ends before a separator, a bracket, a comment or the next
-name."""
+"""A value behind a name, which may have several words. The value ends before a separator, a bracket, a comment or the
+next name."""
 _CONSTANTS: Final = {"true": True, "false": False, **dict.fromkeys(("nil", "null", "none", "undefined"), None)}
 _NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?([fFdDL]?|[mM])")
 _PAIR: Final = re.compile(r"([A-Za-z][\w .#/-]{0,40}?) ?[:=]")
@@ -84,15 +84,15 @@ _MESSAGES: Final = re.compile(
 )
 """The beginning of messages of protocol buffers as text: "boxes { sku: ..."."""
 _FIELD: Final = re.compile(r"#[^\n]*|\"(?:\\.|[^\"\\\n])*+\"?|(?<!\w)([A-Za-z_]\w{0,99})[ \t]{0,9}(:?[ \t]{0,9}\{|:)")
-"""A field of such a message: "boxes {" or "sku:"; or a comment, or a text in quotation marks, which may contain
-the like."""
+"""A field of a message of protocol buffers: "boxes {" or "sku:"; or a comment, or a text in quotation marks, which may
+contain the like."""
 _RULES: Final = re.compile(r"^(?:[-=]{3,}|[#%][^\n]*)$", re.MULTILINE)
 """Lines between named arrays that hold no values."""
 
 
 def printed_values(text: str) -> Any:
     """The values in a text that a program has printed: a structure, one structure in each line, named arrays, or
-    messages of protocol buffers. None for other texts.
+    messages of protocol buffers. The result is None for other texts.
 
     Raises:
         InputError: the text begins as a structure, but is damaged. The error names the line, but not the file.

@@ -1,6 +1,6 @@
-"""Boxes in Python objects: py3dbp's packers, arrays, nested dictionaries, and data frames. Also boxes in text that
-programs print: Python's dictionaries and lists, and the text of py3dbp and of bp3d, the program on which py3dbp is
-modelled.
+"""Boxes in Python objects: py3dbp's packers, arrays, nested dictionaries, and data frames. The module also reads boxes
+in text that programs print: Python's dictionaries and lists, and the text of py3dbp and of bp3d, the program on which
+py3dbp is modelled.
 
 Source of the texts: ``Item.string`` (github.com/enzoruiz/3dbinpacking), ``Item.String`` (github.com/gedex/bp3d).
 """
@@ -26,13 +26,14 @@ from petmjx.plans.raw_cells import decimal_of
 from petmjx.plans.raw_tables import BoxList, RawTable, not_placed
 
 _MOST_PRINTED: Final = 8 << 20
-"""Largest text of Python values that is parsed, in characters. Their syntax tree takes 100 times as much memory."""
+"""Largest text of Python values that is parsed, in characters. The syntax tree of Python values takes 100 times as much
+memory as their text."""
 _CONSTRUCTED: Final = re.compile(
     r"(?<![\w.])(?:[A-Za-z_]\w*\.){0,20}"
     r"(?:Decimal|float(?:32|64)|u?int(?:8|16|32|64)|array)\(([^()]*?)(?:, dtype=\w+)?\)"
 )
-"""A number or an array as Python shows it: "Decimal('60.0')", "np.float64(1.5)", "array([0, 0, 200])". Here and below,
-repetitions have limits, as some texts would take very long without them."""
+"""A number or an array as Python shows it: "Decimal('60.0')", "np.float64(1.5)", "array([0, 0, 200])". Repetitions in
+this pattern and in those below have limits, since otherwise some texts would take very long."""
 _PRINTED_OBJECT: Final = re.compile(r"\[?\s*[A-Za-z_][\w.]*\(\s*[A-Za-z_]\w*=")
 """The beginning of an object with named fields as Python prints it: "Box(x=0, y=0, …)"."""
 _NOT_FINITE: Final = re.compile(r"(?<![\w'\"])(-?(?:nan|inf))(?![\w'\"])")

@@ -113,8 +113,8 @@ _ONLY_GROUPS: Final = {",": re.compile(r"^[+-]?\d{1,3}(?:\.\d{3})+$"), ".": re.c
 
 
 def has_groups_with_decimals(rows: Sequence[Sequence[Any]], decimal: str) -> bool:
-    """Whether a number of a table has marks between its thousands and decimals, "1.234,5". If so, "1.200" means 1200
-    everywhere in the table."""
+    """Whether a number of a table has marks between its thousands and decimals, "1.234,5". In a table with such
+    numbers, "1.200" means 1200 everywhere."""
     pattern = _GROUPS_AND_DECIMALS.get(decimal)
     return pattern is not None and any(isinstance(cell, str) and pattern.match(cell) for row in rows for cell in row)
 
@@ -264,8 +264,8 @@ decimal signs."""
 
 
 def decimal_of(rows: Sequence[Sequence[Any]]) -> str:
-    """The decimal sign of numbers that are stored as text. "" if the numbers do not show which sign it is, so that
-    "1,200" could be 1200 or 1.2.
+    """The decimal sign of numbers that are stored as text. The result is "" if the numbers do not show which sign it
+    is, so that "1,200" could be 1200 or 1.2.
 
     "1,200" has a decimal comma if the other numbers have no mark between their thousands. "1.200" may mean 1200 if the
     numbers of its column have no decimals.

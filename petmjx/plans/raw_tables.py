@@ -94,8 +94,8 @@ def with_titles(tables: Sequence[RawTable]) -> Sequence[RawTable]:
 
 
 def row_number(place: str, otherwise: int) -> int:
-    """The last number in the place of a row: "row 5" → 5. ``otherwise`` if the place has no number, or a number
-    of more than nine digits."""
+    """The last number in the place of a row: "row 5" → 5. The result is ``otherwise`` if the place has no number, or a
+    number of more than nine digits."""
     match = re.search(r"(\d+)\D*$", place)
     return int(match[1]) if match is not None and len(match[1]) < 10 else otherwise
 

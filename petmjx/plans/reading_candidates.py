@@ -1,4 +1,5 @@
-"""Candidates for a reading: all readings of the numbers that column names, the form and the caller allow."""
+"""Lists the candidates for the reading of a file: all ways to read the file's numbers that its column names, its form
+and the caller's options allow."""
 
 from __future__ import annotations
 
@@ -27,7 +28,7 @@ _PERMUTATIONS: Final = np.array(list(permutations(range(3))))
 """Number of a permutation of the three sizes → which of the sizes lies along each axis. The permutations are numbered
 in alphabetical order, as in files of other programs: 0 is XYZ, 1 is XZY, and so on (``ROTATION_RULES``)."""
 _ANCHOR_PRIOR: Final = {"corner": 0.0, "centre": 1.0, "base-centre": 1.8, "far-corner": 2.5, "top-centre": 3.0}
-_OTHER_CORNER: Final = 3.0  # of a reading with coordinates of another corner
+_OTHER_CORNER: Final = 3.0  # cost of a reading with coordinates of another corner
 _GUESSED_TURNS: Final = 2.0
 """Cost of a reading in which a column of unknown meaning has rotations."""
 _FIRM: Final = 3.0
@@ -118,8 +119,8 @@ def _container_along(candidate: Candidate, container: Mapping[str, float], order
 
 
 def candidates(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
-    """Yield all readings that names, the form and the caller allow. Each has a prior: its cost before any numbers are
-    considered."""
+    """Yield all readings that names, the form and the caller allow. Each reading has a prior: its cost before any
+    numbers are considered."""
     form = columns.source.form
     sizes, places = wishes.length_units
     scale = LENGTH_UNITS[sizes] / LENGTH_UNITS[places] if sizes != places else 1.0
@@ -167,7 +168,7 @@ def further_candidates(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidat
 
 def _turning_axis(turn: FloatArray) -> str:
     """The axis about which boxes are turned, "y" or "z", if all turned boxes are turned about it. Boxes of a pile are
-    turned about the vertical. "" if no box is turned, or boxes are turned about several axes.
+    turned about the vertical. The result is "" if no box is turned, or boxes are turned about several axes.
 
     Args:
         turn: (n, 3, 3) absolute values of rotation matrices.
@@ -255,7 +256,7 @@ def _rules(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tupl
 
 def _sizes_by_article(columns: BoxColumns, geometry: Geometry) -> str:
     """Whether sizes are those of the placed box or those of the item. Boxes of one article in different orientations
-    show which of the two is true. "" if this is unknown."""
+    show which of the two is true. The result is "" if this is unknown."""
     turns, names = columns.turns, columns.article
     if turns is None or names is None:
         return ""
@@ -278,15 +279,15 @@ def _sizes_by_article(columns: BoxColumns, geometry: Geometry) -> str:
 
 _LEAST_BY_LENGTH: Final = 3
 _MOSTLY_LONGER: Final = 0.9
-"""Lengths and widths show whether sizes are those of placed boxes or of items only if two conditions hold. There are at
-least this number of turned boxes, and of unturned boxes; and in at least this share of the unturned boxes, length
-exceeds width."""
+"""Lengths and widths show whether sizes are those of placed boxes or of items only if two conditions hold. There must
+be at least this number of turned boxes, and of unturned boxes; and in at least this share of the unturned boxes, length
+must exceed width."""
 
 
 def _sizes_by_length(columns: BoxColumns, geometry: Geometry) -> str:
     """Whether sizes are those of the placed box or those of the item. The length of an item is rarely smaller than its
-    width. So if lengths are larger than widths even for turned boxes, sizes are those of items. "" if this is
-    unknown."""
+    width. So if lengths are larger than widths even for turned boxes, sizes are those of items. The result is "" if
+    this is unknown."""
     turns = columns.turns
     if turns is None or not {"length", "width"} <= set(geometry.axes):
         return ""

@@ -99,7 +99,8 @@ class _Judged:
     Attributes:
         layouts: the layout of each plan that is used to judge readings.
         rows: the row numbers of all boxes of the layouts.
-        units: all choices of units, cheapest first. Their costs depend on which sides of the load lie on the deck.
+        units: all choices of units, cheapest first. The costs of units depend on which sides of the load lie on the
+            deck.
         order_cost: how implausible it is that the load begins where it does, and that boxes are listed in this order.
     """
 
@@ -185,7 +186,7 @@ def _order_cost(judged: _Judged, mm: float) -> float:
         mm: millimetres of a unit of the layouts.
     """
     anchor = judged.candidate.anchor
-    is_close = judged.layout_cost <= 2 * WEAK  # other readings are hopeless anyway
+    is_close = judged.layout_cost <= 2 * WEAK  # readings with higher costs cannot win
     is_other = is_close and all(are_other_points(layout, mm, ANCHORS[anchor]) for layout in judged.layouts)
     shifted = _SHIFTED * is_other * (1.0 if "corner" in anchor else 0.5)
     sideways = _ON_SIDE * all(map(rises_sideways, judged.layouts)) + _OF_WALL * any(map(is_wall, judged.layouts))
@@ -242,7 +243,7 @@ def _deck_of(judged: _Judged, wishes: Wishes) -> tuple[FloatArray, bool]:
 def choose_reading(
     columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], wishes: Wishes, damaged: Collection[str] = ()
 ) -> tuple[Reading, Candidate]:
-    """Choose the most plausible reading. Also returns the candidate for :func:`layout_of`.
+    """Choose the most plausible reading. The function also returns the candidate for :func:`layout_of`.
 
     Args:
         plans: name of a plan → its rows.
@@ -414,7 +415,7 @@ def _fit(best: _Judged, unit: str, wishes: Wishes) -> int:
 
 def _are_converted(best: _Judged, unit: str, others: Collection[str]) -> bool:
     """Whether ``unit`` is inches, and the sizes are whole millimetres if read in inches, but not if read in any of the
-    units ``others``. If so, the file's author has converted millimetres to inches.
+    units ``others``. If the result is True, the file's author has converted millimetres to inches.
 
     Only inches are examined. For example, lengths of 30 and 40 are whole millimetres if read in centimetres, but the
     boxes may also be 30 and 40 inches long.
@@ -435,7 +436,7 @@ def _is_likely(units: _Units) -> bool:
 def _other_mass(best: _Judged) -> str | None:
     """Another unit of masses that is plausible and that no column name excludes; None if there is none.
 
-    This unit is only mentioned, because a factor on all masses hardly affects a verdict.
+    The other unit is only mentioned, because a factor on all masses hardly affects a verdict.
     """
     first, *others = best.units
     rivals = (
@@ -457,7 +458,8 @@ def _unit_text(best: _Judged, places: str) -> str:
 
 
 def _reading(judged: _Judged, columns: BoxColumns, wishes: Wishes, units: _Units | None = None) -> Reading:
-    """The ``Reading`` that a possible reading and a choice of units give. None: the most plausible units."""
+    """The ``Reading`` that a possible reading and a choice of units give. If ``units`` is None, the most plausible
+    units are used."""
     candidate = judged.candidate
     units = units or judged.units[0]
     return Reading(

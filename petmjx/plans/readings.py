@@ -1,5 +1,5 @@
-"""Readings of other tools' numbers (``Reading``): their units, axes, anchor, rotations and origin. Also files with
-readings (``--as FILE.toml``), and options for reading (``Wishes``).
+"""Readings of other tools' numbers (``Reading``): their units, axes, anchor, rotations and origin. The module also
+reads and writes files with readings (``--as FILE.toml``), and has options for reading (``Wishes``).
 
 Column names often allow several readings of a file's numbers. All possible readings are tried, and the most plausible
 one wins. In a plausible reading, boxes do not overlap or float, lie on other boxes, touch their neighbours and fit the
@@ -255,8 +255,8 @@ _OF_COLUMNS: Final = (
     (("along",), "--columns", lambda reading: f"{', '.join(reading.along)} along x, y, z"),
     (("columns",), "--columns", _column_words),
 )
-"""The fields about columns. If two readings also differ in other fields, a difference in these fields is only a
-consequence, so it is not mentioned."""
+"""The fields about columns. If two readings also differ in other fields, a difference in the fields about columns is
+only a consequence, so it is not mentioned."""
 
 
 def tie_text(readings: Sequence[Reading], weak: bool) -> str:
@@ -294,9 +294,9 @@ _SEVERAL: Final = "if the file has several pallets, name their column with --col
 
 
 CHOOSER: ContextVar[Callable[[str, AmbiguousFile], Reading | None] | None] = ContextVar("CHOOSER", default=None)
-"""Function that asks the user which reading of a file is right. Its arguments are the name of the file and the possible
-readings. The function returns the right reading, or None if the user does not know. If None is given instead of a
-function, the file is refused without a question."""
+"""Function that asks the user which reading of a file is right. The arguments of the function are the name of the file
+and the possible readings. The function returns the right reading, or None if the user does not know. If None is given
+instead of a function, the file is refused without a question."""
 
 
 # Files with readings, and options for reading.
@@ -391,8 +391,8 @@ def wishes_of(
 
     Args:
         deck_mm: extents of the carrier along x and y; None: unknown.
-        reading: how to read the numbers of a file (units, columns, axes …). If it is None, the reading comes from the
-            TOML file that the option ``--as`` names, if this option is set.
+        reading: how to read the numbers of a file (units, columns, axes …). If ``reading`` is None, the reading comes
+            from the TOML file that the option ``--as`` names, if this option is set.
 
     Raises:
         InputError: the written reading cannot be read.

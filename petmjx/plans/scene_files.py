@@ -1,5 +1,5 @@
-"""Boxes in scenes: MuJoCo (MJCF), three.js (``Object3D.toJSON``) and glTF. In the last two, poses are relative to the
-object around a box.
+"""Boxes in scenes: MuJoCo (MJCF), three.js (``Object3D.toJSON``) and glTF. In three.js and glTF, poses are relative to
+the object around a box.
 
 Sources of the forms: three.js' JSON object scene format 4 (github.com/mrdoob/three.js/wiki); glTF 2.0
 (registry.khronos.org/glTF/specs/2.0).
@@ -226,7 +226,7 @@ def _instances(node: Mapping[str, Any], place: str) -> list[FloatArray]:
 
 def source_of_gltf(value: Mapping[str, Any]) -> BoxSource:
     """The boxes of a glTF scene: nodes with a mesh. The extents of a mesh are those of its positions, as its accessor
-    gives them; if it gives none, the mesh is a unit cube.
+    gives them; if the accessor gives none, the mesh is a unit cube.
 
     Raises:
         InputError: the pose of a node is damaged, or no node has a mesh.

@@ -116,7 +116,8 @@ def sizes_in(extraction: ColumnExtraction) -> Sizes | None:
 
 def other_sizes_in(extraction: ColumnExtraction, first: Sizes) -> Sizes | None:
     """A second set of sizes, such as "size_1" … beside "sp_size_1" …, if no name shows which set has the sizes of the
-    placed boxes. None if there is none, if a cell of it is bad, or if both sets are equal."""
+    placed boxes. The result is None if there is no second set, if a cell of the second set is bad, or if both sets are
+    equal."""
     if first.placed or any(role_of(axis) in extraction.fixed for axis in first.axes) or "sizes" in extraction.fixed:
         return None
     faults = dict(extraction.faults)
@@ -242,7 +243,7 @@ def _places_of(extraction: ColumnExtraction, indices: Sequence[int], anchor: str
 
 def corners_in(extraction: ColumnExtraction) -> Geometry | None:
     """Sizes and places from two corners of each box: the corner with the smallest and the corner with the largest
-    coordinates. None if there are no such columns."""
+    coordinates. The result is None if there are no such columns."""
     header = extraction.table.header
     if (eight := _eight_corners(extraction)) is not None:
         return eight
@@ -353,8 +354,8 @@ _OF_LAST_CELLS: Final = 2.0
 
 
 def with_last_cells(geometry: Geometry) -> Geometry | None:
-    """The geometry with far corners read as those of the last cell of a grid: a box from 1 to 40 is 40 cells long. None
-    if the geometry does not consist of two corners with whole numbers."""
+    """The geometry, with far corners read as the last cells of boxes on a grid: a box from 1 to 40 is 40 cells long.
+    The result is None if the geometry does not consist of two corners with whole numbers."""
     far = [name for role, name in geometry.columns.items() if role.endswith("(far)") or role == "corners"]
     if not far or not _are_whole(geometry.size, geometry.place):
         return None
@@ -368,7 +369,8 @@ def _are_whole(*numbers: FloatArray) -> bool:
 
 def _same_stems(header: Sequence[str], picked: Sequence[Sequence[int]]) -> Iterator[tuple[int, ...]]:
     """Yield each choice of three columns that belong to the same object, such as ``dimensions.length``,
-    ``dimensions.width`` and ``dimensions.height``. If there is none, yield the first column of each size."""
+    ``dimensions.width`` and ``dimensions.height``. If no three columns belong to the same object, yield the first
+    column of each size."""
     by_stem: dict[str, dict[int, int]] = {}
     for number, columns in enumerate(picked):
         for index in columns:
@@ -397,7 +399,8 @@ def _columns_of_places(header: Sequence[str], columns_of_axes: Sequence[Sequence
 
 
 _DENSEST: Final = 1.5
-"""A column without a name has densities only if they are at most this, relative to water. Cartons are less dense."""
+"""A column without a name has densities only if its numbers are at most this value, relative to water. Cartons are less
+dense."""
 _MOST_SOUND: Final = 0.9
 """In a table without a header, at least this share of the rows must match the guessed meaning of a column. Rows that do
 not match have bad cells."""

@@ -105,7 +105,7 @@ class _CsvReader:
         self._delimiter, self._names, self._plan_column = delimiter, names, plan_column
 
     def read(self, data: bytearray) -> tuple[pa.Table, np.ndarray[Any, np.dtype[np.int64]]]:
-        """Read all columns as text. Also returns the row numbers; the header is row 1.
+        """Read all columns as text. The function also returns the row numbers; the header is row 1.
 
         Raises:
             TableError: Arrow cannot read the text.

@@ -92,8 +92,8 @@ def _line(row: Sequence[Any]) -> str:
 def _table_below(
     rows: Sequence[tuple[Any, ...]], head: int, end: int, begin: int, title: str, above: tuple[str, ...], more: bool
 ) -> tuple[list[RawTable], list[str]]:
-    """The tables below a header, one for each named section. Also returns the remaining lines, from the next header
-    on."""
+    """The tables below a header, one for each named section. The function also returns the remaining lines, from the
+    next header on."""
     names = [cell_text(cell) for cell in rows[head]]
     while names and not names[-1]:
         names.pop()
@@ -230,7 +230,8 @@ def names_part(title: str) -> bool:
 
 
 def part_role(title: str) -> str:
-    """What a title with such a word names: "plan", or "layer" for layers and stacks."""
+    """What a title with a word for pallets, orders, layers or stacks names: "plan", or "layer" for layers and
+    stacks."""
     return "plan" if TITLE_WORDS.intersection(words_of(title)) - STACKS else "layer"
 
 
@@ -240,7 +241,8 @@ def begins_section(title: str, first: str, above: Sequence[str] = ()) -> bool:
 
     Args:
         first: the title of the first boxes; "": they have none.
-        above: the lines above the header. The last one is the title of the first boxes if it has a word of this line.
+        above: the lines above the header. The last of these lines is the title of the first boxes if it has a word of
+            the line between boxes.
     """
     words = {word for word in words_of(title) if not word.isdecimal()}
     if not first and above and words.intersection(words_of(above[-1])):
@@ -251,7 +253,7 @@ def begins_section(title: str, first: str, above: Sequence[str] = ()) -> bool:
 
 
 def _is_numbered(title: str) -> bool:
-    """Whether a title has a number or a letter, as "Pallet 2" and "Order B". "50 %" is no such number."""
+    """Whether a title has a number or a letter, as "Pallet 2" and "Order B". "50 %" does not count as a number."""
     return re.search(r"\d(?![\d.,]*\s*%)|\b[A-Z]\b", title) is not None
 
 
@@ -290,9 +292,9 @@ def _is_title(row: Sequence[Any], geometric: Sequence[int], pallet_columns: Sequ
 
 
 def are_unplaced(title: str) -> bool:
-    """Whether the boxes below a title are not part of a plan. Such a title says only that the boxes are not placed, as
-    in "Unplaced items (3)". A title with further words, such as "Layer 2 (remaining)", is the title of boxes of the
-    plan, and a pallet of leftovers is a plan."""
+    """Whether the boxes below a title are not part of a plan. The title of such boxes says only that the boxes are not
+    placed, as in "Unplaced items (3)". A title with further words, such as "Layer 2 (remaining)", is the title of boxes
+    of the plan, and a pallet of leftovers is a plan."""
     words = [word for word in words_of(title) if not word.isdecimal()]
     others = [word for word in words if word not in _BOXES_OF_TITLES and not names_unplaced(word)]
     return names_unplaced(title) and not others

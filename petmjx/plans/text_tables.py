@@ -27,7 +27,7 @@ _SPACES: Final = " "
 
 
 def decoded_text(data: bytes | bytearray) -> tuple[str, str]:
-    """Decode bytes to text. Also returns a note about the encoding ("" for UTF-8).
+    """Decode bytes to text. The function also returns a note about the encoding ("" for UTF-8).
 
     UTF-8, UTF-16 and UTF-32 are recognised with certainty. All other bytes are read as Windows-1252, or as Windows-1250
     if that gives more known words in headers.
@@ -197,8 +197,8 @@ _RULE: Final = re.compile(r"^(?=.*[-=_]{2})[\s|+:]*[-=_]+(?:[\s|+:]+[-=_]+)+[\s|
 
 def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
     """Fields separated by white space. If there is a line of dashes, the dashes show where columns are, so a cell may
-    be empty. Otherwise fields are separated by two or more spaces, or by one or more, whichever gives more rows with
-    equally many fields.
+    be empty. Without a line of dashes, fields are separated by two or more spaces, or by one or more, whichever gives
+    more rows with equally many fields.
     """
     rule = next((index for index, line in enumerate(lines) if _RULE.match(line)), None)
     if rule is not None:
@@ -238,7 +238,7 @@ def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
 
 _MOST_HEADER_LINES: Final = 2
 """Most lines of a header above its line of dashes: names, and units below them. If there are more lines without a blank
-line between them, only the last one is the header."""
+line between them, only the last line is the header."""
 _LEAST_TABS: Final = 2
 """Fewest tabs of a line that count as separators: fields are separated by tabs if all lines have equally many tabs, and
 at least this many."""

@@ -101,8 +101,8 @@ def are_yes_or_no(cells: Sequence[Any]) -> bool:
 
 
 def letters_of(cell: Any) -> tuple[int, int, int] | None:
-    """For three letters such as "YXZ" or "WLH": the index of the size along x, y and z. None if the letters name no
-    orientation."""
+    """For three letters such as "YXZ" or "WLH": the index of the size along x, y and z. The result is None if the
+    letters name no orientation."""
     text = cell_text(cell).upper().removeprefix("ROTATIONTYPE.").removeprefix("RT_").removeprefix("ORIENTATION.")
     for letters in ("XYZ", "LWH", "WHD", "LBH", "LHD", "WDH", "ABC"):
         if sorted(text) == sorted(letters):
@@ -181,8 +181,8 @@ def _degrees(angle_rad: float) -> float:
 
 
 _NEAR_QUARTER: Final = 5e-3
-"""An angle in radians counts as quarter turns if it differs from them by at most this share of a quarter turn, since
-1.57 has only three digits."""
+"""An angle in radians counts as quarter turns if it differs from a whole number of quarter turns by at most this share
+of a quarter turn, since 1.57 has only three digits."""
 
 _LEVEL_RAD: Final = 0.1
 """Angles up to this value do not turn a box, whether they are in radians or in degrees: boxes that have settled are

@@ -1,5 +1,5 @@
 """Reads workbooks (.xlsx, .ods), web pages and tables of any other file (``read_raw_tables``): bytes become raw tables.
-Also reads XML, as the nested values that JSON has."""
+The module also reads XML, as the nested values that JSON has."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """Checks drafts of plans by statics: finds the loads beyond the edge of their supports at each step of building, and
 measures how harmful they are.
 
-The balance takes a fifth of a millisecond per draft, a simulation a tenth of a second and more. So the balance tells
-which of many changes are worth a simulation. The balance never decides: a box whose load is beyond an edge may lean on
-a neighbour, and stand.
+The balance of a draft takes a fifth of a millisecond, a simulation a tenth of a second and more. So the balance tells
+which of many changes are worth a simulation. The balance never decides whether a plan stands: a box whose load is
+beyond an edge may lean on a neighbour, and stand.
 """
 
 from __future__ import annotations
@@ -21,25 +21,26 @@ from petmjx.world.scene import Scene, build_scenes, has_plain_scene, plain_scene
 from petmjx.world.supports import Bearing, find_bearings
 
 AT_ONCE: Final = 128
-"""Number of drafts that are computed at once."""
+"""Number of drafts whose balances are computed at once."""
 
 DEEP_MM: Final = 50.0
-"""The weight of a load increases from 1 on the edge to 2 at this distance beyond the edge, mm. Further beyond, the
-weight stays 2."""
+"""The weight of a load increases from 1 on the edge to 2 at this distance beyond the edge, mm. Further beyond the edge,
+the weight of a load stays 2."""
 
 SAFE_MM: Final = 12.0
 """A load is safe if it is inside the edges of its supports by at least this distance, mm. If a robot places two boxes,
 the error of their relative place has a standard deviation of 3 mm (docs/confidence.md). ``SAFE_MM`` is four standard
-deviations."""
+deviations of the relative place of two boxes."""
 
 ROOM_MM: Final = 8.0
 """A box that is lowered between two neighbours has enough room if the gap between the neighbours is larger than the box
 by at least this length. The errors of the boxes' places and sizes are 3 mm together. If the gap is too narrow, the box
 lands on top of a neighbour. Of 24 generated plans that stand without errors, 8 fall in some worlds with errors. In 7 of
-these 8 plans, and in none of the others, a box has at most 4 mm of room."""
+the 8 plans that fall with errors, and in none of the others, a box has at most 4 mm of room."""
 
 PERHAPS: Final = 0.5
-"""Weight of a load that is beyond an edge under one sharing of loads, but possibly inside under another."""
+"""Weight of a load that is beyond an edge if supports share loads in one way, but possibly inside if they share loads
+in another way."""
 
 
 class Balance(NamedTuple):
@@ -54,11 +55,12 @@ class Balance(NamedTuple):
         last_mm: (k,) distance of each load from the edge once all boxes are placed, positive inside.
         trouble: sum of the weights of the loads that are beyond an edge.
         weakness: a number for the risk that the plan falls with errors, as a sum over loads and boxes. A load inside
-            its edge adds 1 if it is on the edge, and less further inside: 0 at ``SAFE_MM`` inside. A box that is
-            lowered between two other boxes adds 1 if it has no room, and less with more room: 0 with ``ROOM_MM`` of
-            room.
+            its edge adds 1 to the risk if it is on the edge, and less further inside: 0 at ``SAFE_MM`` inside. A box
+            that is lowered between two other boxes adds 1 to the risk if it has no room, and less with more room: 0
+            with ``ROOM_MM`` of room.
         order: numbers of the boxes in packing order.
-        loads: the loads of all boxes. ``balances_with_last`` computes from them the loads of a draft with one more box.
+        loads: the loads of all boxes. ``balances_with_last`` computes from ``loads`` the loads of a draft with one more
+            box.
         missing_room: (n,) part of ``weakness`` that each box contributes because it is lowered between two other boxes.
     """
 
@@ -107,9 +109,9 @@ def balances(drafts: Sequence[Draft], sim: Simulation, *, spare_mm: float = 0.0)
 
 
 def balances_with_last(drafts: Sequence[Draft], before: Sequence[Balance], sim: Simulation) -> list[Balance]:
-    """The balance of each draft, given the balance of the draft without its last box. Only the loads below the last box
-    change, and each of them only once. So this function takes a fraction of the time of ``balances``. The results of
-    the two functions may differ by rounding errors."""
+    """The balance of each draft, given the balance of the draft without its last box. The last box changes only the
+    loads below it, and each of these loads only once. So this function takes a fraction of the time of ``balances``.
+    The results of the two functions may differ by rounding errors."""
     results: list[Balance] = []
     for begin in range(0, len(drafts), AT_ONCE):
         some, known = drafts[begin : begin + AT_ONCE], before[begin : begin + AT_ONCE]
@@ -203,7 +205,7 @@ class _Loads(NamedTuple):
     perhaps: BoolArray
 
     def take(self, rows: slice, first: int) -> _Loads:
-        """Some rows, with boxes and steps that are counted from ``first``."""
+        """Some rows of the loads, with boxes and steps that are counted from ``first``."""
         some = self.of(rows)
         return some._replace(box=some.box - first, step=some.step - first)
 
@@ -239,8 +241,8 @@ def _loads(box: IntArray, step: IntArray, edge_mm: FloatArray, perhaps: BoolArra
 
 
 def _loads_with_last(bearing: Bearing, before: _Loads) -> _Loads:
-    """The loads of several drafts after the last box of each draft has been placed. ``before``: the loads before these
-    boxes were placed."""
+    """The loads of several drafts after the last box of each draft has been placed. ``before``: the loads before the
+    last boxes were placed."""
     first = bearing.boxes.first
     n, last = int(first[-1]), first[1:] - 1
     is_last = np.zeros(n, bool)
@@ -278,7 +280,7 @@ def _missing_room(drafts: Sequence[Draft], *, only_last: bool = False) -> list[F
 
 def _missing(low: FloatArray, high: FloatArray, begin: int) -> FloatArray:
     """(c, n − begin) numbers as in ``_missing_room``, for boxes with these (c, n, 3) corners, mm. Boxes before
-    ``begin`` have no number."""
+    ``begin`` get no number."""
     n = low.shape[1]
     before = np.triu(np.ones((n, n), bool), k=1)[:, begin:]  # the row's box is placed before the column's
     stands = before & (high[:, :, None, 2] > low[:, None, begin:, 2] + TOLERANCE_MM)

@@ -25,12 +25,12 @@ from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.requests import Asked, Steps, Trial
 
 PILE: Final = 4.0
-"""A box that falls is taken off together with all boxes that need it. So many of these boxes count as one needed
-change: there is no other place for a large pile, and a large pile hides further faults."""
+"""A box that falls is taken off together with all boxes that need it. ``PILE`` boxes that are taken off together count
+as one needed change: there is no other place for a large pile, and a large pile hides further faults."""
 
 AT_ONCE: Final = 8
 """Number of changed plans that are judged at once. Statics ranks changes well: usually one of the first stands, or
-mends a fault. So more are judged only if these fall."""
+mends a fault. So more changed plans are judged only if the first ones fall."""
 
 PER_ROUND: Final = 0.25
 """Each time some changes of a plan were judged in vain, the expected number of changes of its repair rises by this
@@ -45,7 +45,8 @@ class State:
         draft: the changed plan.
         changes: the changes.
         trial: its simulation.
-        errors: number of a world with errors → the trial in this world. Only worlds in which the plan was judged.
+        errors: number of a world with errors → the trial in this world. The dictionary has only worlds in which the
+            plan was judged.
     """
 
     draft: Draft
@@ -140,8 +141,8 @@ class Node:
 
     @property
     def n_promised(self) -> float:
-        """Expected number of changes of a repair that begins with the next change of this plan. It is larger if changes
-        were judged in vain, and if the next change hardly helps by statics."""
+        """Expected number of changes of a repair that begins with the next change of this plan. The number is larger if
+        changes were judged in vain, and if the next change hardly helps by statics."""
         unsolved = self.queue[0].unsolved if self.queue else 0.0
         return self.n_expected + PER_ROUND * self.n_rounds + unsolved
 
@@ -153,7 +154,7 @@ class Node:
 
 
 def n_counted(changes: Sequence[Change]) -> int:
-    """Number of changes. A box that is left out does not count."""
+    """Number of changes. Boxes that are left out do not count as changes."""
     return sum(change.kind is not Kind.LEAVE_OUT for change in changes)
 
 
@@ -179,8 +180,9 @@ def batch_of(queues: Sequence[list[Candidate]], count: int) -> list[Candidate]:
 
 
 def spread(ranked: Sequence[Candidate]) -> list[Candidate]:
-    """Candidates, the most promising first, with other ways to change a plan between the amounts of one way. Statics
-    ranks one move of a box by many amounts side by side, and often all of them fall alike."""
+    """Candidates, ranked anew: after a change of a box by one amount, other changes come before the same change by
+    other amounts. Statics ranks moves of one box by many amounts side by side, and often the plans with these moves all
+    fall alike."""
     ways: Counter[tuple[object, ...]] = Counter()
     keys = []
     for candidate in ranked:
@@ -196,8 +198,8 @@ PER_REPETITION: Final = 0.5
 another amount. In the rank, a load beyond an edge has the weight 1."""
 
 HELD: Final = 0.15
-"""Share of its weight that a load beyond an edge has in the ranking, if simulations have shown that it holds: it leans
-on something."""
+"""Share of its weight that a load beyond an edge has in the ranking, if simulations have shown that the box with this
+load does not fall: the box leans on something."""
 
 MOST_RANKED: Final = 168
 """Largest number of allowed changes of a plan that are kept: the most promising ones."""
@@ -305,8 +307,8 @@ class Candidates:
 
     def _unsolved(self, after: Balance, failing: Mapping[int, float], culprit: int | None) -> float:
         """How much of a failure remains after a change, from 0 to 2. The failure is caused by loads beyond edges. The
-        result is the sum of two shares: the mean share of these loads' distances beyond their edges that remains, and
-        this share for the load of the box that fell first.
+        result is the sum of two shares of distances beyond edges: the share that remains for all loads beyond edges
+        (the mean), and the share that remains for the load of the box that fell first.
 
         Args:
             failing: box → depth of its load before the change, mm.
@@ -317,9 +319,9 @@ class Candidates:
         return sum(shares.values()) / max(len(shares), 1) + of_culprit
 
     def _expected_trouble(self, after: Balance, changed: Collection[int]) -> float:
-        """The trouble of a changed plan. A load counts little if a simulation has shown that its box does not fall with
-        the load this far beyond an edge, because the box leans on something. This does not apply to the boxes
-        ``changed``."""
+        """The trouble (``Balance``) of a changed plan. A load counts little if a simulation has shown that its box does
+        not fall with the load this far beyond an edge, because the box leans on something. A load of one of the boxes
+        ``changed`` always counts in full."""
         held_mm = [0.0 if box in changed else self._held_mm.get(box, 0.0) for box in after.box.tolist()]
         return float((after.weight * np.where(after.depth_mm <= held_mm, HELD, 1.0)).sum())
 
@@ -331,15 +333,15 @@ class Candidates:
                 if trial.culprit is None:
                     continue
                 lost |= {trial.culprit, *draft.below(trial.culprit)}
-                last -= 1  # the box that was placed last may not have come to rest
+                last -= 1  # the last placed box may still have been moving at the end
             for box, step, depth_mm in zip(balance.box.tolist(), balance.step, balance.depth_mm.tolist(), strict=True):
                 if step < last and box not in lost:
                     self._held_mm[box] = max(self._held_mm.get(box, 0.0), depth_mm)
 
     def _causes(self, state: State) -> list[Target]:
         """Why a plan fails, the likeliest causes first. For a plan that falls only with errors, these are the causes of
-        its falls in worlds with errors, first those of the most worlds. Loads that are nearer to an edge than
-        ``SAFE_MM`` then count as beyond it."""
+        its falls in worlds with errors, first those of the most worlds. If the plan falls only with errors, loads that
+        are nearer to an edge than ``SAFE_MM`` also count as beyond the edge."""
         lost = sorted(state.lost.values(), key=lambda trial: trial.n_held) or [state.trial]
         (balance,) = balances([state.draft], self.sim, spare_mm=SAFE_MM if state.lost else 0.0)
         often = Counter(trial.culprit for trial in lost)
@@ -357,7 +359,7 @@ class Candidates:
 
     def _safest(self, states: Sequence[State]) -> list[int]:
         """Numbers of the states, sorted. States are grouped by the way in which the plan was changed (``way_of``).
-        First comes the best state of each group, then the second best of each group, and so on. A state is better if it
+        The best state of each group comes first, then the second best of each group, and so on. A state is better if it
         is less weak or, if equally weak, cheaper."""
         ways: Counter[tuple[object, ...]] = Counter()
         ranks = []
@@ -369,9 +371,9 @@ class Candidates:
         return [k for _, k in sorted(ranks, key=lambda rank: rank[0])]
 
     def _risks(self, states: Sequence[State]) -> list[tuple[int, int]]:
-        """Two numbers for each changed plan, by which plans are compared. The first is its weakness plus its trouble
-        (``Balance``), divided by ``SAME_WEAKNESS`` and rounded. The second is its cost, divided by ``SAME_COST`` and
-        rounded down. So plans that differ little count as equal."""
+        """Two numbers for each changed plan, by which plans are compared. The first number is the plan's weakness plus
+        its trouble (``Balance``), divided by ``SAME_WEAKNESS`` and rounded. The second number is the cost of the
+        changes, divided by ``SAME_COST`` and rounded down. So plans that differ little count as equal."""
         some = balances([state.draft for state in states], self.sim)
         return [_risk(balance, state.cost) for state, balance in zip(states, some, strict=True)]
 
@@ -394,16 +396,16 @@ class Candidates:
             self._learn([*unknown.values()], trials)
             for (key, draft), trial in zip(unknown.items(), trials, strict=True):
                 self._known[key] = trial
-                # a box that a hand still carried is not among the placed ones, but may have pushed others
+                # a box that was still in the hand does not count as placed, but may have pushed other boxes
                 n_known = trial.n_placed + int(self.sim.placing.carries)
                 if trial.verdict == Verdict.UNSTABLE.value and n_known < len(draft.order):
                     self._falls.setdefault(key_of(draft, n_known), trial)
         return [self._known[key] for key in keys]
 
     def _falls_early(self, key: bytes) -> bool:
-        """Whether a draft with this key falls as another one did, since both begin with the same placements, and the
-        other one fell before its next box was placed."""
-        longer = key[:-1]  # a draft that ends where the other one fell waits longer after its last box
+        """Whether a draft with this key falls as a draft that was judged: both begin with the same placements, and the
+        judged draft fell before its next box was placed."""
+        longer = key[:-1]  # a draft that has no box after the fall of the judged draft waits longer at its end
         return longer.startswith((*self._falls,))
 
     def _scored(self, states: Sequence[State]) -> Steps[list[State]]:

@@ -18,7 +18,7 @@ from petmjx.repairs.drafts import TOLERANCE_MM, Draft
 
 
 class Kind(StrEnum):
-    """Kinds of changes. Each kind can be forbidden."""
+    """Kinds of changes. Each kind of change can be forbidden."""
 
     ORDER = "order"
     MOVE = "move"
@@ -141,7 +141,7 @@ class Move(_OfBox):
         return COST[self.kind] + COST_PER_MM * self.length_mm + COST_PER_BOX * len(self.others)
 
     def joined(self, other: Move) -> Move | None:
-        """Both moves as one; None if the moves are of different boxes, or cancel out."""
+        """This move and another one as one move; None if the moves are of different boxes, or cancel out."""
         if self.boxes != other.boxes:
             return None
         sum_of_moves = replace(self, dx_mm=self.dx_mm + other.dx_mm, dy_mm=self.dy_mm + other.dy_mm)
@@ -315,8 +315,8 @@ def applied(draft: Draft, changes: Sequence[Change]) -> Draft | None:
 def with_change(changes: Sequence[Change], change: Change) -> tuple[Change, ...]:
     """A list of changes with one more change. A move becomes part of an earlier change of the same boxes. Of two
     changes of a box's order, only the second one is kept. If a box is put elsewhere or left out, its earlier changes
-    are dropped. The draft may then differ from one with all changes in turn, because a later change of other boxes may
-    depend on a dropped change."""
+    are dropped. The draft may differ from a draft to which all changes were applied in turn, because a later change of
+    other boxes may depend on a dropped change."""
     for at in reversed(range(len(changes))):
         earlier = changes[at]
         if isinstance(change, Order) and isinstance(earlier, Order) and earlier.box == change.box:
@@ -331,7 +331,7 @@ def with_change(changes: Sequence[Change], change: Change) -> tuple[Change, ...]
 
 
 def _moved(change: Change, move: Move) -> Change | None:
-    """A change and a later move of the same boxes, as one change; None if they are of different boxes, or cancel
+    """A change and a later move of the same boxes, as one change; None if the two are of different boxes, or cancel
     out."""
     if isinstance(change, Move):
         return change.joined(move)
@@ -366,6 +366,6 @@ def _boxes(numbers: Sequence[int]) -> str:
 
 
 def _mm(length: float) -> str:
-    """A length with at most a tenth of a millimetre, as plans have them."""
+    """A length as a text, with at most a tenth of a millimetre, as in plans."""
     rounded = round(length, 1) + 0.0
     return f"{rounded:.0f}" if abs(rounded - round(rounded)) < TOLERANCE_MM / 10 else f"{rounded:.1f}"

@@ -1,8 +1,9 @@
 """Worlds with the same first boxes share the simulation of these boxes (``CommonPlacements``).
 
-Changed plans often begin with the same placements, up to the first box that differs. The common placement is simulated
-once. It pauses before the first different box is placed, and all the worlds start from its state. Their outcomes are
-the same to the last bit as if each world had been simulated from its beginning.
+Changed plans often begin with the same placements, up to the first box that differs. The placement of the common first
+boxes is simulated once. The simulation of the common first boxes pauses before the first different box is placed, and
+all worlds with the same first boxes start from its state. The outcomes of the worlds are the same to the last bit as if
+each world had been simulated from its beginning.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from petmjx.world.job import EngineState, Job
 
 LEAST_SAVED: Final = 40
 """A common placement is simulated in a job of its own if this saves the placements of at least this many boxes in all.
-A pause takes as long as some placements."""
+A pause takes as long as the placements of some boxes."""
 
 MOST_KEPT_BYTES: Final = 64 << 20
 """Largest memory for the states of common placements that are kept for further worlds; as much again is used for worlds

@@ -1,10 +1,10 @@
 """A plan while it is being changed (``Draft``), and the limits of changed plans (``Rules``).
 
-A draft keeps the numbers that boxes have in the plan, whatever their order is now. Sheets that are added have the next
-numbers. A draft is allowed if no fault of its layout is worse than in the plan: boxes that overlap, that float when
-they are placed, that reach beyond the carrier, or that would be placed under a box that already stands. So a plan with
-such faults can be repaired step by step, but no fault ever becomes worse. A box that is moved aside or turned must not
-end inside a wall.
+A draft keeps the numbers that boxes have in the plan, whatever their order is now. Sheets that are added get the next
+numbers after those of the boxes. A draft is allowed if no fault of its layout is worse than in the plan: boxes that
+overlap, that float when they are placed, that reach beyond the carrier, or that would be placed under a box that
+already stands. So a plan with such faults can be repaired step by step, but no fault ever becomes worse. A box that is
+moved aside or turned must not end inside a wall.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Draft:
         turned: (m,) whether a box is turned by 90° from its orientation in the plan.
         order: numbers of the boxes that are placed, in packing order.
         moved: numbers of the boxes with another place or orientation than in the plan. The plan's directions of
-            approach no longer hold for them.
+            approach no longer hold for moved boxes.
         sheet_kg: masses of the added sheets.
         film_turns: turns of film around the pallet.
     """
@@ -196,7 +196,7 @@ class Draft:
         )
 
     def as_plan(self, plan_id: str | None = None) -> Plan:
-        """The draft as a plan. Without a change it equals the plan to the last bit."""
+        """The draft as a plan. A draft without a change becomes exactly the original plan, to the last bit."""
         plan, rows = self.plan, self.rows
         n_sheets = len(self.sheet_kg)
         boxes = rows[rows < plan.n_boxes]
@@ -265,7 +265,8 @@ def _key_of_rows(draft: Draft, rows: IntArray) -> bytes:
 
 
 def _closure(leads_to: Sequence[Sequence[int]], box: int) -> list[int]:
-    """Numbers that can be reached from a box, nearest first. ``leads_to``: for each number, those next to it."""
+    """Numbers of the boxes that can be reached from a box, nearest first. ``leads_to``: for each box, the numbers of
+    the boxes next to it."""
     reached: dict[int, None] = {}
     front = [box]
     while front:
@@ -382,7 +383,7 @@ class Rules:
         plan: the plan as it was.
         sim: options of the simulation. Boxes may overhang the carrier's edges as far as boxes of the plan do.
         max_height_mm: highest top of a box; the plan's own height if that is greater.
-        built: number of boxes that stand already. These boxes stay unchanged.
+        built: number of boxes that stand already. Boxes that stand already stay unchanged.
     """
 
     def __init__(self, plan: Plan, sim: Simulation, max_height_mm: float, built: int) -> None:
@@ -450,16 +451,16 @@ class Rules:
         return allowed
 
     def have_room(self, draft: Draft, boxes: list[int], ways_mm: Sequence[tuple[float, float]]) -> BoolArray:
-        """(w,) for each of several moves along x and y, whether boxes of an allowed draft can make this move together
-        without overlapping other boxes, and without going beyond the limits beside the carrier. If not, the draft with
-        this move is not allowed."""
+        """(w,) for each of several moves along x and y: whether boxes of an allowed draft can make the move together
+        without overlapping other boxes, and without going beyond the limits beside the carrier. If the boxes cannot
+        make a move, the draft with this move is not allowed."""
         ways = np.array(ways_mm).reshape(-1, 1, 2)
         others, moved = np.setdiff1d(draft.rows, boxes), np.array(boxes)
         low, size = draft.corner_mm, draft.size_mm
         shared_z = np.minimum.outer((low + size)[moved, 2], (low + size)[others, 2])
         shared_z -= np.maximum.outer(low[moved, 2], low[others, 2])
         most_mm = self._limits(len(low)).overlap_mm[np.ix_(moved, others)]
-        at, beside = np.nonzero(shared_z > most_mm)  # only these pairs can overlap too far
+        at, beside = np.nonzero(shared_z > most_mm)  # only boxes that share some height can overlap too far
         begin, low_end, high_end = low[moved, :2] + ways, low[others[beside], :2], (low + size)[others[beside], :2]
         end = begin + size[moved, :2]
         shared = np.minimum(end[:, at], high_end) - np.maximum(begin[:, at], low_end)
@@ -468,8 +469,9 @@ class Rules:
         return np.asarray(~hits & ~outside.any(axis=(1, 2)))
 
     def allow_places(self, draft: Draft, places: Places) -> BoolArray:
-        """(k,) which drafts are allowed that differ from an allowed draft only in the places of some boxes. No draft is
-        made of the others, which takes a fraction of the time. Whether built boxes stay is not checked."""
+        """(k,) which drafts are allowed that differ from an allowed draft only in the places of some boxes. The places
+        are checked without a draft for each of them, which takes a fraction of the time. It is not checked whether
+        boxes that are already built stay unchanged."""
         k = len(places.boxes)
         if not k:
             return np.zeros(0, bool)
@@ -485,7 +487,8 @@ class Rules:
     def _allow(
         self, drafts: Sequence[Draft], changed: Sequence[Collection[int]] | None, bears: BoolArray | None
     ) -> BoolArray:
-        """``allow`` for drafts with the same number of rows. ``bears``: as from ``_may_bear``, of their parent."""
+        """``allow`` for drafts with the same number of rows. ``bears``: the result of ``_may_bear`` for the parent of
+        the drafts."""
         layouts = _Layouts.of(drafts)
         is_changed = np.ones(layouts.rank.shape, bool)
         if changed is not None:
@@ -502,7 +505,8 @@ class Rules:
 
         Args:
             is_changed: (c, m) the boxes that are checked.
-            bears: as from ``_may_bear``, of the draft from which the layouts were made; None: no other box is checked.
+            bears: the result of ``_may_bear`` for the draft from which the layouts were made; None: no other box is
+                checked.
         """
         is_placed, limits = layouts.is_placed, self._limits(layouts.rank.shape[1])
         number, box = np.nonzero(is_changed & is_placed)
@@ -540,7 +544,7 @@ class Rules:
 
     def _may_bear(self, draft: Draft) -> BoolArray:
         """(m, m) whether the column's box may float without the row's box, because the top of the row's box is close
-        below it. The result for the last draft is kept."""
+        below it. The result for the last draft is kept for the next call."""
         if self._last_bears is None or self._last_bears[0] is not draft:
             self._last_bears = draft, self._bears_closely(draft)
         return self._last_bears[1]
@@ -558,7 +562,7 @@ class Rules:
         return bears
 
     def _shifted(self, layouts: _Layouts) -> BoolArray:
-        """(c, m) whether each box of the plan is moved along x or y, or turned. A sheet is not."""
+        """(c, m) whether each box of the plan is moved along x or y, or turned. Added sheets count as not moved."""
         n = self.plan.n_boxes
         shifted = layouts.turned.copy()
         for low, planned in zip(layouts.low[:2], self.plan.corner_mm.T, strict=False):

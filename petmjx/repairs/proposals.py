@@ -1,9 +1,9 @@
 """Changes that may repair a plan (``proposals``): the cause of its failure determines boxes and changes.
 
 A load beyond an edge involves several boxes: the box that has the load, the box whose placement moves the load beyond
-the edge, the supports, and the boxes on top. These boxes are moved, turned, exchanged, or placed elsewhere or at
-another time. Other boxes are put under an overhang. A proposal only has to be possible, not good, because statics and
-simulation judge it afterwards.
+the edge, the supports, and the boxes on top. All boxes that a load involves are moved, turned, exchanged, or placed
+elsewhere or at another time. Other boxes are put under an overhanging box. A proposal only has to be possible, not
+good, because statics and simulation judge it afterwards.
 """
 
 from __future__ import annotations
@@ -71,9 +71,9 @@ def targets(
 ) -> list[Target]:
     """The causes of a failure, the likeliest first.
 
-    Loads that went beyond an edge before the world ended count if their box is, or bears, the culprit or another fallen
-    box. Boxes that float or overlap in the plan count, too. Without such loads or boxes, the culprit and its supports
-    count.
+    Loads that went beyond an edge before the world ended count as causes if their box is, or bears, the culprit or
+    another fallen box. Boxes that float or overlap in the plan count as causes, too. If there are no such loads or
+    boxes, the culprit and its supports count as causes.
 
     Args:
         culprit: number of the first box over a limit; None: unknown.
@@ -161,8 +161,8 @@ def _near(draft: Draft, rules: Rules, target: Target) -> list[int]:
 
 
 def _orders(draft: Draft, target: Target) -> Iterator[Proposal]:
-    """Other orders. Counterweights are placed before the box whose placement moves the load beyond the edge, or this
-    box after them. A box is placed after supports that would come too late."""
+    """Other orders. Counterweights are placed before the box whose placement moves the load beyond the edge, or the box
+    is placed after the counterweights. A box is placed after supports that would come too late."""
     box, cause = target.box, target.cause
     at = draft.rank[cause]
     pile = [number for number in (*draft.above(box), *_neighbours(draft, box)) if draft.rank[number] > at]
@@ -339,8 +339,8 @@ def _turns(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposal
 
 
 def _exchanges(draft: Draft, rules: Rules, near: Sequence[int], done: Collection[int]) -> Iterator[Proposal]:
-    """Boxes exchanged with any other box that is not ``done``. Both are turned or not, and stand at the left or the
-    right of the other's place."""
+    """Boxes exchanged with any other box that is not ``done``. After the exchange, both boxes are turned or not, and
+    stand at the left or the right of the other's place."""
     others = [other for other in draft.order if rules.built <= other < draft.plan.n_boxes and other not in done]
     pairs = [(box, other) for box in near for other in others if other != box and (other not in near or other > box)]
     places, turns = _exchanged_places(draft, np.array(pairs, np.intp).reshape(-1, 2))
@@ -410,7 +410,7 @@ def _places(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposa
         below = draft if is_bare else draft.in_order(tuple(others))
         for turn, corner in resting_corners(below, rules, box):
             if is_bare and not turn and np.abs(draft.corner_mm[box] - corner).max() <= TOLERANCE_MM:
-                continue  # to place the box here at another time is a change of order
+                continue  # to place the box at its own place at another time is a change of order, not of place
             if turn and not is_bare:
                 continue
             turned = bool(draft.turned[box]) != turn
@@ -433,7 +433,7 @@ def _places_of(draft: Draft, places: Sequence[Place]) -> Places:
     is_box = boxes == boxes[:, :1]
     turns = is_box & np.array([place.differs for place in places], bool)[:, None]
     last = np.array([np.nan if place.neighbour is None else draft.rank[place.neighbour] for place in places])[:, None]
-    in_turn = 1 + rank / len(draft.order)  # between the neighbour and the next box, in the same order as before
+    in_turn = 1 + rank / len(draft.order)  # directly after the neighbour, in the same order as before
     return Places(
         boxes,
         draft.corner_mm[boxes] + way[:, None],

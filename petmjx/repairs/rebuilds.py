@@ -35,7 +35,7 @@ class Way:
     """A way to build a plan anew.
 
     Attributes:
-        late: whether boxes that lose their places are placed after all other boxes. If False, they are placed in
+        late: whether boxes that lose their places are placed after all other boxes. If False, such boxes are placed in
             packing order.
         strict: whether a box is also put elsewhere if a load would otherwise act beyond an edge. If False, only boxes
             that cannot keep their places are put elsewhere.
@@ -84,7 +84,7 @@ class Failure(NamedTuple):
 
     Attributes:
         causes: why it fails, the likeliest first.
-        n_held: number of boxes that stood before it failed. Statics does not judge these boxes.
+        n_held: number of boxes that stood before it failed. Statics does not judge the boxes that stood.
     """
 
     draft: Draft
@@ -189,7 +189,7 @@ class _Pile:
         return tuple(changes)
 
     def _keeps(self, box: int) -> Judging[bool]:
-        """Put a box at its place, if it can keep this place. Returns whether it can."""
+        """Put a box at its place, if it can keep this place. The method returns whether the box can keep its place."""
         pile, after = self._pile.in_order((*self._pile.order, box)), None
         if box >= self._rules.built:
             by_statics = self._way.strict and box not in self._held and bool(self._pile.order)
@@ -204,9 +204,9 @@ class _Pile:
 
     def _placed(self, box: int, later: Collection[int]) -> Judging[Place | None]:
         """Put a box at the best place; None: there is no place. The best place is the one with the least trouble
-        (``Balance``). Of several such places, the best one is in the way of the fewest later boxes; of these, it has
-        the least weakness; of these, it is the lowest. Places in the way of few later boxes, and low places, are tried
-        first, until a place adds no trouble."""
+        (``Balance``). Places with equal trouble are ranked by the number of later boxes that they obstruct, then by
+        weakness, then by height. Places in the way of few later boxes, and low places, are tried first, until a place
+        adds no trouble."""
         planned = self._draft.corner_mm[box]
         places = [
             Place(box, corner, bool(self._draft.turned[box]) != turn, differs=turn)

@@ -35,8 +35,8 @@ OF_READING: Final = (*READING, "articles", "limit", "strict")
 """Fields of ``RunOptions`` about the reading of plans."""
 
 AT_ONCE: Final = 256
-"""Largest number of plans that are repaired at the same time. Their trials share runs of the engine, which fills a
-GPU."""
+"""Largest number of plans that are repaired at the same time. The trials of plans that are repaired at the same time
+share runs of the engine, which fills a GPU."""
 
 SHOWN: Final = (
     ShownColumn("plan_id", "plan"),
@@ -59,16 +59,17 @@ class Repaired:
     Attributes:
         before: the plan before the repair.
         plan: the repaired plan; the plan itself if it stands already, or if no repair is known.
-        changes: the changes, in order. Without any one of them the plan falls, or is not allowed (boxes overlap, float,
-            …), or stands in too few worlds with errors (``RepairOptions.share``).
-        trial_before, trial_after: the simulation of both; after: None if no repair is known.
+        changes: the changes, in order. Each change is needed: without it, the plan falls, or is not allowed (boxes
+            overlap, float, …), or stands in too few worlds with errors (``RepairOptions.share``).
+        trial_before, trial_after: the simulations of the plan and of the repaired plan; after: None if no repair is
+            known.
         share_before, share_after: shares of worlds with errors in which the two plans stand; None: the worlds were not
             simulated, or the time was up before all of them had ended.
         n_trials: plans that were simulated.
-        complete: whether the search came to its end. If not, its time was up, and a longer search might find smaller
-            changes.
-        built_falls: whether boxes that stand already (``built``) fall before others are placed. If so, no repair was
-            sought.
+        complete: whether the search came to its end. If the search is not complete, its time was up, and a longer
+            search might find smaller changes.
+        built_falls: whether boxes that stand already (``built``) fall before others are placed. If built boxes fall, no
+            repair was sought.
     """
 
     before: Plan
@@ -319,7 +320,7 @@ def _repaired(plans: Iterable[Plan], question: Question, options: RepairOptions)
 
 def _begin(searches: Sequence[Search], question: Question) -> None:
     """Score the plans that were not scored yet. On a GPU, all plans are scored before the searches begin: while plans
-    are scored, no changed plans are judged, so many such runs would keep the searches waiting."""
+    are scored, no changed plans are judged, so many separate scores would keep the searches waiting."""
     unknown = [search for search in searches if search.before is None]
     if not unknown:
         return

@@ -112,6 +112,7 @@ class RepairOptions(CheckedRecord):
 
     @property
     def kinds(self) -> frozenset[Kind]:
-        """The kinds of changes that may be made. Film holds nothing at rest."""
+        """The kinds of changes that may be made. Film is not among the kinds if plans need only stand at rest: at rest,
+        film holds nothing."""
         kinds = {kind for kind in Kind if kind not in self.forbid}
         return frozenset(kinds - ({Kind.FILM} if self.profile is None else set()))

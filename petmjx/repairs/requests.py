@@ -44,9 +44,9 @@ class Trial(NamedTuple):
         n_held: number of boxes that were placed before the first box crossed a limit, as far as that is known.
         margin: as in the table ``worlds``; NaN: no margin.
         is_score: whether a score on the same engine would give this trial, so that the draft need not be simulated
-            again. This is true if a judged draft stands, and its boxes were at rest whenever a wait was over. (Waits of
-            a judged draft are shorter than those of a score only if a box crossed a threshold at a sample and came
-            back.)
+            again. A judged trial counts as a score if the draft stands, and its boxes were at rest whenever a wait was
+            over. (Waits of a judged draft are shorter than those of a score only if a box crossed a threshold at a
+            sample and came back.)
     """
 
     verdict: str
@@ -71,19 +71,20 @@ class Trial(NamedTuple):
 
 
 class OutOfTime(Exception):
-    """The time for the search is up: what is known so far counts."""
+    """The time for the search is up; the results known so far count."""
 
 
 class Together(NamedTuple):
-    """Parts of a search that run side by side. The search goes on when all these parts have ended, and is sent the list
-    of the parts' results."""
+    """Parts of a search that run side by side. The search goes on when all parts that run side by side have ended, and
+    is sent the list of the parts' results."""
 
     parts: Sequence[Steps[Any]]
 
 
 Result = TypeVar("Result")
 Steps = Generator[list[Asked] | Together, Any, Result]
-"""A search, or a part of a search. It yields drafts and is sent the list of their trials; or it yields ``Together``."""
+"""A search, or a part of a search. A search yields drafts and is sent the list of their trials; or it yields
+``Together``."""
 
 
 class TrialAnswer(NamedTuple):

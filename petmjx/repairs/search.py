@@ -1,16 +1,18 @@
 """The search for the smallest change that makes a plan stand.
 
-The search changes plans step by step. It continues with the plans that promise the shortest repair: those with the
-smallest number of changes so far plus faults that are left. The faults of the original plan are counted by simulations
-without the boxes that fall. The faults of a changed plan follow from the box that falls in the simulation of the
-changed plan. A plan is changed where it fails: statics ranks the possible changes, and the best ranked are judged at
-once, by one short simulation each. Plans that stand are scored. Then needless changes are taken back. Each remaining
-change is needed: without it, the plan falls. Worlds with errors decide which of the repairs with the fewest changes is
-chosen. If this repair falls in too many of these worlds, it is changed further at the places where it falls there.
+The search changes plans step by step. The search continues with the changed plans that promise the shortest repair:
+those for which the number of changes so far, plus the number of remaining faults, is smallest. To count the faults of
+the original plan, the search simulates the plan without the boxes that fall. The faults of a changed plan follow from
+the box that falls in the simulation of the changed plan. A plan is changed where it fails: statics ranks the possible
+changes, and the best-ranked changes are judged at once, by one short simulation each. Changed plans that stand when
+judged are then scored, by a full simulation. At the end, needless changes are taken back. Each remaining change is
+needed: without it, the plan falls. Worlds with errors decide which of the repairs with the fewest changes is chosen. If
+the chosen repair falls in too many worlds with errors, it is changed further at the places where it falls in these
+worlds.
 
 ``Search.run`` is a generator: it yields drafts to be simulated and is sent their trials. So the searches of many plans
-can share runs of an engine. Parts of a search that do not depend on each other run side by side (``Together``). The
-simulated plans depend only on the plan, the options and the kind of engine, not on time.
+can share the simulations of an engine. Parts of a search that do not depend on each other run side by side
+(``Together``). The simulated plans depend only on the plan, the options and the kind of engine, not on time.
 """
 
 from __future__ import annotations
@@ -51,42 +53,42 @@ FIRST_AT_ONCE: Final = 4
 
 WIDE_AT_ONCE: Final = (8, 16, 24, 48)
 """Number of changed plans that are judged at once on a GPU in the first four rounds of a search, and then in each round
-as in the fourth. The longer a search takes, the more a GPU waits for it, since other searches have ended. So it goes on
-in fewer and wider rounds: four rounds spend the trials of ``ALONE``. The numbers do not depend on other searches, and
-neither do the results."""
+as in the fourth. The longer a search takes, the more a GPU waits for it, since other searches have ended. So a search
+on a GPU goes on in fewer rounds with more plans each: four rounds spend the trials of ``ALONE``. The numbers do not
+depend on other searches, and neither do the results."""
 
 MOST_LIFTED: Final = 3
-"""The boxes of at most this many faults are taken off one after the other. Each time, the search waits for a
-simulation. Further faults come to light when these are mended."""
+"""The boxes of at most this many faults are taken off one after the other. For each of these faults, the search waits
+for a simulation. Further faults come to light when the counted faults are mended."""
 
 ALONE: Final = 0.15
-"""Share of all trials in which only single changes are tried. A plan that still falls after them has faults everywhere,
-so it is built anew."""
+"""Share of all trials in which only single changes are tried. A plan that still falls after all single changes has
+faults everywhere, so it is built anew."""
 
 LATE_AT_ONCE: Final = 2 * AT_ONCE
-"""Number of changed plans that are judged at once after these single changes."""
+"""Number of changed plans that are judged at once after single changes alone (``ALONE``) were in vain."""
 
 PAIR: Final = 2
 """Once a repair with one change more than this number is known, a repair with this number of changes is sought widely.
-To seek repairs with more changes in this way takes too many trials."""
+A wide search for repairs with more than ``PAIR`` changes takes too many trials."""
 
 PAIRS: Final = 0.2
 """Share of all trials in which a repair with ``PAIR`` changes is sought widely."""
 
 PAIRS_AT_ONCE: Final = 24
 """Number of changes of the plan itself that are judged at once, if repairs with ``PAIR`` changes are sought widely.
-Their first change often has a worse rank by statics."""
+The first change of a repair with ``PAIR`` changes often has a worse rank by statics."""
 
 SHORTER: Final = 0.04
 """Once a repair is known, a shorter one is sought in this share of all trials."""
 
 MOST_NEARLY: Final = 2
-"""Largest number of plans that are scored before plans are built anew. They are plans with a single fault that fell
-when they were judged, because a box tilted."""
+"""Largest number of plans that are scored before plans are built anew. Plans with a single fault are scored if they
+fell when they were judged because a box tilted."""
 
 MOST_ANEW: Final = 2
-"""Largest number of changed plans that are built anew at once. Each plan is built in up to sixteen ways. All ways
-together take about a second."""
+"""Largest number of changed plans that are built anew at once. Each changed plan is built anew in up to sixteen ways.
+All ways together take about a second."""
 
 CONFIRMED_AT_ONCE: Final = 2
 """Of the plans that stand when judged, this many are scored at once."""
@@ -105,8 +107,8 @@ MOST_LOST: Final = 3
 """The changes of a plan are first judged in at most this many of the worlds with errors in which the plan falls."""
 
 WIDE: Final = 2
-"""A GPU judges many plans as fast as a few. So there a search judges this many times as many plans at once, and goes on
-in fewer rounds (single changes: ``WIDE_AT_ONCE``)."""
+"""A GPU judges many plans as fast as a few. So a search on a GPU judges this many times as many plans at once, and goes
+on in fewer rounds (single changes: ``WIDE_AT_ONCE``)."""
 
 STRENGTHENED: Final = 0.33
 """Share of all trials in which a repair is changed further, so that it stands in more worlds with errors."""
@@ -133,13 +135,13 @@ class Search(Candidates):
         plan: the plan.
         before: the score of the unchanged plan, which may be known before the search begins; None before its simulation
             has ended.
-        repairs: the repairs, the best first. The best one may have additional changes for worlds with errors; the
+        repairs: the repairs, the best first. The best repair may have additional changes for worlds with errors; the
             others have the fewest changes with which the plan stands. Empty: there is no repair. Each change of a
             repair is needed: without it, the plan falls, is not allowed, or stands in too few worlds with errors.
         n_trials: number of plans that were simulated.
-        complete: whether the search has ended. Before its end, repairs may have needless changes.
-        built_falls: whether boxes that stand already (``built``) fall before others are placed. If so, no repair is
-            sought.
+        complete: whether the search has ended. Before the search ends, repairs may have needless changes.
+        built_falls: whether boxes that stand already (``built``) fall before others are placed. If built boxes fall, no
+            repair is sought.
     """
 
     before: Trial | None = None
@@ -200,7 +202,7 @@ class Search(Candidates):
         self.begin(scored.trial)
 
     def _begun_with_built(self, judged: Trial) -> Steps[None]:
-        """Score the plan as it is, and its built boxes alone, after a built box fell when no other boxes were placed.
+        """A built box fell when no other boxes were placed: score the plan as it is, and the built boxes alone.
         Every changed plan begins with the same placements, so no change helps if the built boxes fall alone."""
         alone = replace(self._start, order=self._start.order[: self.rules.built])
         parts: list[Steps[Any]] = [self._begun(judged)] if self.before is None else []
@@ -298,7 +300,7 @@ class Search(Candidates):
             if self.before is None:
                 parts.append(self._begun(self._known[key_of(self._start)]))
             states, *_ = yield Together(parts)
-            if any(state.trial.stands for state in states):  # other plans may stand in more worlds with errors
+            if any(state.trial.stands for state in states):  # others may stand in more worlds with errors
                 if not self.is_wide:
                     next_candidates = self._rivals(queues, states, last - self.n_trials)
                     batch, states = batch + next_candidates, states + (yield from self._judged(next_candidates))
@@ -308,7 +310,7 @@ class Search(Candidates):
                 last = min(last, self.n_trials + int(SHORTER * most_trials))
             standing = shortest([*standing, *shortened])
             self.repairs = tuple(standing)
-            if is_late and standing:  # what is built anew has many changes, and is hardly built in fewer another time
+            if is_late and standing:  # plans built anew hardly need fewer changes next time
                 break
             pairs = zip(states, batch, strict=True)
             changed = [Node(one, self._remaining(one, c.parent), rank=c.key) for one, c in pairs]
@@ -329,8 +331,8 @@ class Search(Candidates):
 
     def _rivals(self, queues: Sequence[list[Candidate]], states: Sequence[State], count: int) -> list[Candidate]:
         """Take candidates off the queues that may be chosen instead of the plans that stand. If worlds with errors are
-        simulated, any candidate may be chosen. Otherwise, only candidates that statics prefers to all of the shortest
-        plans that stand may be chosen."""
+        simulated, any candidate may be chosen. If no worlds with errors are simulated, only candidates that statics
+        prefers to all of the shortest plans that stand may be chosen."""
         if not self.options.worlds:
             standing = shortest([state for state in states if state.trial.stands])
             fewest, best = len(standing[0].changes), min(self._risks(standing))
@@ -403,7 +405,8 @@ class Search(Candidates):
 
     def _faults_of(self, state: State) -> Steps[tuple[Fault, ...]]:
         """The faults of a plan. Boxes that fall are taken off one by one, with all boxes that need them, until the rest
-        stands. With a drive, this would be too expensive, so only the boxes that fell are counted."""
+        stands. With a drive, to take boxes off one by one would be too expensive, so only the boxes that fell are
+        counted."""
         draft, trial, faults = state.draft, state.trial, list[Fault]()
         if self.options.profile is not None and not trial.stands:
             return (Fault.of(_lost(draft, trial), len(trial.fallen)),)
@@ -419,9 +422,9 @@ class Search(Candidates):
 
     def _remaining(self, state: State, parent: Node) -> tuple[Fault, ...]:
         """The expected faults of a changed plan, from its trial and the faults of the plan before the change. The
-        faults before the box that falls are mended. If this box was none of the faults, the change has added one, and
-        the faults after it remain. If boxes were taken off and the rest simulated instead, a trial would be needed for
-        each fault of each changed plan."""
+        faults before that of the box that falls count as mended. If the box that falls was no fault before the change,
+        the change has added a fault, and the later faults remain. If boxes were taken off and the rest simulated
+        instead, a trial would be needed for each fault of each changed plan."""
         if state.trial.stands:
             return ()
         before, draft = parent.faults or (), state.draft
@@ -434,9 +437,9 @@ class Search(Candidates):
         return (Fault.of(box, len(lifted)), *later)
 
     def _stripped(self, state: State) -> Steps[list[State]]:
-        """The state without the boxes that fall. They are left out one by one, with all boxes on them, until the
-        remaining boxes stand. Empty: a box that is already built, or the last box, would have to be left out. The loop
-        always ends, since each step leaves out a box."""
+        """The state without the boxes that fall. Boxes that fall are left out one by one, with all boxes on them, until
+        the remaining boxes stand. The result is empty if a box that is already built, or the last box, would have to be
+        left out. The loop always ends, since each step leaves out a box."""
         while not state.trial.stands:
             lifted = lifted_with(state.draft, _lost(state.draft, state.trial))
             if min(lifted) < self.rules.built or len(lifted) >= len(state.draft.order):
@@ -450,7 +453,7 @@ class Search(Candidates):
         return [state]
 
     def _shortened(self, states: Sequence[State], *, is_known: bool) -> Steps[tuple[list[State], list[State]]]:
-        """Two lists: all states, with the scores of those that stand when judged, as far as needed; and the ones that
+        """Two lists: all states, with the scores of those that stand when judged, as far as needed; and those that
         stand when scored, without their needless changes. ``is_known``: as in ``_confirmed``."""
         every, confirmed = yield from self._confirmed(states, is_known=is_known)
         return every, (yield from self._pruned(confirmed, judged=True))
@@ -461,8 +464,8 @@ class Search(Candidates):
         trials are scores.
 
         Args:
-            is_known: whether a repair is known. Then only the first states are scored: if these fall, so do most others
-                of the same batch.
+            is_known: whether a repair is known. If a repair is known, only the first states are scored: if these fall,
+                so do most others of the same batch.
         """
         every = list(states)
         numbers = [k for k, state in enumerate(states) if state.trial.stands]
@@ -491,9 +494,9 @@ class Search(Candidates):
         self.repairs = tuple(different[k] for k in sorted(range(len(ranks)), key=ranks.__getitem__))
 
     def _strengthened(self) -> Steps[None]:
-        """Put the repair first that stands in the most worlds with errors. Then change this repair further until it
-        stands in the wanted share of these worlds. The repair is changed where it falls in these worlds, just as a plan
-        that falls without errors is changed where it falls."""
+        """Put the repair first that stands in the most worlds with errors. Then change the repair that stands most
+        often further, until it stands in the wanted share of the worlds with errors. The repair is changed where it
+        falls in these worlds, just as a plan that falls without errors is changed where it falls."""
         options = self.options
         wanted = math.ceil(options.share * ERROR_WORLDS)
         compared: list[State] = []
@@ -534,8 +537,8 @@ class Search(Candidates):
 
         A world with errors has five times as many steps as one without errors, in which no hand lowers the boxes. So
         needless worlds with errors are avoided in the following way. Candidates that stand without errors are judged in
-        worlds in which ``weak`` falls, one world after the other, until enough of them stand. The best are judged in
-        all worlds, one after the other, until one stands in ``wanted`` of them.
+        worlds in which ``weak`` falls, one world after the other, until enough of them stand. The best candidates are
+        judged in all worlds with errors, one world after the other, until one stands in ``wanted`` of them.
         """
         judged = yield from self._judged(batch)
         standing = [state for state in judged if state.trial.stands]
@@ -597,8 +600,8 @@ class Search(Candidates):
         """The given states, which stand, without their needless changes. Changes are taken back one by one.
 
         Args:
-            judged: whether shorter states are only judged, and only the shortest one of each state is scored. To score
-                all of them would take minutes.
+            judged: whether states with fewer changes are only judged. Then, for each given state, only the cheapest
+                state that remains is scored. To score all states with fewer changes would take minutes.
         """
         shorter = list(states)
         remaining = [k for k, state in enumerate(states) if len(state.changes) > 1]
@@ -624,7 +627,7 @@ class Search(Candidates):
 
 
 def _lost(draft: Draft, trial: Trial) -> int:
-    """The box that fell first; if none is known, the one that was placed last."""
+    """The box that fell first; if no fallen box is known, the box that was placed last."""
     return draft.order[min(trial.n_placed, len(draft.order)) - 1] if trial.culprit is None else trial.culprit
 
 
@@ -634,5 +637,5 @@ def _kind_of(state: State) -> tuple[object, ...]:
 
 
 def _n_finalists(states: Sequence[State]) -> int:
-    """Number of repairs, of these ones, whose changes are taken back one by one."""
+    """Number of the given repairs whose changes are taken back one by one."""
     return min(MOST_FINALISTS, max(MOST_UNDONE // min(len(state.changes) for state in states), 1))

@@ -21,8 +21,8 @@ from petmjx.repairs.requests import Asked, OutOfTime, Steps, Together, TrialAnsw
 from petmjx.repairs.search import Search
 
 PLANS_EACH: Final = 4
-"""Smallest number of plans per process. A process needs half a second of CPU time to start, so it is not worth while
-for fewer plans."""
+"""Smallest number of plans per process. A process needs half a second of CPU time to start, so fewer plans are not
+worth a further process."""
 
 NICE: Final = 5
 """Niceness (lower priority) of the processes. The process that has the engine keeps its priority, because it must keep
@@ -222,7 +222,7 @@ class _Server:
 
 
 class _Pipe:
-    """The simulator of a process: the other process simulates."""
+    """The simulator of a process of searches: the other process, which has the engine, simulates."""
 
     def __init__(self) -> None:
         self._tasks, self._answers = own_pipes(NICE)
@@ -258,7 +258,8 @@ class _Pipe:
 
 
 def main() -> None:
-    """The process: the first message has its searches, all others the answers to their requests."""
+    """The program of a process of searches: the first message has its searches, all others the answers to their
+    requests."""
     pipe = _Pipe()
     searches = pipe.searches()
     if searches is not None:

@@ -71,10 +71,11 @@ GPU_GRANULE: Final = 32
 size of a table takes seconds to compile."""
 
 SHEETS_MORE: Final = 2
-"""Room in tables for this many tie sheets in a plan. A world with more sheets needs another table."""
+"""Room in tables for this many tie sheets in a plan. A world with more than this number of sheets needs another
+table."""
 
 MOST_LISTED: Final = 1024
-"""Largest number of worlds at once for an engine that takes no stream."""
+"""Largest number of worlds at once for an engine that takes no stream of jobs."""
 
 SWITCH: Final = 4
 """Scores begin while drafts are being judged only if at least this many requests wait for them."""
@@ -102,7 +103,8 @@ class TimeLimit:
 
     Attributes:
         seconds: the time, s, from now on.
-        compiled_s: time in which engines compiled or loaded programs, s. This time does not count towards ``seconds``.
+        compiled_s: time in which engines compiled or loaded programs, s. Time for programs does not count towards
+            ``seconds``.
     """
 
     seconds: float = math.inf
@@ -151,7 +153,7 @@ class Question:
         self._drive_sweep(self.sim.wrap.turns)  # an unusable profile is refused before anything is simulated
         if options.worlds:
             self._error_sweep = confidence_sweep(ERROR_WORLDS, self._errors, of_simulation)
-            # The first placement has no errors.
+            # the first variant of a sweep of errors has no errors
             self._variants = [placement for placement, _ in Design(self._error_sweep).placements()]
             with_errors = _quick(self._error_sweep.simulation)
             self._quick[1] = self._quick[0] if with_errors == self._quick[0] else with_errors
@@ -200,7 +202,7 @@ class Question:
     def _scored(
         self, drafts: Sequence[Draft], numbers: Sequence[int], run: RunOptions, watcher: Watcher | None
     ) -> dict[int, Trial]:
-        """Scores the drafts with these ``numbers``; number → trial. All of them have the same number of turns of
+        """Scores the drafts with these ``numbers``; number → trial. All these drafts have the same number of turns of
         stretch film."""
         if not numbers:
             return {}
@@ -216,9 +218,9 @@ class Question:
         """For each draft, the job of the world in which the draft is judged; None if the draft is scored. If pallets
         must survive a profile, all drafts are scored, except in worlds with errors, which are not shaken.
 
-        Most drafts fall, and falling boxes are the costliest part of a simulation. So each of these worlds ends as soon
-        as a box has tilted by more than ``JUDGED_TILT_DEG``. A world then takes a quarter of the time. No draft is
-        simulated again with other settings, as a score would do (docs/rules.md, section 9).
+        Most drafts fall, and falling boxes are the costliest part of a simulation. So the world of a judged draft ends
+        as soon as a box has tilted by more than ``JUDGED_TILT_DEG``. A world with this early end takes a quarter of the
+        time. No draft is simulated again with other settings, as a score would do (docs/rules.md, section 9).
         """
         of_draft: dict[tuple[bool, int], list[int]] = {}
         for number, one in enumerate(asked):
@@ -237,8 +239,8 @@ class Question:
         return jobs
 
     def _with_errors(self, plan: Plan, scene: Scene, worlds: Sequence[int]) -> Iterator[Scene]:
-        """The scenes of a plan in these worlds with errors. All drafts of a plan have the same errors. A score has
-        other errors. The scenes are made together, in a fraction of the time."""
+        """The scenes of a plan in these worlds with errors. All drafts of a plan have the same errors. The worlds of a
+        score have other errors. The scenes of all worlds are made together, in a fraction of the time."""
         variants = [self._variants[world] for world in worlds]
         return apply_all(scene, f"{plan.plan_id}: search", variants, self._error_sweep.seed)
 
@@ -431,7 +433,8 @@ class TrialStream:
             self._queues[kind].entries.append((request, jobs))
 
     def answers(self) -> Iterator[TrialAnswer | None]:
-        """The answers, until no request is left. None: the engine pauses, so further requests can be put.
+        """The answers, until no request is left. An answer None means that the engine pauses, so further requests can
+        be put.
 
         Raises:
             OutOfTime: the time is up.

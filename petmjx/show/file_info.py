@@ -56,9 +56,9 @@ def file_infos(paths: Sequence[Path], options: Mapping[str, Any]) -> tuple[list[
 def _orders_line(path: Path, options: Mapping[str, Any]) -> tuple[str, str]:
     """Two texts about a file without plans: how the file would be read as orders, and the error of its first order.
 
-    The first text is "" if the file has no orders. If there are two equally plausible readings, the first text names
-    both. The second text is "" if any order is usable. A file with columns of places should contain plans. If these
-    plans cannot be read, the file is not read as orders either, since this would hide the reason.
+    The text about orders is "" if the file has no orders. If there are two equally plausible readings, the text about
+    orders names both. The error is "" if any order is usable. A file with columns of places should contain plans. If
+    these plans cannot be read, the file is not read as orders either, since this would hide the reason.
     """
     errors: list[InputError] = []
     try:

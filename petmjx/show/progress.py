@@ -83,7 +83,7 @@ def _wrapped_line(text: str) -> str:
 
 
 class ProgressLines:
-    """Writes a line every ``LINE_S`` seconds. At the end, it writes a line if worlds have finished since the last one.
+    """Writes a line every ``LINE_S`` seconds. At the end, it writes a line if worlds have finished since the last line.
     If lines cannot be written, the run continues."""
 
     def __init__(

@@ -334,7 +334,7 @@ def levels_passed_table(levels: pd.DataFrame) -> FittedTable:
     """A table about EUMOS's test at each level of a grid, with one row for each plan and level: the values that a
     laboratory reports. Each value is the worst among all worlds of the level, for example among all directions.
 
-    If the grid has levels at which laboratories test, only these levels are shown.
+    If the grid has levels at which laboratories test, only the laboratories' levels are shown.
 
     Args:
         levels: rows of the summary, one for each plan and level, with the column ``level_g``.
@@ -388,8 +388,7 @@ def turns_table(summary: pd.DataFrame) -> FittedTable:
 
 
 _SAME_LEVEL_G: Final = 1e-9
-"""Largest difference of two levels that count as equal, g. This tolerance is needed since 0.1 + 0.2 is not exactly
-0.3."""
+"""Largest difference of two levels that count as equal, g. A tolerance is needed since 0.1 + 0.2 is not exactly 0.3."""
 
 
 def _doubts(summary: pd.DataFrame, column: str) -> pd.Series[bool]:

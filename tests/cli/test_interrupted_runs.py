@@ -44,7 +44,7 @@ def test_signals_end_a_run_once_and_lose_nothing(signals: list[int], code: int, 
 def test_ctrl_c_in_the_end_is_put_off_until_the_last_part_is_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """This also holds for runs from Python, where only the writer defers signals."""
+    """Ctrl-C is also put off in runs from Python, where only the writer defers signals."""
     real = os.replace
 
     def replace(source: Path, target: Path) -> None:

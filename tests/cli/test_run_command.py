@@ -53,8 +53,7 @@ def test_a_command_that_is_stopped_leaves_no_hidden_files(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """This holds for any command, also for one without a run, such as ``label``, whose folder is locked at that
-    time."""
+    """A signal ends any command, also one without a run, such as ``label``, whose folder is locked at that time."""
 
     def episodes(self: Labeller, *arguments: object) -> Iterator[object]:
         assert [*tmp_path.glob("labels/.*")]

@@ -47,7 +47,8 @@ SAME_FRICTION = 0.03
 
 
 def boards(friction: float) -> Body:
-    """Return a carrier of two boards along y, with a gap between them. Their inner edges are at x = 0 and ``GAP_M``."""
+    """Return a carrier of two boards along y, with a gap between them. The inner edges of the boards are at x = 0 and
+    ``GAP_M``."""
     half = np.array([[0.2, 0.4, HALF_HEIGHT_M]] * 2)
     center = np.array([[-0.2, 0.4, -HALF_HEIGHT_M], [GAP_M + 0.2, 0.4, -HALF_HEIGHT_M]])
     return Body.of_boards(center, half, np.array([10.0, 10.0]), np.tile([friction, 0.005, 0.0001], (2, 1)))
@@ -56,8 +57,8 @@ def boards(friction: float) -> Body:
 def at_the_edge(toward_board_m: float) -> Scene:
     """Return a scene of two boxes on the left board.
 
-    The middle of the first box is beyond the board's edge. Its centre of mass is ``toward_board_m`` from its middle,
-    towards the board.
+    The middle of the first box is beyond the board's edge. The centre of mass of the first box is ``toward_board_m``
+    from its middle, towards the board.
     """
     corner = -SIDE_MM / 2 + 1000 * BEYOND_M
     scene = make_scene([((SIDE_MM,) * 3, (corner, 0, 0), 4.0), ((SIDE_MM,) * 3, (-300, 500, 0), 4.0)], SIM)

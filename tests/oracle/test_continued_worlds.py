@@ -1,6 +1,6 @@
 """Tests of worlds that leave a GPU and are continued on CPU threads (petmjx/engines/warp/continued_worlds.py). In these
-tests, CPU kernels also replace the GPU. So a world that leaves must have the same outcome, to the last bit, as a world
-that does not leave."""
+tests, CPU kernels also replace the GPU. A world that leaves must therefore have the same outcome, to the last bit, as a
+world that does not leave."""
 
 from __future__ import annotations
 
@@ -80,9 +80,9 @@ def assert_equal(outcomes: Sequence[Outcome], expected: Sequence[Outcome]) -> No
 
 @pytest.mark.slow
 def test_worlds_that_leave_end_as_those_that_stay(monkeypatch: pytest.MonkeyPatch) -> None:
-    """These worlds continue on a thread: placements that stand or fall, one of them with stiffer contacts, and a drive
-    after its placement. A placement whose state is kept does not leave the device. A drive from this state continues in
-    a process. The two parts of a history are joined."""
+    """The following worlds continue on a thread: placements that stand or fall, one of them with stiffer contacts, and
+    a drive after its placement. A placement whose state is kept does not leave the device. A drive from this state
+    continues in a process. The two parts of a history are joined."""
     bridge = tiny("hand-bridge")
     jobs = [Job(scene) for scene in tiny_scenes().values()]
     jobs += [Job(bridge, push("acceleration", 12.0)), Job(bridge, stiff=0.5), Job(bridge, keep_state=True)]

@@ -18,9 +18,9 @@ from petmjx.world.job import Job
 
 PLAN = "00100408"
 SHIFT_M = 0.002
-"""Tolerance of shifts. One by one the plan collapses, and a collapse amplifies rounding."""
+"""Tolerance of shifts. If boxes are placed one by one, the plan collapses, and a collapse amplifies rounding."""
 FORCE_N = 0.1
-"""Tolerance of forces. It is large, since boxes that slide bear and shed load in turn."""
+"""Tolerance of forces. The tolerance of forces is large, since boxes that slide bear and shed load in turn."""
 
 
 def test_the_demo_s_chain_does_to_a_plan_what_the_reference_printed(repository: Path) -> None:

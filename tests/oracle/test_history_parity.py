@@ -51,7 +51,7 @@ class Seen:
 class PlainLoop:
     """A plain simulation of a scene, which places a box every ``SIM.interval_s``.
 
-    It builds a new MuJoCo model for each block of boxes.
+    The simulation builds a new MuJoCo model for each block of boxes.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -134,8 +134,8 @@ class PlainLoop:
     def _on_tops(self, contacts: FloatArray) -> FloatArray:
         """Return the vertical forces on the tops of boxes.
 
-        The normal of a contact counts if it is within 45° of vertical. Its force then acts on the box whose centre is
-        lower.
+        The normal of a contact counts if it is within 45° of vertical. The force of such a contact acts on the box
+        whose centre is lower.
         """
         total = np.zeros(self.placed)
         height = {-2: -np.inf, **{box - 2: z for box, z in enumerate(self.data.geom_xpos[:, 2]) if box}}

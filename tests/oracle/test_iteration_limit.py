@@ -71,7 +71,8 @@ def test_a_merged_run_has_one_warning_about_the_limit(tmp_path: Path) -> None:
 
 
 def test_what_has_fallen_by_then_is_unstable() -> None:
-    """Also without early stop. Until then, the world is the same as without a limit."""
+    """A world in which a box has fallen when its iterations are used up is unstable, also without early stop. Up to its
+    end, the world is the same as without a limit."""
     job, patient = Job(build_scene(FALLS, SHORT)), SHORT.changed(early_stop=False, rest_window_s=0.2)
     (whole,) = outcomes_on_mujoco([job], patient)
     (cut,) = outcomes_on_mujoco([job], patient.changed(iteration_limit=AFTER_THE_FALL))
@@ -94,7 +95,8 @@ def test_a_limit_that_is_not_reached_changes_nothing() -> None:
 
 @pytest.mark.parametrize("name", ["mujoco", "mjx-warp"])
 def test_a_drive_has_as_many_iterations_again(name: str) -> None:
-    """So it does not matter whether a drive directly follows its placement, or starts from a kept state."""
+    """Iterations are counted anew in a drive, so it does not matter whether a drive directly follows its placement, or
+    starts from a kept state."""
     engine: Engine = MujocoEngine(1) if name == "mujoco" else shared_engine()
     scene = build_scene(make_plan("bridge", boxes_by_plan()["hand-bridge"]), SHORT)
     sim = SHORT.changed(iteration_limit=250)

@@ -1,4 +1,5 @@
-"""``petmjx.jax``: pallets as pure functions, under jit and scan. They report what ``petmjx.Pallets`` reports."""
+"""``petmjx.jax``: pallets as pure functions, under jit and scan. The functions report what ``petmjx.Pallets``
+reports."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """``petmjx.jax.Palletizing`` has the episodes of the Gymnasium environment with the same actions.
 
-It also works under jit, vmap and scan.
+``petmjx.jax.Palletizing`` also works under jit, vmap and scan.
 """
 
 from __future__ import annotations

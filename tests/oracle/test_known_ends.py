@@ -35,7 +35,8 @@ def test_a_collapse_ends_early_unless_told_to_go_on() -> None:
 
 def test_a_world_that_is_asked_whether_it_stands_ends_when_a_box_is_lost() -> None:
     """The only result that counts of a world with errors (``has_errors``) is whether the pallet stands. The world has
-    the same verdict, culprit and time of the first sign as the full run. It lacks only what follows."""
+    the same verdict, culprit and time of the first sign as the full run. The world with errors lacks only what follows
+    the early end."""
     with_errors, full_run = (
         run_one(Job(falling(), has_errors=has_errors), Simulation()) for has_errors in (True, False)
     )
@@ -113,7 +114,8 @@ def test_a_drive_that_may_be_passed_goes_on_until_the_culprit_has_swayed_too_far
 
 
 def test_a_drive_ends_at_the_look_after_the_one_that_finds_its_culprit() -> None:
-    """Looks are the regular checks of all boxes. Here the culprit passes both of its thresholds at the same look."""
+    """Looks are the regular checks of all boxes. In this test, the culprit passes both of its thresholds at the same
+    look."""
     sim = Simulation(thresholds={"tilt_deg": 0.01})
     outcome = run_one(Job(tower(), Drive(PUSH)), sim)
     assert outcome.flags & Flag.EARLY_STOP

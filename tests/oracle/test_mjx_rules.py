@@ -1,6 +1,7 @@
 """Rules and batches of mjx-jax, compared with a plain loop over one world.
 
-Both use a fake stepper, which has no physics: a box trembles for a number of steps that its mass gives.
+The rules and the plain loop use a fake stepper, which has no physics: a box trembles for a number of steps that its
+mass gives.
 """
 
 from __future__ import annotations

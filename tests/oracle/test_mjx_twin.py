@@ -1,6 +1,7 @@
-"""The engine mjx-jax compared with C MuJoCo, plan by plan. Also: outcomes of a world do not depend on its batch.
+"""The engine mjx-jax compared with C MuJoCo, plan by plan. The tests also show that the outcome of a world does not
+depend on its batch.
 
-Both are in one file, so that one process computes the outcomes only once.
+Both kinds of tests are in one file, so that one process computes the outcomes only once.
 """
 
 from __future__ import annotations

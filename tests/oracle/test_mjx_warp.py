@@ -170,7 +170,7 @@ def test_a_drive_has_an_iteration_limit_of_its_own(monkeypatch: pytest.MonkeyPat
 def test_a_state_goes_on_in_a_narrower_table_than_it_came_from() -> None:
     """A state that was kept in a table of larger worlds continues in a smaller table, with the same outcome.
 
-    This is so in a sweep whose largest plan does not stand.
+    A larger table comes first in a sweep whose largest plan does not stand.
     """
     scenes = [tiny("hand-one-box"), make_scene(9)]
     drive, alone = pushes("force", 0.5), run_all(shared_engine(), [Job(scenes[0], keep_state=True)], SHORT)[0]

@@ -111,8 +111,8 @@ def test_on_mjx_warp_pallets_go_on_to_the_score_from_where_they_stand() -> None:
 def test_trials_end_at_the_same_step_on_both_engines_when_a_box_is_gone() -> None:
     """Trials (simulations of a candidate for the next box) end when a box is lost.
 
-    They say whether each candidate stands, as trials to the end do. A candidate that tips ends its trial at a look (a
-    regular check of all boxes), before the next sample: when it is tilted by 1.25 times the threshold.
+    Such trials say whether each candidate stands, as trials to the end do. A candidate that tips ends its trial at a
+    look (a regular check of all boxes), before the next sample: when it is tilted by 1.25 times the threshold.
     """
     times: dict[str, Any] = {}
     for engine in (MujocoEngine(1), warp_engine()):

@@ -1,6 +1,6 @@
 """Histories (recorded frames of worlds) of the MJX engines.
 
-They come from batches of a fake stepper, which has no physics, and from mjx-warp on the CPU.
+The frames come from batches of a fake stepper, which has no physics, and from mjx-warp on the CPU.
 """
 
 from __future__ import annotations

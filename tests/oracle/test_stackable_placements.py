@@ -98,7 +98,7 @@ def test_only_a_box_that_finds_no_room_could_not_be_placed() -> None:
 
 
 def test_a_world_with_a_hand_does_not_join_kernels_without_one() -> None:
-    """This occurs in a score with confidence: the world without errors comes first, and worlds with errors follow."""
+    """In a score with confidence, the world without errors comes first, without a hand; worlds with errors follow."""
     scene, sim = scenes("hand")[2], simulation("auto")
     stream, outcome_by_job = feedback_stream([Job(replace(scene, placing=EXACT))]), {}
     for outcome in shared_engine().run(stream, sim):

@@ -52,10 +52,10 @@ NEAR = {
 
 In these worlds a corner lands and slides. Engines know the excess acceleration of its friction only to a tolerance
 (petmjx/world/contact_laws.py). On mjx-warp the corner's speed differs by 2 mm/s after that; with a twentieth of the
-tolerance it does not. mjx-jax has another collider. There the corner's position differs by some micrometres while the
-box still tips, and then by more.
+tolerance it does not. mjx-jax has another collider. On mjx-jax, the corner's position differs by some micrometres while
+the box still tips, and then by more.
 
-In all other worlds the events are at the same step. They are at looks, at samples, or at steps that are known
+In all other worlds the events are at the same step. Events are at looks, at samples, or at steps that are known
 beforehand. So float32 changes a step only if a speed or a pose at a look is within rounding of a threshold.
 """
 
@@ -65,8 +65,8 @@ def push(kind: str, level: float, rest_s: float, steps: int = 60, yaw_rad: float
 
 
 ROCKS = push(ACCELERATION, 4.5, rest_s=0.1, steps=120, yaw_rad=0.0)
-"""A drive that tilts the boxes of ``SLENDER`` by 9.6°, which is 80 mm at their tops. That is about half the tilt from
-which they can return."""
+"""A drive that tilts the boxes of ``SLENDER`` by 9.6°, which is 80 mm at their tops. A tilt of 9.6° is about half the
+tilt from which the boxes can return."""
 
 SLENDER: dict[str, tuple[Box, ...]] = {
     "slender box": (((200.0, 300.0, 600.0), (500.0, 250.0, 0.0), 10.0),),

@@ -158,7 +158,8 @@ def test_solves_as_numpy(name: str, size: int, device: str) -> None:
 @pytest.mark.parametrize("size", range(len(SIZES)))
 @pytest.mark.parametrize("left", [1e-2, 1e-4, 1e-6])
 def test_rows_that_are_stiff_together_cost_no_digits(left: float, size: int, device: str) -> None:
-    """Such rows belong to a box that stands on few contacts: a pivot is small once the pivot before it is eliminated.
+    """Rows that are stiff together belong to a box that stands on few contacts: a pivot is small once the pivot before
+    it is eliminated.
 
     If the solver divided by two such pivots together, all other unknowns would lose digits there.
     """
@@ -175,8 +176,8 @@ def test_rows_that_are_stiff_together_cost_no_digits(left: float, size: int, dev
 @pytest.mark.parametrize("size", range(len(SIZES)))
 @pytest.mark.parametrize("row", [0, 1, PANEL - 1, PANEL, PANEL + 3, 3 * PANEL - 1])
 def test_a_matrix_that_is_not_positive_definite_gives_no_number(row: int, size: int, device: str) -> None:
-    """The solution has NaN or infinity, with which every comparison is False. So the solver stops at such a
-    direction."""
+    """The solution has NaN or infinity, with which every comparison is False. So the solver stops at a direction with
+    such a solution."""
     H = np.eye(3 * PANEL)
     H[row, row] = -1.0
     assert not np.isfinite(solved(H, [0, 0, 1], np.ones(len(H)), device, size)).all()

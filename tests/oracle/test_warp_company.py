@@ -1,6 +1,7 @@
 """On mjx-warp, the outcome of a world does not depend on other worlds.
 
-It does not depend on thread blocks, rows of the table, time slices (launches of the kernel) or earlier runs either.
+The outcome does not depend on thread blocks, rows of the table, time slices (launches of the kernel) or earlier runs
+either.
 """
 
 from __future__ import annotations
@@ -389,8 +390,8 @@ def test_worlds_that_come_later_are_as_those_that_were_there(
 
 @pytest.mark.slow
 def test_drives_that_come_later_are_as_those_that_were_there() -> None:
-    """Some of these drives (motions of the carrier) have a profile that is new to the run. They wait until the other
-    worlds have ended."""
+    """Some of these drives (motions of the carrier) have a profile that is new to the run. The drives with new profiles
+    wait until the other worlds have ended."""
     scene = tiny_scenes(("hand-overhang-45",))["hand-overhang-45"]
     (kept,) = shared_engine().run([Job(scene, keep_state=True)], SHORT)
     push, pull = (Excitation("push", "force", np.tile([level, 0.0, 0.0], (40, 1))) for level in (0.6, -0.6))
@@ -411,9 +412,9 @@ def test_drives_that_come_later_are_as_those_that_were_there() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("schedule", ["adaptive", "fixed"])
 def test_worlds_that_come_later_may_be_larger_than_all_before(schedule: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A later world may have more boxes than all worlds before, but need blocks of the same size. It does not join a
-    table that has room for it, since the timetable of the run is only long enough for the largest plan so far. A later
-    world may also need blocks of a size that the run does not have."""
+    """A later world may have more boxes than all worlds before, but need blocks of the same size. Such a world does not
+    join a table that has room for it, since the timetable of the run is only long enough for the largest plan so far. A
+    later world may also need blocks of a size that the run does not have."""
     sizes_apart(monkeypatch, 4)
     scenes = {n: make_scene(n) for n in (3, 4, 6)}
     sim = SHORT.changed(schedule=schedule)

@@ -186,7 +186,7 @@ def test_along_a_line_the_cost_has_the_slope_and_the_curvature_of_its_force(
 def test_a_drag_of_its_own_makes_the_curvature_across_no_less_round(kernel: Any) -> None:
     """With a drag of length 1 along the sliding, the curvature of the cost is that of a norm: zero along the sliding.
 
-    With no drag, it is that of a bowl: the same along the sliding as across. It is never negative.
+    With no drag, it is that of a bowl: the same along the sliding as across. The curvature is never negative.
     """
     slides = RESIDUALS[4]
     ahead = slides[1:] / np.linalg.norm(slides[1:])

@@ -112,7 +112,8 @@ def test_engines_of_several_threads_work_at_the_same_time(monkeypatch: pytest.Mo
 
 
 class Blocks:
-    """A stand-in for a ``Call``. Its first block fails, while its second block goes on to the end of the time slice."""
+    """A stand-in for a ``Call``. The first block of the stand-in fails, while its second block goes on to the end of
+    the time slice."""
 
     blocks = 2
 

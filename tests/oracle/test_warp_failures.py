@@ -64,8 +64,8 @@ def test_buffers_that_are_too_small_grow_and_give_the_same(
 
 @pytest.mark.slow
 def test_buffers_grow_for_the_size_that_needs_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A world has room for eight contacts. That is enough for a box on the carrier, which has four contacts with the
-    floor. It is too little for bricks."""
+    """A world has room for eight contacts. Room for eight contacts is enough for a box on the carrier, which has four
+    contacts with the floor. Room for eight contacts is too little for bricks."""
     some = {**tiny_scenes(("hand-one-box", "brickwork")), "one more": tiny("hand-one-box")}
     expected = simulate(shared_engine(), some, SHORT)
     sizes_apart(monkeypatch, 1)

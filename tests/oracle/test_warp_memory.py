@@ -71,7 +71,8 @@ def small_device(monkeypatch: pytest.MonkeyPatch, holds: Callable[[int, int], bo
     blocks that an engine tries.
 
     Args:
-        holds: Function of the number of blocks and the number of contacts per block. It says whether memory suffices.
+        holds: Function of the number of blocks and the number of contacts per block. The function says whether memory
+            suffices.
     """
     tried = []
 

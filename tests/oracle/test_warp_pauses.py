@@ -1,5 +1,5 @@
 """On mjx-warp, a placement that pauses and continues later has the same results, to the last bit, as one without a
-pause. It may also continue in another world."""
+pause. A paused placement may also continue in another world."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ HEAP: Sequence[Box] = (
 """Boxes of which the later ones stand on several of the earlier ones."""
 
 FALLING: Sequence[Box] = (*HEAP[:3], ((100, 100, 300), (460, 30, 250), 5), HEAP[3])
-"""The same, with a fourth box that falls."""
+"""The boxes of ``HEAP``, with a fourth box that falls."""
 
 WITH_SHEET: Sequence[Box] = (
     *(((200, 200, 100), (x, 0, 0), 5) for x in (0, 400)),

@@ -37,7 +37,7 @@ set_up_warp()
 
 WORLDS, BOXES = 1024, 4
 SAME = 1e-5
-"""Tolerance of metrics, relative and absolute. They are float32, and the two sides compute degrees in different
+"""Tolerance of metrics, relative and absolute. Metrics are float32, and the two sides compute degrees in different
 ways."""
 
 
@@ -198,7 +198,8 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
     rng = np.random.default_rng(5)
     worlds, after, before = random_worlds(sim, rng)
     top_force = jnp.asarray(rng.random((WORLDS, BOXES)), jnp.float32)
-    # A world that goes astray has no finite numbers. Its carrier has a velocity that no real world has.
+    # A world that goes astray has no finite numbers. The carrier of a world that goes astray has a velocity that no
+    # real world has.
     astray, presses = rng.random(WORLDS) < 0.05, rng.random(WORLDS) < 0.5
     counts = np.random.default_rng(6)
     after = after._replace(iterations_done=jnp.asarray(counts.integers(0, LIMIT + LIMIT // 20, WORLDS, np.int32)))

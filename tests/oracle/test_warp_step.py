@@ -54,7 +54,7 @@ that error: 2,600 s⁻² of reference acceleration for each metre. Light boxes b
 The accelerations themselves are up to 60 m/s²."""
 
 SAME_ACCELERATION = 3e-3
-"""Relative tolerance of accelerations, for the light box. It spins with up to 60 rad/s² while it lands."""
+"""Relative tolerance of accelerations, for the light box. The light box spins with up to 60 rad/s² while it lands."""
 
 SAME_VELOCITY_M_S = 1e-5
 """Tolerance of velocities, in addition to the tolerance of accelerations times the timestep."""
@@ -64,8 +64,8 @@ SAME_POSITION = 1e-6
 
 SAME_FORCE = 0.01
 SAME_FORCE_N = 0.2
-"""Relative and absolute tolerance of forces. They follow from the tolerance of accelerations, for boxes of up to 10
-kg."""
+"""Relative and absolute tolerance of forces. The tolerances follow from the tolerance of accelerations, for boxes of up
+to 10 kg."""
 
 SAME_SLIDING_M_S2 = 0.5
 """Tolerance of accelerations where contacts slide. Both sides end their iteration when the reference acceleration of a
@@ -73,11 +73,11 @@ pressure is known to 0.1 m/s². The acceleration of a light box depends on that 
 
 MORE_ITERATIONS = 4
 """By how many iterations a step of mjx-warp may exceed MuJoCo's step. mjx-warp stops at a bound on how much the cost
-can still fall, instead of MuJoCo's two tests. Its factor in single precision costs one or two iterations where contacts
-are stiff.
+can still fall, instead of MuJoCo's two tests. The factor of mjx-warp in single precision costs one or two iterations
+where contacts are stiff.
 
-Other limits hold for steps in which MuJoCo needs more than ``MANY`` iterations. There, many contacts slide, and the
-number of iterations depends on the last digits: with another order of sums, 29 became 31. mjx-warp has forces of
+Other limits hold for steps in which MuJoCo needs more than ``MANY`` iterations. In such steps, many contacts slide, and
+the number of iterations depends on the last digits: with another order of sums, 29 became 31. mjx-warp has forces of
 friction as separate unknowns, so all these steps together need at most ``SLIDING_SHARE`` of MuJoCo's iterations. A
 single step may need twice as many as MuJoCo's.
 """
@@ -192,7 +192,8 @@ def test_a_step_in_which_bricks_slide_and_tip_as_in_c() -> None:
 def test_a_box_on_an_edge_or_a_corner_has_the_contacts_of_c(tilt_deg: tuple[float, float]) -> None:
     """The skin of a tilted box reaches further than the box by more than its own thickness.
 
-    One box is on the floor and one on the carrier, which hangs in the air. They are 11 µm above it or 20 µm deep in it.
+    One box is on the floor and one on the carrier, which hangs in the air. The boxes are 11 µm above their support or
+    20 µm deep in it.
     """
     physics = PHYSICS["pallet"]
     scene = build_scene(make_plan("two", BRICKS[:2]), Simulation())

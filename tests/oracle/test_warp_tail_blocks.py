@@ -32,7 +32,8 @@ ONE = BlockPool(Launch(4, SIZES[0].threads, 2, 0, 37), 4, 40, 1, 420, 336)
 TWO_LAST = replace(ONE, blocks=2, last=True)
 
 _expected_tail = jax.jit(expected_tail, static_argnums=3)
-"""Compiled as a whole. Otherwise, JAX compiles each of its operations for each number of worlds."""
+"""Compiled as a whole. If the function were not compiled as a whole, JAX would compile each of its operations for
+each number of worlds."""
 
 
 def expected(steps: list[int], ended: list[int], lanes: int = 1, spare: int = 0) -> list[int]:

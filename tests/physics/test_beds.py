@@ -133,7 +133,7 @@ def test_faces_that_only_meet_or_stand_apart_do_not_press() -> None:
 
 
 def test_mjx_jax_has_the_same_beds() -> None:
-    """Also if only a strip at an edge or a corner is pressed."""
+    """The beds are the same also if only a strip at an edge or a corner is pressed."""
     pos, turn, half = drawn(200, 2, 0.02)
     one, two = np.arange(0, 400, 2), np.arange(1, 400, 2)
     up = turn[one].reshape(-1, 3, 3)[:, :, 2]

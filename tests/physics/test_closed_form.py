@@ -74,8 +74,8 @@ def accelerated(boxes: Sequence[Box], carrier_acceleration: FloatArray) -> Outco
 
 
 def constant_along_x(level_m_s2: float) -> FloatArray:
-    """An acceleration along x that reaches its level in 0.2 s and keeps it for 1.6 s. This is long enough for a slow
-    topple to end."""
+    """An acceleration along x that reaches its level in 0.2 s and keeps it for 1.6 s. The acceleration lasts long
+    enough for a slow topple to end."""
     level = np.concatenate((np.linspace(0.0, 1.0, 100), np.ones(800))) * level_m_s2
     return np.column_stack((level, np.zeros_like(level), np.zeros_like(level)))
 

@@ -1,5 +1,5 @@
-"""petmjx simulates a prescribed acceleration of the carrier as additional gravity in the carrier's frame. These tests
-compare this with a carrier that really accelerates.
+"""petmjx simulates a prescribed acceleration of the carrier as additional gravity in the carrier's frame. The tests
+compare this gravity with a carrier that really accelerates.
 
 A plan that holds and a single box that slides are compared. Stacks that slide far are not compared: their boxes rub and
 rock, so their final places differ by millimetres, even if only the solver's tolerance is changed.

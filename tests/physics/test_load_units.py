@@ -147,7 +147,7 @@ def test_a_loaded_pallet_slides_on_a_trailers_floor_at_its_friction(name: str, m
 
 @pytest.mark.parametrize("name", ["mujoco", "mjx-warp-cpu"])
 def test_two_loaded_pallets_on_each_other_topple_as_one(name: str) -> None:
-    """They topple at the acceleration g·b/h, for the common centre of mass of the pile."""
+    """Two loaded pallets topple at the acceleration g·b/h, for the common centre of mass of the pile."""
     height, kg = 1000.0, 200.0
     plan = units([(3000.0, 800.0, z) for z in (0.0, EPAL_MM[2] + height)], height, kg)
     sim = SHAKEN.changed(

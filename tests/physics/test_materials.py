@@ -84,8 +84,8 @@ def test_a_box_slides_at_the_friction_of_its_pair(
 
 @pytest.mark.parametrize("aside", [(25.0, 0.0, 0.0), (-25.0, 0.0, 0.0), (0.0, 50.0, 0.0), (-10.0, 0.0, 60.0)])
 def test_a_box_topples_about_its_own_centre_of_mass(aside: tuple[float, float, float]) -> None:
-    """It topples at the acceleration g·b′/h, where b′ is the horizontal distance of the centre of mass from the tipping
-    edge, and h is the height of the centre."""
+    """A box topples at the acceleration g·b′/h, where b′ is the horizontal distance of the centre of mass from the
+    tipping edge, and h is the height of the centre."""
     box = ((100.0, 200.0, 400.0), (500.0, 300.0, 0.0), 5.0)
     plan = replace(make_plan(boxes=[box]), mass_center_mm=np.array([aside]))
     level_g = (50.0 + aside[0]) / (200.0 + aside[2])

@@ -130,7 +130,7 @@ def test_a_box_comes_from_where_nothing_stands() -> None:
 
 def test_no_box_begins_in_another_one() -> None:
     """The planned places of the third and the fourth box are 6 and 8 mm inside other boxes. The third box moves aside,
-    and the fourth, between two boxes, moves up. So no contact is ever deeper than half a millimetre."""
+    and the fourth, between two boxes, moves up. So no contact ever becomes deeper than half a millimetre."""
     boxes = [
         CUBE,
         (CUBE[0], (600.0, 0.0, 0.0), 6.0),

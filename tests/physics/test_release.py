@@ -73,7 +73,7 @@ def product(one: NDArray[np.float64], two: NDArray[np.float64]) -> NDArray[np.fl
 
 def symmetric_top(time_s: float) -> NDArray[np.float64]:
     """(4,) orientation of a body with two equal moments of inertia that started upright with the angular velocity
-    ``SPIN``. It turns about its angular momentum L at the rate |L|/I₁, and about its own axis at the rate ω₃·(1 −
+    ``SPIN``. The body turns about its angular momentum L at the rate |L|/I₁, and about its own axis at the rate ω₃·(1 −
     I₃/I₁)."""
     half = np.array(SHAPE_MM) / 2000
     moments = MASS_KG / 3 * ((half**2).sum() - half**2)
@@ -104,7 +104,7 @@ def angle(one: NDArray[np.float64], two: NDArray[np.float64]) -> float:
 @pytest.fixture(scope="module", params=[*ENGINES, pytest.param("mjx-warp", marks=pytest.mark.gpu)])
 def two_worlds(request: pytest.FixtureRequest) -> petmjx.Trajectories:
     """The trajectories of two boxes in separate worlds, computed by one engine in one call. The first box flies and
-    turns. The second lands flat from 2 mm and rests."""
+    turns. The second box lands flat from 2 mm and rests."""
     start, flat = FLIGHT, {"vel_m_s": STILL, "angvel_rad_s": STILL, "pos_m": (0.0, 0.0, 0.052)}
     both = {name: np.array([start[name], flat[name]]) for name in start}
     return release(request.param, **both, times_s=FLIGHT_S)

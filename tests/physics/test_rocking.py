@@ -36,8 +36,8 @@ OVERTURNS_G = 0.004
 """Difference in g by which the smallest pulse of 0.2 s that overturns a block of 150 × 600 mm may be below the closed
 form: 0.7 %."""
 LATE_DEG = 0.06
-"""Tolerance of the angle at which a tilt is detected. It has two causes: the time between two checks, which is 0.05° at
-5°/s, and the compression of contacts."""
+"""Tolerance of the angle at which a tilt is detected. The tolerance has two causes: the time between two checks, which
+is 0.05° at 5°/s, and the compression of contacts."""
 
 TOWER = RockingBlock(0.3, 1.0)
 ROCKS_G = (0.34, 0.38, 0.42)

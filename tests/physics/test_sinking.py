@@ -173,7 +173,7 @@ def test_a_shift_that_is_sinking_alone_is_no_verdict() -> None:
 
 @pytest.mark.parametrize("shift_mm", [(0.0, -21.5), (25.0, -21.5), (0.0, 21.5), (0.0, -30.0)])
 def test_only_a_shift_straight_down_may_be_sinking(shift_mm: tuple[float, float]) -> None:
-    """The upper box has moved down, moved up, or also slid. Its support is compressed by 3 mm."""
+    """The upper box has moved down, moved up, or also slid. The support of the upper box is compressed by 3 mm."""
     boxes: tuple[Box, ...] = (((400, 300, 200), (0, 0, 0), 0.15), ((400, 300, 200), (0, 0, 200), 140.0))
     scene, outcome = make_scene(boxes), simulate(boxes, Simulation())
     shift = np.zeros((2, 3))

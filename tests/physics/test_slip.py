@@ -27,8 +27,8 @@ HEIGHT_M = 0.1
 TIMES_S = np.arange(0.0, 1.3, 0.01)
 
 LIFT_M = 0.0005
-"""Largest height by which a level box that slides may lift off, m. It lifts off by the depth of its contacts, a tenth
-of a millimetre. Without petmjx's correction, it would lift off by up to 45 mm."""
+"""Largest height by which a level box that slides may lift off, m. A sliding box lifts off by the depth of its
+contacts, a tenth of a millimetre. Without petmjx's correction, a sliding box would lift off by up to 45 mm."""
 
 WAY, WAY_M = 0.01, 0.001
 """Relative and absolute tolerance of the distance that a box slides, m. Below a speed of one centimetre per second, the

@@ -249,8 +249,8 @@ def test_a_sheet_bears_where_something_bears_it_and_bridges_nothing() -> None:
 
 
 def test_plans_and_tables_say_how_stiff_boxes_are() -> None:
-    """The stiffness can come from three sources. That of the placement takes precedence over that of the article, and
-    that of the article over that of the material."""
+    """The stiffness can come from three sources. The stiffness of the placement takes precedence over that of the
+    article, and the stiffness of the article over that of the material."""
     plan = petmjx.Plan.from_boxes(
         "tower",
         size_mm=[SIZE] * 3,

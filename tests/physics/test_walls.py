@@ -40,8 +40,8 @@ TOUCH_M = 1e-5
 """Tolerance of the places of boxes that are moved out of a wall, m."""
 
 TOUCH_DEG = 0.07
-"""Angle by which a box tilts until its contacts bear it. It corresponds to a few hundredths of a millimetre over the
-height of the box."""
+"""Angle by which a box tilts until its contacts bear it. The angle corresponds to a few hundredths of a millimetre over
+the height of the box."""
 
 SAME_M = 0.0005
 """Allowed difference between engines in the place of a box that tipped onto a wall and slid, m."""
@@ -60,8 +60,8 @@ SHAKEN = Simulation(check=Check.STATIC, schedule=Schedule.FIXED, settle_s=0.4, e
 
 
 def along(direction: tuple[float, float], level_g: float, ramp: int = 500, hold: int = 300) -> Drive:
-    """A drive that pushes the load in a horizontal direction. Its acceleration increases for ``ramp`` steps and then
-    stays constant for ``hold`` steps."""
+    """A drive that pushes the load in a horizontal direction. The acceleration of the drive increases for ``ramp``
+    steps and then stays constant for ``hold`` steps."""
     level = level_g * G * np.append(np.linspace(0.0, 1.0, ramp), np.ones(hold))
     x, y = direction
     return Drive(Excitation("throw", ACCELERATION, np.outer(level, [-x, -y, 0.0])), rest_s=0.2)
@@ -170,9 +170,9 @@ def test_a_box_that_tips_stands_where_there_is_a_wall(carrier: str, opened: tupl
 def test_a_box_leans_on_a_smooth_wall_as_far_as_friction_holds_its_foot(share: float) -> None:
     """The middle of the box is a distance e beyond the edge on which it stands, and its top touches the wall at the
     height h. The force on the wall is W·e/h, and friction µ·W at the edge must balance it. So the foot of the box stays
-    if µ ≥ e/h. Otherwise the foot slides, and the box tilts by an angle a. The tilt moves the middle back by a·h/2, and
-    the edge then bears W·(µ + a). The foot stops when e − a·h/2 = h·(µ + a). Since the load acts suddenly, the box can
-    tilt up to twice as far."""
+    if µ ≥ e/h. If µ is smaller, the foot slides, and the box tilts by an angle a. The tilt moves the middle back by
+    a·h/2, and the edge then bears W·(µ + a). The foot stops when e − a·h/2 = h·(µ + a). Since the load acts suddenly,
+    the box can tilt up to twice as far."""
     beyond, height = 60.0, 600.0
     friction = [share * beyond / height, 0.005, 0.0001]
     sim = Simulation(
@@ -249,8 +249,8 @@ def test_a_repair_moves_no_box_into_a_wall() -> None:
 
 @pytest.mark.parametrize("corner_mm", [-50.0, -250.0])
 def test_a_box_that_a_repair_moves_ends_outside_walls(corner_mm: float) -> None:
-    """The box is planned inside the wall or behind it. It may stay there while another box is moved, but may not be
-    moved to such a place."""
+    """The box is planned inside the wall or behind it. A box inside a wall may stay there while another box is moved,
+    but may not be moved to such a place."""
     boxes = [((300.0, 300.0, 300.0), (x_mm, 0.0, 0.0), 5.0) for x_mm in (corner_mm, 600.0)]
     plan = make_plan("a", boxes)
     rules = Rules(plan, Simulation(carrier="epal-1", walls=["left"]), 1500.0, 0)
@@ -326,8 +326,8 @@ def drawn_piles(n: int, seed: int) -> list[petmjx.Plan]:
 
 
 def test_engines_agree_on_what_stands_in_a_roll_container() -> None:
-    """mjx-jax is not compared, because it takes a minute to compile two boxes beside a wall. Its shapes are tested in
-    tests/oracle."""
+    """mjx-jax is not compared, because it takes a minute to compile two boxes beside a wall. The shapes of mjx-jax are
+    tested in tests/oracle."""
     plans, engines = drawn_piles(12, seed=7), ("mujoco", "mjx-warp-cpu")
     with jax.numpy_rank_promotion("allow"):  # MJX broadcasts as NumPy does
         twin, other = (petmjx.score(plans, engine=name, threads=1, carrier="rollcontainer-3") for name in engines)

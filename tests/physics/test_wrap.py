@@ -158,9 +158,9 @@ def test_film_between_boxes_and_a_carrier_that_moves_adds_no_momentum() -> None:
 
 
 def test_after_a_drive_with_film_friction_at_sides_bears_part_of_the_weight() -> None:
-    """The forces on the tops of a layer are not equal to the weight of the layers above. They are equal if the friction
-    between the sides of two layers is added, except for the part of the weight that the film bears by friction
-    (docs/wrap.md). The sides of two layers touch in narrow strips, because boxes have sunk a little."""
+    """The forces on the tops of a layer are not equal to the weight of the layers above. The forces equal the weight if
+    the friction between the sides of two layers is added, except for the part of the weight that the film bears by
+    friction (docs/wrap.md). The sides of two layers touch in narrow strips, because boxes have sunk a little."""
     size, rows, layers, kg = (400.0, 400.0, 250.0), (3, 2), 4, 8.0
     per_layer = rows[0] * rows[1]
     boxes: list[Box] = [

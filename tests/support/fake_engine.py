@@ -45,7 +45,7 @@ class LargestFirst:
 
 def end_without_physics(world: WorldRun) -> Outcome:
     """Replaces ``WorldRun.run``. The ``mujoco`` engine works as usual, with its streams, its threads, and worlds that
-    start from settled states. But a rule, and no simulation, decides how a world ends.
+    start from settled states. But how a world ends is decided by a rule, and not by a simulation.
 
     A plan stands if its upper boxes lie within 170 mm of one another. In a drive (motion of the carrier), it stands up
     to a level that depends on the number of boxes, on their mass and on the direction.

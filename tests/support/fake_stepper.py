@@ -9,7 +9,8 @@ The mass of a box determines its motion after its placement:
 * the force on its top is its age, 1 N per step, so the force at rest tells when the box was placed;
 * the carrier's excitation moves the box along x and y, by 1 µm per step for each newton or m/s².
 
-The age of a box is stored in its warm-start acceleration. So it is lost unless states are passed on completely.
+The age of a box is stored in its warm-start acceleration. So the age of a box is lost unless states are passed on
+completely.
 """
 
 from __future__ import annotations

@@ -314,7 +314,7 @@ def java_containers(name: str, views: Sequence[View]) -> list[Document]:
 
 
 def packvium(name: str, views: Sequence[View], *, unit: str) -> list[Document]:
-    """A result of packvium, with lengths as ticks of 1/16000 mm, and as texts with a unit. It has no weights of
+    """A result of packvium, with lengths as ticks of 1/16000 mm, and as texts with a unit. The result has no weights of
     items."""
 
     def length(value: float) -> Box:

@@ -1,4 +1,4 @@
-"""Compares histories and stories with one another and with the tables of a run. Also has an engine without
+"""Compares histories and stories with one another and with the tables of a run. The module also has an engine without
 histories."""
 
 from __future__ import annotations

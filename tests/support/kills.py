@@ -2,9 +2,9 @@
 
     python tests/support/kills.py FOLDER score 100 grid 20
 
-Runs are child processes, forked from a process that has imported all modules and started no thread. Their worlds end
-without physics. So a run takes a tenth of a second, and kills hit it at all moments: while worlds end, while it reads
-its folder, writes a part or renames a file, or when it has just begun.
+Runs are child processes, forked from a process that has imported all modules and started no thread. The worlds of these
+runs end without physics. So a run takes a tenth of a second, and kills hit it at all moments: while worlds end, while
+it reads its folder, writes a part or renames a file, or when it has just begun.
 """
 
 from __future__ import annotations

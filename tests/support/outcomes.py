@@ -19,8 +19,8 @@ def make_plan(plan_id: str = "00000001", n: int = 3) -> Plan:
 
 
 def make_boxes(n: int = 3, **changes: Any) -> BoxMetrics:
-    """Metrics of n upright boxes at rest. Those of box k are multiples of k + 1 (shift in mm). ``changes``: replaces
-    some of them."""
+    """Metrics of n upright boxes at rest. The metrics of box k are multiples of k + 1 (shift in mm). ``changes``:
+    replaces some of them."""
     k = np.arange(1.0, n + 1)
     metrics = {
         "shift_m": np.stack([k, -2 * k, np.zeros(n)], axis=1) / 1000,

@@ -1,4 +1,4 @@
-"""Checks packings by geometry and statics, with code of its own. Also draws orders to pack."""
+"""Checks packings by geometry and statics, with code of its own. The module also draws orders to pack."""
 
 from __future__ import annotations
 

@@ -44,9 +44,9 @@ def cube_plan(plan_id: str, corners_mm: list[tuple[float, float, float]], articl
 
 
 def falling_story(plan_id: str = "tower", contacts: bool = True) -> Story:
-    """A story of three cubes: two side by side, and a third on the first, placed at 0.5 s. Its motion is easily
-    computed: until 1 s, it moves 300 mm to the right and turns by 90° about y. There is a frame every 0.1 s until 2
-    s."""
+    """A story of three cubes: two side by side, and a third on the first, placed at 0.5 s. The motion of the third cube
+    is easily computed: until 1 s, the cube moves 300 mm to the right and turns by 90° about y. There is a frame every
+    0.1 s until 2 s."""
     plan = cube_plan(plan_id, [(0, 0, 0), (200, 0, 0), (0, 0, 200)], ["tea", "salt", "tea"])
     scene = build_scene(plan, Simulation(size_reduction_mm=0.0))
     times = np.arange(21) / 10

@@ -54,7 +54,7 @@ def make_plan(plan_id: str = "00000001", boxes: int | Sequence[Box] = 3) -> Plan
 
 
 def heap(n: int = 40) -> tuple[Box, ...]:
-    """Boxes of random sizes in uneven layers. They fall a little, tip and slide."""
+    """Boxes of random sizes in uneven layers. The boxes fall a little, tip and slide."""
     rng = np.random.default_rng(3)
     boxes = []
     for k in range(n):

@@ -36,14 +36,15 @@ IMPORTED = (
     "pyarrow.parquet",
     "scipy.optimize",
 )
-"""Modules that are imported before the processes are forked. None of them starts JAX's threads. Modules that are not
-installed are left out. ``petmjx.gym`` and ``petmjx.jax`` are not among them, since programs must import them."""
+"""Modules that are imported before the processes are forked. None of these modules starts JAX's threads. Modules that
+are not installed are left out. ``petmjx.gym`` and ``petmjx.jax`` are not among them, since programs must import
+them."""
 
 
 @functools.cache
 def _forking() -> ForkServerContext:
-    """Start the process from which the others are forked. They have its environment, in which petmjx is that of this
-    repository."""
+    """Start the process from which the others are forked. The forked processes have the environment of the first
+    process, in which petmjx is that of this repository."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(list(IMPORTED))
     with pytest.MonkeyPatch.context() as patch:
@@ -86,7 +87,7 @@ def ended_program(
 
 
 def _run(program: str | Path, arguments: tuple[str, ...], folder: Path, printed: Path, errors: Path) -> None:
-    """The new process. Its standard output and its errors are written to files."""
+    """The new process. The standard output and the errors of the new process are written to files."""
     os.chdir(folder)
     for descriptor, path in ((1, printed), (2, errors)):
         os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), descriptor)

@@ -1,4 +1,5 @@
-"""Real plans, and the results that the reference implementation printed for them. Both are stored in tests/oracle."""
+"""Real plans, and the results that the reference implementation printed for them. The plans and the results are stored
+in tests/oracle."""
 
 from __future__ import annotations
 
@@ -75,7 +76,7 @@ def assert_matches(outcome: Outcome, run: ReferenceRun, shift_m: float, force_n:
     assert (outcome.verdict is Verdict.STABLE) == run.stable
     assert outcome.n_steps == run.steps
     assert shift_difference(outcome.boxes.shift_m, run.shift_m) < shift_m
-    # The reference measures tilts only at samples. Here, the final pose counts, too, in which boxes may still be
+    # The reference measures tilts only at samples. In petmjx, the final pose counts, too, in which boxes may still be
     # falling.
     max_tilt_deg = np.maximum(run.max_tilt_deg, tilt_deg(outcome.boxes.quat))
     assert np.abs(outcome.boxes.max_tilt_deg - max_tilt_deg).max() < TILT_DEG

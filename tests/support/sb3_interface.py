@@ -1,7 +1,8 @@
 """The interface of Stable-Baselines3's vector environments, for machines without Stable-Baselines3, which needs
 PyTorch.
 
-It follows the documentation of ``VecEnv``, and has what ``petmjx.gym.PalletizingVecEnv`` gets from its base class.
+The interface follows the documentation of ``VecEnv``, and has what ``petmjx.gym.PalletizingVecEnv`` gets from its base
+class.
 """
 
 from __future__ import annotations

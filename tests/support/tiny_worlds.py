@@ -32,8 +32,8 @@ SHORT = Simulation(interval_s=0.1, rest_window_s=0.04, settle_s=0.3)
 LONG_NS = 10**15
 """Length of a time slice in which all worlds of a test end, ns."""
 SOME_NS, STEP_NS = 100_000, 0
-"""Lengths of time slices, ns. The first ends after 0.1 ms at the earliest: on a fast CPU, tiny worlds take a few such
-slices. In the second, each block takes one step, so tiny worlds take hundreds of slices."""
+"""Lengths of time slices, ns. The first slice ends after 0.1 ms at the earliest: on a fast CPU, tiny worlds take a few
+such slices. In a slice of the second length, each block takes one step, so tiny worlds take hundreds of slices."""
 
 CHANGING_NS = 1
 """A length of time slices that only some tests use: tests that change the length of the engine's slices, from the first
@@ -52,7 +52,7 @@ def tiny(name: str) -> Scene:
 
 
 def engine(**options: Any) -> MjxWarpEngine:
-    """Its tables have at least eight rows. For each smaller number, programs would be compiled anew."""
+    """The tables of the engine have at least eight rows. For each smaller number, programs would be compiled anew."""
     made = MjxWarpEngine(16, allow_cpu=True, **options)
     made.least_rows = 8
     return made

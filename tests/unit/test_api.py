@@ -105,8 +105,8 @@ def test_given_engines_and_physics_are_used(tmp_path: Path) -> None:
 
 
 def test_thresholds_decide() -> None:
-    """A box is planned 100 mm, half its height, above another box. It falls and lands flat, so only its shift can
-    exceed a threshold."""
+    """A box is planned 100 mm, half its height, above another box. The upper box falls and lands flat, so only its
+    shift can exceed a threshold."""
     floats = make_plan("floats", [*stack(1), ((400.0, 300.0, 200.0), (0.0, 0.0, 300.0), 5.0)])
     limits: dict[str, Thresholds] = {"shift": Thresholds(), "": Thresholds(shift_m=0.2)}
     for reason, thresholds in limits.items():

@@ -87,8 +87,8 @@ def test_a_centre_of_mass_outside_its_box_costs_the_plan(capsys: pytest.CaptureF
 
 
 def test_plans_say_it_themselves() -> None:
-    """Plans in all file formats can contain the properties of their boxes. These take precedence over those in a table
-    of articles."""
+    """Plans in all file formats can contain the properties of their boxes. Properties in plans take precedence over
+    those in a table of articles."""
     stated_plan = with_articles(plan(1), read_articles(write(Path("articles.csv"), TABLE)))
     table = write(Path("others.csv"), "article,material,com_length_mm\ncrate,steel,-9\nbread,wood,7\n")
     for name in ("a.json", "a.csv", "a.parquet"):

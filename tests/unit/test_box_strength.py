@@ -1,5 +1,5 @@
-"""Tests of the strength of boxes in a stack. It depends on which walls stand on walls, on edges, gaps and sheets. Loads
-are forces at rest and at the peak."""
+"""Tests of the strength of boxes in a stack. The strength depends on which walls stand on walls, on edges, gaps and
+sheets. Loads are forces at rest and at the peak."""
 
 from __future__ import annotations
 
@@ -250,8 +250,8 @@ def test_moisture_and_time_take_what_their_tables_say() -> None:
 
 
 def test_boxes_are_crushed_surely_possibly_or_not() -> None:
-    """The lower box carries a box that lies across it. So its strength is reduced by a half, with an uncertainty of a
-    fifth: it is 0.4 to 0.6 of its strength in a press."""
+    """The lower box carries a box that lies across it. So the strength of the lower box is reduced by a half, with an
+    uncertainty of a fifth: it is 0.4 to 0.6 of the strength in a press."""
     weight_n = KG * STANDARD_GRAVITY
     crushed = []
     for strength_n in (1.5 * weight_n, 1.8 * weight_n, 3.0 * weight_n, np.nan):

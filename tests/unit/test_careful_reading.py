@@ -276,7 +276,7 @@ def test_a_file_whose_boxes_mostly_overlap_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("listed", ["by layers", "from back to front"])
 def test_the_order_of_boxes_tells_the_vertical_axis(tmp_path: Path, listed: str) -> None:
-    """A block of equal boxes stands on each of its sides. It is listed from the ground up."""
+    """A block of equal boxes stands on each of its sides. The block is listed from the ground up."""
     corners = [(370 * x, 190 * y, 240 * z) for z in range(3) for y in range(4) for x in range(3)]
     if listed == "from back to front":
         corners.sort(key=lambda corner: (corner[1], corner[2], corner[0]))

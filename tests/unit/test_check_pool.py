@@ -1,5 +1,5 @@
-"""Tests of the processes that check outcomes during a run. Their findings are those of the run itself, even if one of
-the processes dies."""
+"""Tests of the processes that check outcomes during a run. The findings of the processes are those of the run itself,
+even if one of the processes dies."""
 
 from __future__ import annotations
 

@@ -180,8 +180,8 @@ def _columns(placements: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def test_plans_are_counted_and_told_once() -> None:
-    """There is one message for all plans with the same mistake, with their number. This also holds if so many other odd
-    plans come first that not all plans are checked for all conventions."""
+    """There is one message for all plans with the same mistake, with their number. The message counts all plans with
+    the mistake even if so many other odd plans come first that not all plans are checked for all conventions."""
     centres = boxes(MISTAKES["centres"])
     plans = [replace(as_plan(centres), plan_id=f"p{k}") for k in range(300)]
     floating = [((100.0, 100.0, 100.0), (300.0 * k, 0.0, 40.0 * k), 1.0) for k in range(3)]
@@ -283,8 +283,8 @@ def brickwork(rng: np.random.Generator, layers: int) -> list[dict[str, Any]]:
 
 
 def as_they_stand(boxes: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The same boxes, but with length and width swapped if the box is rotated, so that sizes are those along x and
-    y."""
+    """The given boxes, but with length and width swapped if the box is rotated, so that sizes are those
+    along x and y."""
     sides = ("length_mm", "width_mm")
     return [{**box, sides[0]: box[sides[1]], sides[1]: box[sides[0]]} if box["orientation"] else box for box in boxes]
 

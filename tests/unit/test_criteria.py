@@ -181,8 +181,8 @@ LEANING = [beam(0, 400, 0, 200, kg=5), beam(630, 1030, 0, 400, kg=10), beam(230,
 
 
 def test_a_box_leans_on_its_neighbour() -> None:
-    """The centre of the leaning box is 30 mm beyond the edge. Its neighbour must press with 0.15 of the box's weight,
-    200 mm above the edge."""
+    """The centre of the leaning box is 30 mm beyond the edge. The neighbour of the leaning box must press with 0.15 of
+    the box's weight, 200 mm above the edge."""
     answers = asked(LEANING)
     assert says(answers)["force_balance_leaning"]
     assert not says(answers)["force_balance"]
@@ -389,8 +389,8 @@ def test_answers_do_not_depend_on_where_the_plan_is() -> None:
 
 
 def test_equilibrium_has_the_sign_of_vertical_forces_that_balance() -> None:
-    """The slack of ``equilibrium`` is positive exactly if vertical forces can balance the boxes. This is checked in 40
-    random piles, after each placement until a box has no balance."""
+    """The slack of ``equilibrium`` is positive exactly if vertical forces can balance the boxes. The sign of the slack
+    is checked in 40 random piles, after each placement until a box has no balance."""
     rng = np.random.default_rng(11)
     accepted = []
     for _ in range(40):

@@ -178,8 +178,8 @@ def module_path(parts: list[str]) -> Path | None:
 def resolves(name: str) -> bool:
     """Whether a name such as "petmjx.world.scene" is a module, or is defined in a module. Nothing is imported.
 
-    Public names such as ``petmjx.score`` are imported by ``petmjx/__init__.py``. For them, the module that defines the
-    name is checked.
+    Public names such as ``petmjx.score`` are imported by ``petmjx/__init__.py``. For public names, the module that
+    defines the name is checked.
     """
     parts = name.split(".")
     depth = max((depth for depth in range(1, len(parts) + 1) if module_path(parts[:depth])), default=0)
@@ -249,7 +249,8 @@ def test_every_thread_has_a_name_and_a_line_on_the_page() -> None:
 
 
 def test_the_readme_is_short_and_its_table_is_that_of_the_page() -> None:
-    """The README is short. It shows some lines of the output of ``make demo``; docs/results.md explains all lines."""
+    """The README is short. The README shows some lines of the output of ``make demo``; docs/results.md explains all
+    lines."""
     lines = (REPOSITORY / "README.md").read_text(encoding="utf-8").splitlines()
     assert len(lines) <= 150
     shown = lines[lines.index("$ make demo") : lines.index("results in petmjx-results/demo") + 1]

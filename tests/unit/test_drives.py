@@ -1,4 +1,4 @@
-"""Tests of the unit of a profile's samples. It is the same on every engine, and does not depend on gravity."""
+"""Tests of the unit of a profile's samples. The unit is the same on every engine, and does not depend on gravity."""
 
 from __future__ import annotations
 

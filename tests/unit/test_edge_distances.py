@@ -237,8 +237,8 @@ def test_a_counterweight_that_comes_too_late_is_named() -> None:
 
 
 def test_a_world_that_stands_otherwise_than_planned_leans() -> None:
-    """The flag ``leans`` is set for a lid that tips by 11°, and for a box that sinks by 12 mm. It is not set if lid and
-    box are where they are planned."""
+    """The flag ``leans`` is set for a lid that tips by 11°, and for a box that sinks by 12 mm. The flag is not set if
+    lid and box are where they are planned."""
     flat = (LID[0], ((200, 300, 200), (160, 0, 0), 8.0), LID[2])
     floats: Sequence[Box] = (((400, 300, 200), (0, 0, 0), 5.0), ((400, 300, 200), (0, 0, 212), 5.0))
     near: Sequence[Box] = (((400, 300, 200), (0, 0, 0), 5.0), ((400, 300, 200), (0, 0, 202), 5.0))

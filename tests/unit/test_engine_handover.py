@@ -35,7 +35,8 @@ CHEAP = replace(MEASURED, kernel_start_s=0.0)
 
 
 class Slow(MujocoEngine):
-    """C MuJoCo, which reports for each world the expected time × ``times``. Its states contain the engine's name."""
+    """C MuJoCo, which reports for each world the expected time × ``times``. The states of this engine contain the
+    engine's name."""
 
     def __init__(self, times: float) -> None:
         super().__init__(1)
@@ -55,7 +56,7 @@ class Slow(MujocoEngine):
 
 
 class Kernels(Engine):
-    """The engine that takes the remaining worlds. It fails after ``fails_after`` worlds."""
+    """The engine that takes the remaining worlds. The engine fails after ``fails_after`` worlds."""
 
     name = "mjx-warp-cpu"
 

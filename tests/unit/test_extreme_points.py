@@ -1,5 +1,5 @@
-"""Tests of the candidate places on many pallets. They depend neither on what happened to a pallet before, nor on the
-other pallets that are computed together."""
+"""Tests of the candidate places on many pallets. The places depend neither on what happened to a pallet before, nor on
+the other pallets that are computed together."""
 
 from __future__ import annotations
 

@@ -48,8 +48,8 @@ def test_a_world_that_cannot_be_built_is_invalid_and_the_others_go_on() -> None:
 
 
 def test_an_error_of_mujoco_is_kept_with_its_message() -> None:
-    """If MuJoCo raises an error, the outcome contains the error's message. Here, 160 boxes at the same place have
-    50,000 contacts, for which the solver has no memory."""
+    """If MuJoCo raises an error, the outcome contains the error's message. In this test, 160 boxes at the same place
+    have 50,000 contacts, for which the solver has no memory."""
     run = petmjx.score([make_plan("a", stack(3)), in_one_place(160), make_plan("z", stack(2))], check="static")
     worlds = run.worlds.set_index("plan_id")
     assert worlds["verdict"].to_dict() == {"a": "stable", "crowded": "invalid", "z": "stable"}

@@ -63,7 +63,7 @@ PLANK = [
 
 def test_a_plank_on_three_supports() -> None:
     """The largest force on an outer support acts at its inner edge, while the remaining weight is at the far end of the
-    plank. This force is 500 / 900 of the weight."""
+    plank. The largest force on an outer support is 500 / 900 of the weight."""
     outer = [0, 60 * 500 / 900]
     assert found(PLANK).tolist() == pytest.approx(np.array([outer, [0, 60], outer, [0, 0]]), abs=1e-4)
 
@@ -87,8 +87,9 @@ WEDGED = [
 
 
 def test_a_box_wedged_between_two_walls() -> None:
-    """The walls can carry the whole box by friction. They can also press it down by friction, with μ N each, where N is
-    the horizontal force. This lifts the walls, so N is at most μ (W - μ N); otherwise they would slide apart."""
+    """The walls can carry the whole box by friction. The walls can also press the box down by friction, with μ N each,
+    where N is the horizontal force. Friction that presses the box down lifts the walls, so N is at most μ (W - μ N);
+    otherwise the walls would slide apart."""
     pressing = MU * WALL_KG * 10 / (1 + MU**2)
     assert found(WEDGED)[1] == pytest.approx([0, 30 + 2 * MU * pressing], abs=1e-3)
 

@@ -1,5 +1,6 @@
-"""Tests of the corpus of files of other tools. Its plans can be built. Its files, read without petmjx's reader, contain
-these plans. If only plausibility determines how a file must be read, no other reading is as plausible."""
+"""Tests of the corpus of files of other tools. The plans of the corpus can be built. The files of the corpus, read
+without petmjx's reader, contain these plans. If only plausibility determines how a file must be read, no other reading
+is as plausible."""
 
 from __future__ import annotations
 

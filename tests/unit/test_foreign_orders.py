@@ -171,8 +171,8 @@ def test_quantities_that_rise_are_asked_about(tmp_path: Path) -> None:
 
 
 def test_an_unknown_column_that_may_be_a_quantity_is_refused(tmp_path: Path) -> None:
-    """A file is refused if an unknown column may be a quantity. It is not refused if articles occur in several rows, so
-    that each row must be one box."""
+    """A file is refused if an unknown column may be a quantity. The file is not refused if articles occur in several
+    rows, so that each row must be one box."""
     path = tmp_path / "a.csv"
     path.write_text("sku,L,B,H,weight,Foo\ns,400,300,200,6.5,2\nl,600,400,250,12,1\n")
     message = (
@@ -313,8 +313,8 @@ THPACK = """ 2
 
 
 def test_container_loading_problems(tmp_path: Path) -> None:
-    """In container loading problems, the height of a box is vertical if this is permitted. Otherwise, the next
-    permitted dimension is vertical."""
+    """In container loading problems, the height of a box is vertical if this is permitted. If the height may not be
+    vertical, the next permitted dimension is vertical."""
     (tmp_path / "thpack1.txt").write_text(THPACK)
     orders = read(
         tmp_path / "thpack1.txt",

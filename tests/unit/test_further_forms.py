@@ -511,7 +511,7 @@ def by_matrices(box: list[float]) -> dict[str, Any]:
 
 def scene() -> Any:
     """A scene as exported by three.js and Unity: scaled unit cubes, given by their centres in metres, with y upwards.
-    It has no cube for the container."""
+    The scene has no cube for the container."""
     cubes = {}
     for number, (x, y, z, length, width, height, kg) in enumerate(PILE):
         middle = {"x": (x + length / 2) / 1e3, "y": (z + height / 2) / 1e3, "z": (y + width / 2) / 1e3}
@@ -1607,8 +1607,8 @@ def test_densities_are_read_in_their_unit(tmp_path: Path, name: str) -> None:
     ],
 )
 def test_densities_in_an_unknown_unit_are_refused(tmp_path: Path, header: str, density: float, message: str) -> None:
-    """Densities in an unknown unit are refused. They may be in lb/ft³ if lengths are in inches, and if they would be
-    too small for kg/m³."""
+    """Densities in an unknown unit are refused. Such densities may be in lb/ft³ if lengths are in inches, and if they
+    would be too small for kg/m³."""
     unit = ",in" if header.endswith("unit") else ""
     boxes = [f"16,12,10,{density}{unit}"] * 2 if unit else [f"400,300,200,{density}"] * 2
     places = ["0,0,0", "16,0,0" if unit else "400,0,0"]

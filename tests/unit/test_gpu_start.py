@@ -1,5 +1,5 @@
-"""Tests of the start of a GPU or of workers while plans are read. They are started only if the run will use them. An
-error is reported when the GPU or the workers are needed."""
+"""Tests of the start of a GPU or of workers while plans are read. The GPU or the workers are started only if the run
+will use them. An error is reported when the GPU or the workers are needed."""
 
 from __future__ import annotations
 
@@ -92,7 +92,8 @@ def test_what_is_wrong_with_plans_is_not_held_up(monkeypatch: pytest.MonkeyPatch
 
 def test_importing_the_engine_starts_no_device_of_jax_and_waits_for_no_mjx() -> None:
     """While the engine is imported, another thread starts JAX's devices, in such a way that JAX leaves memory for Warp.
-    If the import came first, JAX would take three quarters of the GPU's memory. Here, JAX has no device to start.
+    If the import came first, JAX would take three quarters of the GPU's memory. In this test, JAX has no device to
+    start.
 
     The engine does not import ``mujoco.mjx``, since this import takes longer than everything else that a single plan
     needs on a GPU."""

@@ -78,7 +78,7 @@ def test_gymnasium_finds_nothing_wrong(options: dict[str, Any]) -> None:
 
 def test_gymnasium_makes_it_in_a_fresh_interpreter() -> None:
     """Gymnasium makes the environment in a new interpreter. The module is named, since Gymnasium 1 loads no plug-ins.
-    It is made twice, to check that a second import does not register it again."""
+    The environment is made twice, to check that a second import does not register it again."""
     program = """
 import gymnasium
 for _ in range(2):
@@ -358,9 +358,9 @@ assert petmjx.gym
 
 
 def test_boxes_without_a_place_are_left_out_in_few_calls(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Boxes for which there is no place are left out in few calls. Here, there is no place for 50 boxes of three kinds,
-    but for the box after them. Places are searched once for each kind: in the first call for the next box, in the
-    second call for the two other kinds, in the third call for the last box."""
+    """Boxes for which there is no place are left out in few calls. In this test, there is no place for 50 boxes of
+    three kinds, but for the box after them. Places are searched once for each kind: in the first call for the next box,
+    in the second call for the two other kinds, in the third call for the last box."""
     sizes = [(600, 400, 200), *[(600, 400, 1900 + 10 * (number % 3)) for number in range(50)], (300, 200, 100)]
     rows = [(0, *size, 5.0) for size in sizes]
     orders = pd.DataFrame(rows, columns=["order_id", "length_mm", "width_mm", "height_mm", "weight_kg"])

@@ -109,8 +109,9 @@ def check_frames(outcome: Outcome, sim: Simulation, interval_s: float, drive: Dr
 
 
 def test_a_box_begins_where_it_is_released_and_nothing_acts_on_it_yet() -> None:
-    """In the first frame of a box, the box is at the place of its release, and nothing acts on it. This place is as
-    deep as its own weight will press it, and lower by the distance by which its support has sunk."""
+    """In the first frame of a box, the box is at the place of its release, and nothing acts on it. The place of the
+    release is as deep as the box's own weight will press it, and lower by the distance by which its support has
+    sunk."""
     scene = make_scene(3)
     release = release_of(scene, Simulation())
     history = history_of(simulate(scene, Simulation(), Record(1.0, details=True)))

@@ -177,7 +177,7 @@ def test_what_reads_results_loads_no_simulator() -> None:
 
 
 def test_a_process_of_searches_loads_neither_tables_nor_simulators() -> None:
-    """So it starts in half a second."""
+    """Without tables and simulators, a process of searches starts in half a second."""
     code = f"import sys, petmjx.repairs.search_processes\nprint(*{{'pandas', *{SIMULATORS}}} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == []

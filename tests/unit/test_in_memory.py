@@ -1,5 +1,5 @@
-"""Tests of runs without a folder. Results are the same as those of runs with a folder. They stay in memory unless they
-exceed the size of one part of a table."""
+"""Tests of runs without a folder. Results are the same as those of runs with a folder. The results stay in memory
+unless they exceed the size of one part of a table."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ def finish(dealer: JobDealer, hand: Hand, jobs: Iterable[int] | None = None) -> 
 
 
 def dead(dealer: JobDealer, hand: Hand) -> list[int]:
-    """The jobs that are given up after the death of a worker. Its place gets another worker."""
+    """The jobs that are given up after the death of a worker. The place of the dead worker gets another worker."""
     given_up = dealer.died(hand)
     vars(hand).update(vars(Hand(hand.threads, ready=True)))
     return given_up

@@ -186,16 +186,16 @@ def test_an_engine_with_a_stream_has_all_worlds_in_one_run() -> None:
 
 @pytest.mark.parametrize(("options", "count"), [({}, attempt_stream.FIRST_WORLDS), ({"begin_with": 7}, 7)])
 def test_an_engine_knows_how_many_jobs_to_wait_for_at_first(options: dict[str, int], count: int) -> None:
-    """The engine knows how many jobs it should wait for before it begins. Otherwise, a GPU would begin with the first
-    job, and compile programs for a single job."""
+    """The engine knows how many jobs it should wait for before it begins. If the engine did not know this, a GPU would
+    begin with the first job, and compile programs for a single job."""
     engine = Streaming()
     assert len(list(score_worlds(worlds_failing(0), SIM, engine, **options))) == 1
     assert engine.begin_with == count
 
 
 def test_the_source_pauses_while_many_wait_for_another_attempt(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The source of jobs pauses while many worlds wait for another attempt. Otherwise, memory would grow with the
-    number of invalid worlds."""
+    """The source of jobs pauses while many worlds wait for another attempt. If the source did not pause, memory would
+    grow with the number of invalid worlds."""
     monkeypatch.setattr(attempt_stream, "PENDING_BOXES", 2)
     monkeypatch.setattr("petmjx.engines.attempt_runner.MOST_TOGETHER", 1)
     engine, drawn = Streaming(), 0

@@ -81,8 +81,8 @@ EXTENT = (24, 18)
 
 
 def on_a_raster(corner: FloatArray, size: FloatArray) -> tuple[FloatArray, Sequence[int]]:
-    """The supported share of each box, and the number of boxes below. They are computed as by BED-BPP's evaluator: from
-    a map with the topmost box at each square millimetre."""
+    """The supported share of each box, and the number of boxes below. The shares and numbers are computed as by
+    BED-BPP's evaluator: from a map with the topmost box at each square millimetre."""
     last, height = np.zeros(EXTENT, dtype=int), np.zeros(EXTENT)
     shares, numbers = [], []
     for box, ((x, y, z), (dx, dy, dz)) in enumerate(zip(corner.astype(int), size.astype(int), strict=True)):

@@ -283,7 +283,7 @@ def test_labels_that_were_interrupted_go_on_as_if_they_had_not_been(
 
 @pytest.fixture(scope="module")
 def unfinished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An unfinished set that should have 60 labels. It has two parts, with one episode each."""
+    """An unfinished set that should have 60 labels. The unfinished set has two parts, with one episode each."""
     folder = tmp_path_factory.mktemp("unfinished")
     some_orders(2).to_csv(folder / "orders.csv", index=False)
     out = folder / "set"
@@ -398,8 +398,8 @@ def test_what_is_damaged_is_named_before_labels_are_made(
 
 
 def test_labels_of_another_reading_or_number_are_not_resumed(begun: Path) -> None:
-    """Labels are not resumed if orders are read differently, or with another number of pallets. They are resumed if the
-    same file has another name."""
+    """Labels are not resumed if orders are read differently, or with another number of pallets. Labels are resumed if
+    the same file has another name."""
     before, renamed = content(begun), begun.parent / "renamed.csv"
     (begun.parent / "orders.csv").rename(renamed)
     n_kept = listed(begun)["labels"]

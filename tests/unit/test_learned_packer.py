@@ -279,8 +279,8 @@ def test_the_weights_are_small_and_in_the_package(tmp_path: Path) -> None:
 
 
 def test_chances_are_right_for_placements_that_were_kept_aside() -> None:
-    """The predicted probabilities are right for 800 placements of orders that were not used for training. They were
-    simulated on a GPU (docs/packers.md)."""
+    """The predicted probabilities are right for 800 placements of orders that were not used for training. The
+    placements were simulated on a GPU (docs/packers.md)."""
     with np.load(Path(__file__).parents[1] / "support" / "held_out_placements.npz") as file:
         features, stands = file["features"].astype(float), file["stands"].astype(float)
     chances = likely(published_policy().head, features)

@@ -1,5 +1,5 @@
-"""Tests of time estimates for this machine. Its speed is measured if it matters, and estimated CPU times are scaled
-accordingly. Kernels that it has compiled before start sooner."""
+"""Tests of time estimates for this machine. The speed of the machine is measured if it matters, and estimated CPU times
+are scaled accordingly. Kernels that it has compiled before start sooner."""
 
 from __future__ import annotations
 
@@ -151,8 +151,8 @@ def test_where_nothing_can_be_kept_the_machine_is_measured(monkeypatch: pytest.M
 
 
 def test_the_block_stands() -> None:
-    """The block of boxes that measures the machine's speed stands. So its steps are like those of pallets at rest, and
-    their number is the same on every machine."""
+    """The block of boxes that measures the machine's speed stands. So the steps of this block are like those of pallets
+    at rest, and their number is the same on every machine."""
     (outcome,) = MujocoEngine(1).run([Job(build_scene(machine_speed.block(), SIM))], SIM)
     assert (outcome.verdict, outcome.n_boxes) == (Verdict.STABLE, machine_speed.SIDE**2 * machine_speed.LAYERS)
     assert machine_speed.block_s() > 0.0

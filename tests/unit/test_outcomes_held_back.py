@@ -35,8 +35,8 @@ LONGEST_S = 30.0
 """Longest time that a test waits, s: long enough for a busy machine."""
 
 Hold = Callable[[int], None]
-"""Function that is called with the number of outcomes that an engine has yielded so far. It waits until the watcher has
-been told of this number of worlds."""
+"""Function that is called with the number of outcomes that an engine has yielded so far. The function waits until the
+watcher has been told of this number of worlds."""
 
 
 class FromAList(MujocoEngine):
@@ -64,7 +64,8 @@ class InTheMidst(MujocoEngine):
 
 
 class OnItsOwn:
-    """An engine with only the required attributes. Its progress wrongly says that many outcomes are at hand."""
+    """An engine with only the required attributes. The progress of this engine wrongly says that many outcomes are at
+    hand."""
 
     name = "mine"
     hold: Hold

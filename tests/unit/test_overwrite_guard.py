@@ -222,8 +222,8 @@ def test_an_input_is_never_replaced(
 
 
 def test_plans_in_the_place_of_a_run_s_table_are_kept(inputs: Path, tmp_path: Path) -> None:
-    """The folder ``plans`` has parts of a data set that another tool wrote. It lies where the run would write its own
-    table ``plans``."""
+    """The folder ``plans`` has parts of a data set that another tool wrote. The data set lies where the run would write
+    its own table ``plans``."""
     (tmp_path / "plans").mkdir()
     part = tmp_path / "plans" / "part-00000.parquet"
     petmjx.save_plans(make_plan("m1"), part)

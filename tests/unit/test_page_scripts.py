@@ -1,7 +1,7 @@
 """Scripts, styles and templates of HTML pages: their syntax, their imports, and things that they must never contain.
 
-``make check`` runs this file. It takes the place of a linter of JavaScript, which would need npm. If Node is installed,
-it parses the scripts; further rules are checked in Python. (The browser tests of pages run all scripts.)
+``make check`` runs this file. The file takes the place of a linter of JavaScript, which would need npm. If Node is
+installed, it parses the scripts; further rules are checked in Python. (The browser tests of pages run all scripts.)
 """
 
 from __future__ import annotations

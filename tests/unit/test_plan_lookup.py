@@ -135,7 +135,7 @@ def test_resumed_runs_keep_them_once(tmp_path: Path) -> None:
 
 
 def test_the_folder_of_a_run_stands_for_its_plans(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """This also holds for plans that were never in a file."""
+    """The folder of a run also stands for plans that were never in a file."""
     folder, again, file = tmp_path / "R", tmp_path / "again", tmp_path / "plans.json"
     given = plans()[:3]
     names = [plan.plan_id for plan in given]

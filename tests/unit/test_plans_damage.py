@@ -217,8 +217,8 @@ def test_a_damaged_spot_is_one_line_with_its_place(samples: list[Sample]) -> Non
 
 
 def test_of_a_refused_file_nothing_is_left(samples: list[Sample], tmp_path: Path) -> None:
-    """Its ids may be used by other files, its plans get no numbers, and no warning names its unknown fields or bad
-    plans."""
+    """The ids of a refused file may be used by other files, its plans get no numbers, and no warning names its unknown
+    fields or bad plans."""
     text = json.dumps({"bad": [], "A": [placement(colour="red")], "B": [placement()]})
     (tmp_path / "a.json").write_text(text[:-1])
     (tmp_path / "b.json").write_text(json.dumps({"B": [placement()], "A": [placement()]}))

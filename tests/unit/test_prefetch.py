@@ -119,7 +119,7 @@ def test_an_interrupt_does_not_end_the_wait_for_the_thread() -> None:
 
 @pytest.mark.parametrize("most", [1, 100])
 def test_to_close_it_closes_the_generator_and_ends_its_thread(most: int) -> None:
-    """This holds whether the thread waits for room or not."""
+    """To close the generator ends its thread whether the thread waits for room or not."""
     numbers = Numbers(10**9)
     ahead = prefetch(numbers.all(), most=most)
     assert next(ahead) == 0

@@ -77,7 +77,7 @@ PILES = [bridging_pile(np.random.default_rng(seed)) for seed in range(N_PILES)]
 
 
 def test_a_load_is_beyond_an_edge_only_if_nothing_balances_the_boxes() -> None:
-    """A load is beyond an edge only if no forces balance the boxes. This is checked with an independent linear
+    """A load is beyond an edge only if no forces balance the boxes. The rule is checked with an independent linear
     programme over all forces, for 60 random piles, when they are complete and after each placement."""
     by_plan = plan_edges(PILES, [scene.n_boxes for scene in PILES])
     verdicts = [bool(np.nanmin(edges.by_load) >= 0) for edges in by_plan]
@@ -169,8 +169,8 @@ def test_what_is_beyond_the_edge_is_borne_by_the_edge() -> None:
 
 
 def test_loads_after_placements_are_those_of_the_plan_so_far() -> None:
-    """The load of each box after each placement is that in a plan of the boxes placed so far. This is checked for ten
-    piles, with and without supports that would have to pull."""
+    """The load of each box after each placement is that in a plan of the boxes placed so far. The loads are checked for
+    ten piles, with and without supports that would have to pull."""
     for scene in PILES[:10]:
         bearing, n = bearing_of(scene), scene.n_boxes
         built = building_loads_of(bearing, [n])

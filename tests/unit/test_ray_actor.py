@@ -1,4 +1,4 @@
-"""The code that runs in a worker's process. It also works without Ray."""
+"""The code that runs in a worker's process. The code of a worker also works without Ray."""
 
 from __future__ import annotations
 
@@ -113,8 +113,8 @@ def test_processes_beside_a_worker_look_at_the_outcomes_of_large_runs(monkeypatc
 
 
 class _Streaming:
-    """An engine that takes a stream of jobs, and needs no time. It waits for many jobs, and then yields their outcomes,
-    the last one first."""
+    """An engine that takes a stream of jobs, and needs no time. The engine waits for many jobs, and then yields their
+    outcomes, the last one first."""
 
     name = "streaming"
 

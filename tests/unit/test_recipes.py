@@ -34,8 +34,8 @@ class Copy:
         return [body for name, body in BLOCK.findall(sections[section]) if name == language]
 
     def change(self, diff: str) -> None:
-        """Apply a diff of the page. Its lines without a mark show the place of the change; ``@@`` separates two places
-        in a file."""
+        """Apply a diff of the page. The lines of a diff without a mark show the place of the change; ``@@`` separates
+        two places in a file."""
         for change in re.split(r"^--- ", diff, flags=re.MULTILINE)[1:]:
             name, _, body = change.partition("\n")
             path = self.folder / name

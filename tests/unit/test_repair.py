@@ -372,8 +372,8 @@ def test_a_search_asks_for_the_same_worlds_again() -> None:
 
 
 def test_a_draft_is_judged_as_it_is_scored() -> None:
-    """A judged world ends when a box tilts by 5°. It has the verdict and the culprit of the whole simulation. An
-    exception is the counterweight: its support tilts by 5° before the first box fails."""
+    """A judged world ends when a box tilts by 5°. The judged world has the verdict and the culprit of the whole
+    simulation. An exception is the counterweight: its support tilts by 5° before the first box fails."""
     question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=0))
     drafts = [Draft.of(make_plan(boxes=boxes)) for boxes in (COUNTERWEIGHT, TOWER, LATE_SUPPORT, stack(2))]
     judged = question.trials([Asked(draft, True) for draft in drafts])
@@ -728,8 +728,8 @@ def test_no_draft_is_judged_twice() -> None:
 
 
 def test_a_plan_that_begins_as_one_that_fell_is_not_simulated() -> None:
-    """The third box of a stair falls, before the fourth one is placed. It falls in the same way wherever the fourth box
-    is placed, but not if a box below is moved."""
+    """The third box of a stair falls, before the fourth one is placed. The third box falls in the same way wherever the
+    fourth box is placed, but not if a box below is moved."""
     plan = make_plan(boxes=TOWER)
     search, question = (
         Search(plan, Simulation(), RepairOptions(worlds=0)),
@@ -967,8 +967,8 @@ def test_other_ways_to_change_a_plan_come_between_the_amounts_of_one_way() -> No
 
 
 def test_a_plan_with_faults_all_over_is_built_anew() -> None:
-    """The third box of a stair goes beyond the edge. It is put elsewhere, if necessary together with the box on it. The
-    boxes below keep their places, and in the best result no load is beyond an edge."""
+    """The third box of a stair goes beyond the edge. The third box is put elsewhere, if necessary together with the box
+    on it. The boxes below keep their places, and in the best result no load is beyond an edge."""
     draft = Draft.of(make_plan(boxes=TOWER))
     rules, sim = Rules(draft.plan, Simulation(), 2000.0, built=2), Simulation()
     (balance,) = balances([draft], sim)

@@ -193,7 +193,8 @@ def test_changes_for_two_causes_are_those_for_each(some_plans: list[Plan]) -> No
 
 
 def test_the_balance_with_one_more_box_follows_from_the_one_before(some_plans: list[Plan]) -> None:
-    """Also where supports would have to pull, and where loads are beyond edges."""
+    """The balance with one more box is also right where supports would have to pull, and where loads are beyond
+    edges."""
     n_beyond = 0
     for draft in [*map(Draft.of, some_plans), *map(_shifted, some_plans)]:
         piles = [replace(draft, order=draft.order[:n]) for n in range(1, len(draft.order) + 1)]

@@ -318,7 +318,8 @@ def test_a_disk_that_was_full_for_a_while_is_tried_again(tmp_path: Path, monkeyp
 
 
 def test_a_run_file_that_could_not_be_written_is_written_later(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The part is on disk, but run.json could not be written. It is written later, although no further world ends."""
+    """The part is on disk, but run.json could not be written. The file run.json is written later, although no further
+    world ends."""
     failures = [OSError(28, "No space left on device")] * 2
 
     def failing(entries: dict[str, Any], folder: Path) -> None:

@@ -1,9 +1,9 @@
 """Run folders of earlier versions, whose rows have no ranks, are read, resumed and merged.
 
 ``tests/support/old_runs.zip`` was written at commit 6a85e320 by the engine of ``support.fake_engine``, in parts of two
-worlds. It has these runs: ``whole``, complete; ``cut``, interrupted after three worlds; the shards ``one`` and ``two``;
-``recorded``, made with ``mujoco``; and ``large-cut``, a sweep that was interrupted after eleven worlds and whose parts
-are numbered as in runs of more than 50,000 worlds.
+worlds. The zip file has these runs: ``whole``, complete; ``cut``, interrupted after three worlds; the shards ``one``
+and ``two``; ``recorded``, made with ``mujoco``; and ``large-cut``, a sweep that was interrupted after eleven worlds and
+whose parts are numbered as in runs of more than 50,000 worlds.
 """
 
 from __future__ import annotations

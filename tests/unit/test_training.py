@@ -170,8 +170,8 @@ def test_a_curriculum_grows_with_the_level() -> None:
 
 
 def test_boxes_with_errors_are_placed_by_a_hand_beside_their_places() -> None:
-    """The errors have about the size that docs/confidence.md states. They are twice as large at twice the strength, and
-    the same when the pallet is built again."""
+    """The errors have about the size that docs/confidence.md states. The errors are twice as large at twice the
+    strength, and the same when the pallet is built again."""
     strengths = np.repeat([0.0, 1.0, 2.0], 4)
     pallets = petmjx.Pallets(len(strengths), **THREADS)
     box = {"size_mm": (400, 300, 200), "mass_kg": 6.0}
@@ -236,7 +236,8 @@ def test_the_mask_sure_is_of_places_that_physics_allows() -> None:
 
 
 def test_a_window_shows_each_step(monkeypatch: pytest.MonkeyPatch) -> None:
-    """If Matplotlib can only draw into files, one line reports this. Otherwise every step draws a picture."""
+    """If Matplotlib can only draw into files, one line reports this. If Matplotlib can draw into windows, every step
+    draws a picture."""
     matplotlib = pytest.importorskip("matplotlib")
     monkeypatch.setattr(PalletizingEnv, "metadata", {**PalletizingEnv.metadata, "render_fps": 1000})
     env = PalletizingEnv(orders=table((400, 300, 200)), render_mode="human", **THREADS)

@@ -30,7 +30,7 @@ SETTINGS: Final[Any] = {
     "svg.fonttype": "none",  # Letters are stored as text, not as outlines.
     "svg.hashsalt": "petmjx",  # With a fixed salt, ids in SVG files are always the same.
     "pdf.fonttype": 42,  # Type 42 is TrueType, which journals require.
-    "font.family": "DejaVu Sans",  # This font comes with matplotlib.
+    "font.family": "DejaVu Sans",  # The font DejaVu Sans comes with matplotlib.
     "text.parse_math": False,  # Otherwise, a $ in a name would begin a formula.
     "font.size": POINTS,
     "axes.titlesize": POINTS,

@@ -70,7 +70,7 @@ def leaderboard(
     ``orders.json``, and the command, which ``index.html`` shows.
 
     Plans are simulated, with results in the folder ``runs``. Existing runs are used unchanged, but some of their plans
-    (number ``replays``) are simulated again. If these simulations contradict the run of an entry, the entry is not
+    (number ``replays``) are simulated again. If the new simulations contradict the run of an entry, the entry is not
     rated, and a ``PlanWarning`` states this.
 
     Args:

@@ -145,8 +145,8 @@ def _board_in(folder: Path) -> Mapping[str, Any] | None:
 
 
 def _is_a_board_file(name: str) -> bool:
-    """Whether a board can have a file with this name. Without this check, an edited ``leaderboard.json`` could make
-    petmjx delete other files."""
+    """Whether a board can have a file with this name. If petmjx did not check names, an edited ``leaderboard.json``
+    could make petmjx delete other files."""
     path = PurePosixPath(name)
     if len(path.parts) == 1:
         return name in (PAGE, DATA, ORDERS)

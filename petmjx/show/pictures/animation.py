@@ -142,7 +142,7 @@ def write_mp4(
                 if progress is not None:
                     progress(number + 1)
     except (RuntimeError, OSError) as error:
-        full = os.strerror(errno.ENOSPC)  # the encoder, a process, reports this error among its own
+        full = os.strerror(errno.ENOSPC)  # the encoder, a process, reports a full disk in its own error
         fault = f"cannot be written: {full}" if full in str(error) else f"the film cannot be encoded: {one_line(error)}"
         raise InputError(f"{path}: {fault}") from error
 
@@ -153,7 +153,8 @@ def h264_encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Call
     the file is complete.
 
     imageio-ffmpeg itself would start ffmpeg with a Python function between fork and exec. Such a function is unsafe if
-    the process has threads: after a run on a GPU, JAX warns of a deadlock. So petmjx starts ffmpeg without it.
+    the process has threads: after a run on a GPU, JAX warns of a deadlock. So petmjx starts ffmpeg without such a
+    function.
 
     Args:
         path: the file to write. An existing file is replaced.

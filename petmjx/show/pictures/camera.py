@@ -111,8 +111,8 @@ def framing(points: FloatArray, view: View, size: tuple[int, int], margins: Marg
     """The nearest camera with which all points are within the margins of its picture.
 
     Let (cx, cy, cz) be the camera's position along its own axes, and r the tangent of the angle between its forward
-    direction and the right margin. A point (x, y, z) is to the left of this margin if x − cx ≤ r (z − cz). So
-    cx − r cz ≥ A with A = max(x − r z) over all points. Likewise, −cx − l cz ≥ B for the left margin. The sum of both
+    direction and the right margin. A point (x, y, z) is to the left of the right margin if x − cx ≤ r (z − cz). So cx −
+    r cz ≥ A with A = max(x − r z) over all points. Likewise, −cx − l cz ≥ B for the left margin. The sum of both
     inequalities gives cz ≤ −(A + B) / (r + l). The upper and lower margins give another limit for cz. The smaller limit
     is used.
 

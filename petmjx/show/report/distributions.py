@@ -1,5 +1,5 @@
 """Charts of shift, tilt, force and the time of the first sign (when a box first crosses a threshold): histograms, and
-charts against the size of plans. Also charts about the boxes that fail first."""
+charts against the size of plans. The module also draws charts about the boxes that fail first."""
 
 from __future__ import annotations
 
