@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import mujoco
 from jaxtyping import Array, Float, Int
 
-from petmjx.engines.mjx.bed import Beds, Faces
 from petmjx.engines.mjx.body_dynamics import Bodies, Links
+from petmjx.engines.mjx.face_contacts import Beds, Faces
 from petmjx.engines.mjx.landing import Landing, act
 from petmjx.engines.mjx.mjx_import import mjx
 from petmjx.engines.mjx.newton import BlockSolver, Problem

@@ -1,5 +1,5 @@
 """Contacts of compliant boxes: the area in which the faces of two boxes press on one another. Twin of
-petmjx/engines/mujoco/bed.py."""
+petmjx/engines/mujoco/face_contacts.py."""
 
 from __future__ import annotations
 

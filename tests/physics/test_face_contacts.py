@@ -14,12 +14,12 @@ import pytest
 from support.plans import make_scene
 
 from petmjx.common.units import FloatArray
-from petmjx.engines.mjx.bed import Beds as JaxBeds
-from petmjx.engines.mjx.bed import Faces, bed_of
+from petmjx.engines.mjx.face_contacts import Beds as JaxBeds
+from petmjx.engines.mjx.face_contacts import Faces, bed_of
 from petmjx.engines.mjx.mjx_import import mjx
 from petmjx.engines.mjx.padded_template import override_fields, padded_template
 from petmjx.engines.mjx.world_constants import upload_worlds
-from petmjx.engines.mujoco.bed import Beds, face_pressure
+from petmjx.engines.mujoco.face_contacts import Beds, face_pressure
 from petmjx.engines.mujoco.live_world import LiveWorld
 from petmjx.options.simulation import Check, Simulation
 from petmjx.world.compliance import EDGE_SHARE

@@ -1,7 +1,7 @@
 """Contacts of compliant boxes in MJX's data: the area in which the faces of two boxes press on one another.
 
-This module does the same as petmjx/engines/mujoco/bed.py, but shares no arithmetic with it. The face of one box is
-clipped along the sides of the other face, and then to the area in which the faces press.
+This module does the same as petmjx/engines/mujoco/face_contacts.py, but shares no arithmetic with it. The face of one
+box is clipped along the sides of the other face, and then to the area in which the faces press.
 """
 
 from __future__ import annotations
