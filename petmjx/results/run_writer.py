@@ -31,8 +31,8 @@ from petmjx.engines.verdict import Attempt, Outcome
 from petmjx.plans.order_matching import OrderCheck
 from petmjx.plans.plan import Plan
 from petmjx.results.folder_lock import held_folder_lock
+from petmjx.results.placements_table import PLACEMENTS
 from petmjx.results.plan_order import WorldRanks, is_ranked
-from petmjx.results.plan_table import PLACEMENTS
 from petmjx.results.resume import CompletedWorlds, resume_state
 from petmjx.results.run_file import write_run_file
 from petmjx.results.run_folder import OF_WORLDS, RUN_FILE, check_run_folder, make_room, tidy

@@ -16,7 +16,7 @@ from petmjx.plans.plan_fields import UnreadFields
 from petmjx.plans.plan_segments import Segment, SegmentContent, read_segment
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.plan_sources import PlanSource, carrier_extent_mm, gather_plans
-from petmjx.results.plan_records import PlanRecord, records_of
+from petmjx.results.plan_digests import PlanRecord, records_of
 from petmjx.world.edge_distances import edge_risks
 from petmjx.world.scene import build_scenes
 

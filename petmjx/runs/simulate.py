@@ -29,9 +29,9 @@ from petmjx.plans.order_matching import OrderCheck, check_orders
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.plan_sources import PlanSource, are_files
+from petmjx.results.placements_table import placements_table
+from petmjx.results.plan_digests import PlanRecord
 from petmjx.results.plan_lookup import plans_in_place
-from petmjx.results.plan_records import PlanRecord
-from petmjx.results.plan_table import placements_table
 from petmjx.results.recording import Recording, recording_of
 from petmjx.results.resume import engine_of_run
 from petmjx.results.run_manifest import Manifest

@@ -20,7 +20,7 @@ import petmjx
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.plans import order_matching
 from petmjx.plans.order_matching import OrderCounts, PlanOrderCounts, check_orders
-from petmjx.results.plan_records import PlanRecord
+from petmjx.results.plan_digests import PlanRecord
 from petmjx.results.run_writer import RunWriter
 from petmjx.results.tables_in_progress import Tables
 

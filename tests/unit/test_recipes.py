@@ -176,7 +176,7 @@ def test_a_property_of_boxes(copy: Copy) -> None:
         """
 import numpy as np
 import petmjx
-from petmjx.results.plan_records import plan_digest
+from petmjx.results.plan_digests import plan_digest
 from petmjx.world.mujoco_model import build_spec
 from petmjx.world.scene import build_scenes
 boxes = dict(size_mm=[(400, 300, 200)] * 2, corner_mm=[(0, 0, 0), (0, 0, 200)], mass_kg=[5.0] * 2)
