@@ -199,7 +199,7 @@ def resolve_engine(
         name, reason = choose(seconds, threads, compiles=costs.kernel_start_s > costs.kernel_load_s)
     engine, choice = make_engine(name, **options_of(name, options)), Choice(name, reason, seconds.get(name))
     if hands_over and requested_engine == AUTO and name == "mujoco" and options.world_timeout_s is None:
-        from petmjx.engines.engine_handover import HandoverEngine
+        from petmjx.engines.mujoco_to_warp_handover import HandoverEngine
         from petmjx.engines.mujoco.engine import MujocoEngine  # imported here, since it loads MuJoCo
 
         kernels = "mjx-warp-cpu"

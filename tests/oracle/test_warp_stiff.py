@@ -17,8 +17,8 @@ from support.plans import make_plan, make_world, stack
 from support.tiny_worlds import devices, engine, shared_engine
 
 import petmjx
+from petmjx.engines.attempt_settings import ATTEMPTS, AttemptRecipe
 from petmjx.engines.attempt_stream import score_worlds
-from petmjx.engines.attempts import ATTEMPTS, AttemptRecipe
 from petmjx.engines.contact_penetration import STIFF_INTERVAL_S, stiffened
 from petmjx.engines.mjx.timetable import build_timetable
 from petmjx.engines.mujoco.engine import MujocoEngine

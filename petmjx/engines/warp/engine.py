@@ -43,7 +43,7 @@ class MjxWarpEngine(Engine):
     (petmjx/engines/warp/kernel_launcher.py).
 
     The only solver of this engine is Newton's method. C MuJoCo makes the attempts that need another solver
-    (petmjx/engines/attempts.py).
+    (petmjx/engines/attempt_settings.py).
 
     Args:
         lanes: largest number of worlds in blocks of one kind. If ``lanes`` is None, the limit is the number for which

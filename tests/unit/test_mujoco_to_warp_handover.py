@@ -17,9 +17,9 @@ import petmjx
 from petmjx.common.errors import EngineUnavailable
 from petmjx.engines.cost_model import MEASURED, Costs, Work
 from petmjx.engines.engine_choice import Choice
-from petmjx.engines.engine_handover import LEAST_WORLDS, HandoverEngine
 from petmjx.engines.job_stream import JobStream
 from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.mujoco_to_warp_handover import LEAST_WORLDS, HandoverEngine
 from petmjx.engines.protocol import Engine, Progress, takes_stream
 from petmjx.engines.run_engine import resolve_engine
 from petmjx.engines.verdict import Outcome, Verdict

@@ -17,8 +17,8 @@ from typing import Any, Final, Generic, TypeVar
 from petmjx.common.errors import EngineUnavailable, InputError
 from petmjx.common.text import count_text, one_line, three_digits
 from petmjx.common.units import FloatArray
-from petmjx.engines.attempt_runner import outcomes_of_stream
-from petmjx.engines.attempts import ready_for
+from petmjx.engines.attempt_settings import ready_for
+from petmjx.engines.attempt_with_fallback import outcomes_of_stream
 from petmjx.engines.cost_model import Costs
 from petmjx.engines.engine_choice import GAIN
 from petmjx.engines.job_stream import JobStream

@@ -9,7 +9,7 @@ from typing import Any, Final, Generic, cast
 
 from petmjx.common.errors import PetmjxError
 from petmjx.common.text import one_line
-from petmjx.engines.attempts import AttemptRecipe, Engines, ready_for
+from petmjx.engines.attempt_settings import AttemptRecipe, Engines, ready_for
 from petmjx.engines.failed_world import failed_outcome
 from petmjx.engines.job_stream import JobStream
 from petmjx.engines.outcome_checks import MOST_TOGETHER, outcome_checks
