@@ -74,7 +74,7 @@ def convert(
 def _convert_orders(files: list[Path], out: Path, target: str | None, options: dict[str, Any]) -> None:
     """Write the orders of a file in BED-BPP's form."""
     from petmjx.options.run_options import RunOptions
-    from petmjx.plans.item_orders import OrderReading
+    from petmjx.plans.item_units_and_quantities import OrderReading
     from petmjx.plans.json_writer import write_orders
     from petmjx.plans.order_reader import read_orders
 
