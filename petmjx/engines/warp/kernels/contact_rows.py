@@ -1,4 +1,4 @@
-"""Constraints of a world: the rows of its contacts, and the contacts of each body.
+"""Rows of contacts: the constraints of a world in the solver, and the contacts of each body.
 
 Contacts have MuJoCo's parameters (its documentation, "Modeling", "Solver parameters"). Each of a contact's two bodies
 is free or does not move. So the contact's frame and three moment arms per body (27 numbers) describe it.
@@ -9,10 +9,10 @@ from __future__ import annotations
 import warp as wp
 
 from petmjx.engines.warp.kernels.block_threads import cross, fused, prefix_sums, times, wait_for_all
+from petmjx.engines.warp.kernels.body_dynamics import angular_velocity, body_of, center, first_geom, linear_velocity
 from petmjx.engines.warp.kernels.compliance import spring_law
 from petmjx.engines.warp.kernels.efc import is_new, put_number
 from petmjx.engines.warp.kernels.elimination_order import free_position
-from petmjx.engines.warp.kernels.motion import angular_velocity, body_of, center, first_geom, linear_velocity
 from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Workspace, Worlds
 from petmjx.world.contact_laws import STICKS_M_S
 

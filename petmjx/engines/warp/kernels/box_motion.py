@@ -1,4 +1,4 @@
-"""Samples of a box: its tilt, speed, excess over thresholds, and whether it has dropped.
+"""The motion of a box at a sample: its tilt, speed, excess over thresholds, and whether it has dropped.
 
 Twin of petmjx/engines/mjx/box_motion.py and petmjx/engines/mjx/running_metrics.py.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 import warp as wp
 
 from petmjx.engines.metrics import GONE_DESCENT, GONE_TILT, RESTLESS_M_S, RISING_M_S2
-from petmjx.engines.warp.kernels.motion import box_half, center, middle_of, orientation, rotation
+from petmjx.engines.warp.kernels.body_dynamics import box_half, center, middle_of, orientation, rotation
 from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Workspace, Worlds
 
 JUST_OVER = wp.constant(1.0000001192092896)
