@@ -150,7 +150,7 @@ def _show(story: Story, files: list[Path], look: dict[str, Any], viewer: bool) -
 
 def _draw(story: Story, files: list[Path], look: dict[str, Any]) -> None:
     """Draw each file, with a progress bar for films, and print the names of the written files."""
-    from petmjx.analysis.story import headline, notes_in_words
+    from petmjx.analysis.story_in_words import headline, notes_in_words
     from petmjx.show.pictures.picture_files import draw
     from petmjx.show.progress import progress_when_called
 

@@ -15,7 +15,8 @@ from rich.console import Console
 from support.stories import falling_story
 
 import petmjx
-from petmjx.analysis.story import Story, box_name, events, first_box_in_words, headline
+from petmjx.analysis.story import Story
+from petmjx.analysis.story_in_words import box_name, events, first_box_in_words, headline
 from petmjx.common.text import box_in_words, box_label
 from petmjx.show.pages.still_svg import still_svg
 from petmjx.show.pictures.colours import colouring

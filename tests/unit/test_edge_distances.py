@@ -17,7 +17,7 @@ from test_fallback import Scripted, never, scored
 from test_supports import random_heap
 
 import petmjx
-from petmjx.analysis.story import headline, notes_in_words
+from petmjx.analysis.story_in_words import headline, notes_in_words
 from petmjx.engines.attempt_settings import ATTEMPTS
 from petmjx.engines.knife_edges import AT_REST, BY_PLAN, WHILE_BUILT, KnifeEdge, nearest_edge, sets_flag
 from petmjx.engines.outcome_checks import edges_again, note_edges, outcome_checks

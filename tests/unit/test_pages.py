@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 from support.stories import FALLING, falling_story, long_story, shaken_story, standing_story
 
-from petmjx.analysis.story import (
-    Story,
+from petmjx.analysis.story import Story
+from petmjx.analysis.story_in_words import (
     first_box_in_words,
     headline,
     how_it_was_simulated,

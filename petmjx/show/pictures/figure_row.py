@@ -9,7 +9,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from petmjx.analysis.story import Story, headline
+from petmjx.analysis.story import Story
+from petmjx.analysis.story_in_words import headline
 from petmjx.common.text import count_text, printable, printable_name
 from petmjx.show.figures.figure_style import paper_style, write
 from petmjx.show.pictures.camera import Camera, Margins

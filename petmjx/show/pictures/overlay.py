@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.analysis.story import Story, headline
+from petmjx.analysis.story import Story
+from petmjx.analysis.story_in_words import headline
 from petmjx.common.convex_hull import convex_hull
 from petmjx.common.text import count_text, printable, three_digits
 from petmjx.common.units import FloatArray
