@@ -16,7 +16,7 @@ from petmjx.engines.metrics import BoxMetrics
 from petmjx.engines.protocol import Progress, says_at_hand
 from petmjx.engines.remote import worker_pool
 from petmjx.engines.remote.ray_actor import Worker
-from petmjx.engines.run_engine import UserEngine
+from petmjx.engines.user_engine import UserEngine
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job

@@ -72,8 +72,9 @@ def score(at: float) -> None:
         _note_workers(stages, engine)
     elif engine == "instant":
         from benchmarks.instant import Instant
+        from petmjx.engines.user_engine import UserEngine
 
-        vars(run_engine)["make_engine"] = lambda *some, **more: run_engine.UserEngine(Instant(), None)
+        vars(run_engine)["make_engine"] = lambda *some, **more: UserEngine(Instant(), None)
     else:
         _note_slices(stages)
     stages.around(simulate, "read_input", after="plans read")
