@@ -43,8 +43,8 @@ def loads(
     its strength if the walls of the boxes above do not stand on its walls, if its walls stick out beyond the box below,
     or if its walls are over gaps of the carrier's deck. Loads do not change verdicts.
     """
-    from petmjx.analysis.box_strength import check_loads_free
-    from petmjx.analysis.box_strength import loads as compare
+    from petmjx.analysis.box_loads import check_loads_free
+    from petmjx.analysis.box_loads import loads as compare
     from petmjx.results.source_files import source_files
     from petmjx.results.to_json import to_json
     from petmjx.show.load_tables import load_tables

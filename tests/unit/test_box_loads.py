@@ -13,7 +13,7 @@ import pytest
 from support.command_line import only_line, run
 
 import petmjx
-from petmjx.analysis.box_strength import walls_of
+from petmjx.analysis.carton_walls import walls_of
 from petmjx.common.units import STANDARD_GRAVITY
 from petmjx.options.carriers import Carrier
 from petmjx.options.stacking import Stacking
