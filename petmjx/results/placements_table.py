@@ -19,7 +19,7 @@ from petmjx.common.errors import InputError
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_fields import SPARSE
 from petmjx.results.plan_digests import PlanRecord, plan_digest
-from petmjx.results.run_tables import Parts
+from petmjx.results.run_table_reader import Parts
 from petmjx.results.schema import placements_schema
 
 PLACEMENTS: Final = "placements"
