@@ -19,7 +19,7 @@ from typing import Any, Final
 from benchmarks.record import environment
 from benchmarks.toss_study import MUJOCO_OWN, calibration, compared, friction, spread
 from benchmarks.tosses import RESTITUTION, read_tosses
-from petmjx.results.share_intervals import wilson_interval
+from petmjx.results.share_statistics import wilson_interval
 
 BEGIN: Final = "<!-- measured: begin (made by python -m benchmarks reality) -->"
 END: Final = "<!-- measured: end -->"

@@ -47,10 +47,10 @@ def convert(
     from petmjx.plans.plan_set import PlanSet
     from petmjx.plans.plan_sources import gather_plans
     from petmjx.plans.plan_writer import save_plans
+    from petmjx.results.input_files import input_files
     from petmjx.results.plan_lookup import plans_in_place
-    from petmjx.results.source_files import source_files
 
-    check_outputs([out], overwrite=overwrite, inputs=source_files(plans))
+    check_outputs([out], overwrite=overwrite, inputs=input_files(plans))
     if orders:
         _convert_orders(plans, out, target, options)
         return

@@ -37,11 +37,11 @@ def export(
     If DIR, the folder of a run, is given, the model is the one that the run simulated. Without DIR, the options
     determine the model.
     """
-    from petmjx.results.source_files import source_files
+    from petmjx.results.input_files import input_files
     from petmjx.world.mujoco_model import to_mjcf
 
     if out is not None:
-        check_outputs([out], overwrite=overwrite, inputs=source_files(source, options.get("articles")))
+        check_outputs([out], overwrite=overwrite, inputs=input_files(source, options.get("articles")))
     scene, physics = _scene(plan_id, source or [], variant, options)
     mjcf = to_mjcf(scene, physics)
     if out is None:

@@ -22,7 +22,7 @@ from petmjx.common.errors import InputError
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.results.run_reader import load_run
-from petmjx.results.share_intervals import PairedCounts, newcombe_interval, wilson_interval
+from petmjx.results.share_statistics import PairedCounts, newcombe_interval, wilson_interval
 from petmjx.show.pages.page_arrays import block
 from petmjx.show.report import plan_rows
 from petmjx.show.report.comparison_section import common_verdicts, comparison_section

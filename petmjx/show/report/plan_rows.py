@@ -15,7 +15,7 @@ from petmjx.analysis.run_comparison import KEY
 from petmjx.common.text import printable
 from petmjx.common.units import MM_PER_M
 from petmjx.engines.verdict import Verdict
-from petmjx.results.share_intervals import ONE_PLAN
+from petmjx.results.share_statistics import ONE_PLAN
 from petmjx.runs.chain_summary import arrivals
 from petmjx.runs.sweep_axes import AXIS_KINDS
 from petmjx.show.pages.page_arrays import PackedArray, integer_column

@@ -13,8 +13,8 @@ from petmjx.common.atomic_write import atomic_write, check_writable
 from petmjx.common.overwrite_guard import check_outputs
 from petmjx.common.text import count_text, printable
 from petmjx.common.units import MM_PER_M
+from petmjx.results.input_files import input_files
 from petmjx.results.run_reader import RunResults
-from petmjx.results.source_files import source_files
 from petmjx.show.pages.page import page
 from petmjx.show.pages.page_arrays import block, integer_column
 from petmjx.show.pages.palette import category, ramp
@@ -59,7 +59,7 @@ def report(
             written or is in a folder that does not exist.
     """
     path = path_of(out, "out")
-    check_outputs([path], overwrite=overwrite, inputs=source_files(runs, plans))
+    check_outputs([path], overwrite=overwrite, inputs=input_files(runs, plans))
     check_writable(path)  # checked before the report is made, which may take long
     sources: list[Any] = (
         [runs] if isinstance(runs, str | Path | RunResults) else list_of(runs, "runs", object, "runs or folders")

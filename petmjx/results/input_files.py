@@ -12,7 +12,7 @@ from petmjx.plans.plan_reader import plan_files_in
 from petmjx.results.run_folder import RUN_FILE, TABLES
 
 
-def source_files(*sources: Any) -> list[Path]:
+def input_files(*sources: Any) -> list[Path]:
     """The files and folders that a command reads if it gets these sources. For a run's folder, these are ``run.json``
     and the tables; for another folder, the files of plans in it; for a file, the file itself.
 
@@ -23,9 +23,9 @@ def source_files(*sources: Any) -> list[Path]:
     files: list[Path] = []
     for source in sources:
         if isinstance(source, Mapping):
-            files += source_files(*source.values())
+            files += input_files(*source.values())
         elif isinstance(source, list | tuple):
-            files += source_files(*source)
+            files += input_files(*source)
         elif isinstance(source, str | PathLike):
             with suppress(OSError, ValueError):  # the function that reads the source reports the error
                 files += _files_of(Path(source))

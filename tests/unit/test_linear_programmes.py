@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from scipy.optimize import Bounds, LinearConstraint, milp
 
-from petmjx.common import highs
-from petmjx.common.highs import minimised
+from petmjx.common import linear_programmes
+from petmjx.common.linear_programmes import minimised
 from petmjx.common.units import FloatArray
 
 SEED = 33528
@@ -37,7 +37,7 @@ def programmes() -> list[tuple[FloatArray, ...]]:
 @pytest.mark.parametrize("without", [False, True], ids=["HiGHS", "another SciPy"])
 def test_the_answers_are_those_of_scipy(without: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     if without:
-        monkeypatch.setattr(highs, "_highs", lambda: None)
+        monkeypatch.setattr(linear_programmes, "_highs", lambda: None)
     solved = 0
     for cost, rows, least, most, bound in programmes():
         answer = minimised(cost, rows, least, most, bound)
@@ -50,23 +50,23 @@ def test_the_answers_are_those_of_scipy(without: bool, monkeypatch: pytest.Monke
 
 
 def test_a_module_that_cannot_be_loaded_is_left_to_scipy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    *folders, name = highs._NAME.split(".")
+    *folders, name = linear_programmes._NAME.split(".")
     folder = tmp_path.joinpath(*folders)
     folder.mkdir(parents=True)
     (folder / f"{name}.py").write_text("HighsLp = None\nraise ImportError('a library is missing')\n")
     scipy = importlib.machinery.ModuleSpec("scipy", None, origin=str(tmp_path / "scipy" / "__init__.py"))
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: scipy)
-    monkeypatch.delitem(sys.modules, highs._NAME, raising=False)
+    monkeypatch.delitem(sys.modules, linear_programmes._NAME, raising=False)
     one = np.ones(1)
     assert minimised(one, np.ones((1, 1)), one, one, one).tolist() == [1.0]
-    assert highs._NAME not in sys.modules, "SciPy could not load the module any more"
+    assert linear_programmes._NAME not in sys.modules, "SciPy could not load the module any more"
 
 
 def test_scipy_is_not_imported_and_can_be_imported_later() -> None:
     code = """
 import sys
 import numpy as np
-from petmjx.common.highs import minimised
+from petmjx.common.linear_programmes import minimised
 print(minimised(np.ones(2), np.ones((1, 2)), np.ones(1), np.ones(1), np.array([0.25, 1.0])))
 print("scipy.optimize" in sys.modules)
 from scipy.optimize import linprog
