@@ -24,9 +24,9 @@ from petmjx.engines.mjx.timetable import build_timetable
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.protocol import Engine
 from petmjx.engines.verdict import Flag, Verdict
+from petmjx.engines.warp.compiled_programs import constants, contact_constants
 from petmjx.engines.warp.cpu_engine import MjxWarpCpuEngine
 from petmjx.engines.warp.engine import MjxWarpEngine
-from petmjx.engines.warp.programs import constants, contact_constants
 from petmjx.engines.warp.world_table import TableRun, WorldTable
 from petmjx.engines.world_results import WorldResult
 from petmjx.options.simulation import Simulation

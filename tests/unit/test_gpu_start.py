@@ -125,7 +125,7 @@ def _launch_on(device: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None
 @pytest.fixture
 def on_a_gpu(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[object]:
     """An empty cache, and a GPU for Warp. The fixture has the launches whose kernels were loaded."""
-    programs = pytest.importorskip("petmjx.engines.warp.programs")
+    programs = pytest.importorskip("petmjx.engines.warp.compiled_programs")
     loaded: list[object] = []
     _launch_on(SimpleNamespace(is_cuda=True, sm_count=132, max_shared_memory_per_block=227 << 10), monkeypatch)
     monkeypatch.setattr(programs, "load_kernels", loaded.extend)

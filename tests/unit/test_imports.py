@@ -53,7 +53,7 @@ def layer_of(part: str) -> int:
     raise AssertionError(f"petmjx.{part} has no layer in tests/unit/test_imports.py")
 
 
-def input_files(repository: Path) -> list[Path]:
+def source_files(repository: Path) -> list[Path]:
     return sorted((repository / "petmjx").rglob("*.py"))
 
 
@@ -84,7 +84,7 @@ def imported_modules(path: Path, modules: Collection[str]) -> set[str]:
 def import_graph(repository: Path) -> dict[str, set[str]]:
     """Module → the modules of petmjx that it imports. The package ``petmjx`` itself is left out, since all modules can
     be reached from it."""
-    paths = {module_of(path, repository): path for path in input_files(repository)}
+    paths = {module_of(path, repository): path for path in source_files(repository)}
     graph = {module: imported_modules(path, paths) for module, path in paths.items() if module != "petmjx"}
     package = sorted(module for module, targets in graph.items() if "petmjx" in targets)
     assert not package, f"these import the package: {package}"

@@ -17,11 +17,11 @@ from petmjx.engines.mjx.jax_setup import set_up_jax
 from petmjx.engines.open_worlds import MOST_BOXES
 from petmjx.engines.protocol import GPU_WORLDS, Capability, Engine, Progress, RunLock, says_at_hand, takes_stream
 from petmjx.engines.verdict import Outcome
-from petmjx.engines.warp.beginnings import beginnings
 from petmjx.engines.warp.block_launch import Launch
-from petmjx.engines.warp.block_pools import BlockPools
+from petmjx.engines.warp.block_pool_choice import BlockPools
 from petmjx.engines.warp.block_queues import Queues
 from petmjx.engines.warp.continued_worlds import ContinuedWorlds
+from petmjx.engines.warp.equal_beginnings import beginnings
 from petmjx.engines.warp.free_bodies import paths
 from petmjx.engines.warp.kernel_features import KernelFeatures, queue_of, size_of
 from petmjx.engines.warp.open_worlds import WarpWorlds

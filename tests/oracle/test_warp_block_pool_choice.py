@@ -14,13 +14,13 @@ pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 
 from petmjx.engines.contact_penetration import stiffened_physics
 from petmjx.engines.mjx.timetable import build_timetable
-from petmjx.engines.warp import block_pools
+from petmjx.engines.warp import block_pool_choice
 from petmjx.engines.warp.block_launch import SIZES
-from petmjx.engines.warp.block_pools import BlockPools
+from petmjx.engines.warp.block_pool_choice import BlockPools
+from petmjx.engines.warp.compiled_programs import constants
 from petmjx.engines.warp.contact_buffers import CONTACTS_PER_BOX, MAX_GROWTH, MORE_BOXES, PAIRS_PER_BOX, most_room
 from petmjx.engines.warp.kernel_features import KernelFeatures
 from petmjx.engines.warp.kernel_launcher import KernelLauncher
-from petmjx.engines.warp.programs import constants
 from petmjx.options.simulation import Simulation
 
 USUAL = Simulation()
@@ -45,8 +45,8 @@ def few_worlds(monkeypatch: pytest.MonkeyPatch) -> list[int]:
         counts.append(worlds)
         return replace(pool, least=1)
 
-    monkeypatch.setattr(block_pools, "small_world_pool", pool_for_few)
-    monkeypatch.setattr(block_pools, "tail_pool", lambda pool, lanes: replace(pool, last=True))
+    monkeypatch.setattr(block_pool_choice, "small_world_pool", pool_for_few)
+    monkeypatch.setattr(block_pool_choice, "tail_pool", lambda pool, lanes: replace(pool, last=True))
     return counts
 
 

@@ -1,4 +1,4 @@
-"""Block pools: the thread blocks for the worlds of a table."""
+"""Chooses block pools: the thread blocks for the worlds of a table."""
 
 from __future__ import annotations
 
