@@ -276,9 +276,9 @@ def test_one_program_a_shape() -> None:
     some = list(tiny_scenes().values())
     for scenes in (some[:4], some[1:], some[:3]):
         run_all(fresh, [Job(scene) for scene in scenes], SHORT)
-    ((_, rollout),) = fresh._kept.values()
+    ((_, rollout),) = fresh._rollouts._kept.values()
     run_all(fresh, [Job(scene, pushes("force", 1.0)) for scene in some[1:3]], SHORT)
-    assert [kept_rollout for _, kept_rollout in fresh._kept.values()] == [rollout]
+    assert [kept_rollout for _, kept_rollout in fresh._rollouts._kept.values()] == [rollout]
     assert len(rollout.programs._compiled) == 2, "of up to four worlds, and of two with a profile"
     run_all(engine(slice_ns=apart), [Job(scene) for scene in some[:4]], SHORT, progress)
     assert progress.compile_s == 0, "another engine of the same process"

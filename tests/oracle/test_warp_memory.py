@@ -41,8 +41,7 @@ from support.tiny_worlds import (
 )
 from support.worlds import simulate
 
-from petmjx.engines.warp import contact_buffers
-from petmjx.engines.warp import engine as mjx_warp
+from petmjx.engines.warp import contact_buffers, memory_shortage
 from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.block_pool import MIN_BLOCKS, BlockPool
 from petmjx.engines.warp.engine import MjxWarpEngine
@@ -157,7 +156,7 @@ class FailingRollout(Rollout):
 
 @pytest.mark.slow
 def test_memory_that_runs_out_midway_loses_nothing(monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]) -> None:
-    monkeypatch.setattr(mjx_warp, "Rollout", FailingRollout)
+    monkeypatch.setattr(memory_shortage, "Rollout", FailingRollout)
     monkeypatch.setattr(FailingRollout, "failures", 0)
     outcomes = run_all(engine(), [Job(scene) for scene in tiny_scenes().values()], SHORT)
     assert_equal_worlds(dict(zip(TINY, outcomes, strict=True)), crowd)
@@ -175,7 +174,7 @@ def test_tables_are_free_before_their_worlds_are_simulated_again(monkeypatch: py
         tables.append(weakref.ref(table := load(self, *args)))
         return table
 
-    monkeypatch.setattr(mjx_warp, "Rollout", FailingRollout)
+    monkeypatch.setattr(memory_shortage, "Rollout", FailingRollout)
     monkeypatch.setattr(MjxWarpEngine, "_load", watched)
     run_all(engine(), [Job(tiny("hand-one-box"))] * 6, SHORT)
     assert alive == [0] * 7
@@ -207,7 +206,7 @@ def test_a_world_that_has_not_enough_memory_even_alone_is_invalid(monkeypatch: p
     class Full(FailingRollout):
         holds = 0
 
-    monkeypatch.setattr(mjx_warp, "Rollout", Full)
+    monkeypatch.setattr(memory_shortage, "Rollout", Full)
     two = [Job(tiny("hand-one-box")), Job(tiny("hand-bridge"))]
     for outcome in run_all(engine(), two, SHORT):
         assert (outcome.verdict, outcome.reason) == (Verdict.INVALID, Reason.OUT_OF_MEMORY)
@@ -239,7 +238,7 @@ def test_other_errors_are_raised_and_the_engine_goes_on(
 
     begun = engine()
     with monkeypatch.context() as patch:
-        patch.setattr(mjx_warp, "Rollout", Broken)
+        patch.setattr(memory_shortage, "Rollout", Broken)
         with pytest.raises(RuntimeError, match="illegal memory access"):
             simulate(begun, tiny_scenes(), SHORT)
     assert_equal_worlds(simulate(begun, tiny_scenes(TINY[:2]), SHORT), crowd)
