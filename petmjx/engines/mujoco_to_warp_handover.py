@@ -23,7 +23,7 @@ from petmjx.engines.cost_model import Costs
 from petmjx.engines.engine_choice import GAIN
 from petmjx.engines.job_stream import JobStream
 from petmjx.engines.mujoco.engine import MujocoEngine
-from petmjx.engines.open_worlds import MOST_BOXES, OpenWorlds
+from petmjx.engines.open_world_protocol import MOST_BOXES, OpenWorlds
 from petmjx.engines.protocol import PHYSICS, Capability, Engine, Progress, says_at_hand, takes_stream
 from petmjx.engines.verdict import Outcome
 from petmjx.options.simulation import Simulation, Solver

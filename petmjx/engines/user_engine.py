@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from petmjx.common.machine import device_name
-from petmjx.engines.open_worlds import MOST_BOXES, OpenWorlds
+from petmjx.engines.open_world_protocol import MOST_BOXES, OpenWorlds
 from petmjx.engines.protocol import Capability, Engine, MinimalEngine, Progress
 from petmjx.engines.verdict import Outcome
 from petmjx.options.simulation import Simulation

@@ -19,7 +19,7 @@ from petmjx.analysis.story import Story
 from petmjx.analysis.story_in_words import box_name, events, first_box_in_words, headline
 from petmjx.common.text import box_in_words, box_label
 from petmjx.show.pages.still_svg import still_svg
-from petmjx.show.pictures.colours import colouring
+from petmjx.show.pictures.box_colours import colouring
 from petmjx.show.pictures.picture_options import Colour
 from petmjx.show.run_tables import worlds_table
 from petmjx.show.story_tables import story_tables

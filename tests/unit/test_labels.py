@@ -190,7 +190,7 @@ def test_baselines_are_judged_by_what_they_find() -> None:
 
 def test_what_is_wrong_with_labels_is_one_line(tmp_path: Path) -> None:
     pytest.importorskip("gymnasium", reason="gymnasium is not installed (extra: gym)")
-    from petmjx.gym.env import PalletizingEnv
+    from petmjx.gym.single_env import PalletizingEnv
 
     sizes = {"length_mm": 2000, "width_mm": 2000, "height_mm": 100, "weight_kg": 1}
     too_long = pd.DataFrame([{"order_id": order, **sizes} for order in "abb"])

@@ -13,7 +13,7 @@ from support.stories import FALLING, falling_story, shaken_story, standing_story
 from support.story_view import changed, drag_time_to, number_of, on_canvas, opened_story, seen, text
 
 import petmjx
-from petmjx.show.pages.page import joined_modules
+from petmjx.show.pages.html_page import joined_modules
 from petmjx.show.pages.page_arrays import block, integer_column, quantised_column
 from petmjx.show.pages.palette import OKABE_ITO, rgb_of
 from petmjx.show.pages.story_page import story_page

@@ -13,7 +13,7 @@ from petmjx.common.warp_setup import set_up_warp
 from petmjx.engines.job_stream import JobStream
 from petmjx.engines.mjx.host_to_device import GRANULE, is_out_of_memory, load
 from petmjx.engines.mjx.jax_setup import set_up_jax
-from petmjx.engines.open_worlds import MOST_BOXES
+from petmjx.engines.open_world_protocol import MOST_BOXES
 from petmjx.engines.protocol import GPU_WORLDS, Capability, Engine, Progress, RunLock, says_at_hand, takes_stream
 from petmjx.engines.verdict import Outcome
 from petmjx.engines.warp.block_launch import Launch

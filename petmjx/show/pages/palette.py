@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any, Final
 
-from petmjx.show.pages.page import static_text
+from petmjx.show.pages.html_page import static_text
 
 Rgb = tuple[float, float, float]
 

@@ -13,7 +13,7 @@ from petmjx.common.atomic_write import atomic_write
 from petmjx.common.text import count_text, shortened_text
 from petmjx.options.simulation import Simulation
 from petmjx.repairs.repair import Repaired, Repairs
-from petmjx.show.pages.page import escaped_html, page
+from petmjx.show.pages.html_page import escaped_html, page
 from petmjx.show.pages.still_svg import still_svg
 from petmjx.show.repair_tables import share_text
 from petmjx.version import __version__

@@ -1,4 +1,4 @@
-// Reads the data of a page (written by petmjx/show/pages/page.py and page_arrays.py).
+// Reads the data of a page (written by petmjx/show/pages/html_page.py and page_arrays.py).
 
 const KINDS = {
   int8: Int8Array,
