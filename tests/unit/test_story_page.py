@@ -182,7 +182,7 @@ def test_blocks_are_read_as_they_were_written(open_page: OpenPage) -> None:
     text_of_block = block(
         {"walk": quantised_column(walk, True), "numbers": integer_column(numbers, True), "exact": exact}
     )
-    script = joined_modules("blocks.js") + "window.reading = blocks_js.readBlock('all');"
+    script = joined_modules("page_data.js") + "window.reading = page_data_js.readBlock('all');"
     opened = open_page(
         f'<script type="application/octet-stream" id="block-all">{text_of_block}</script>'
         f'<script type="module">{script}</script>'

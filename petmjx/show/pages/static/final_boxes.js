@@ -1,6 +1,6 @@
 // The final boxes of one world, from the blocks that petmjx/show/report/world_blocks.py packs.
 
-import { readBlock } from "./blocks.js";
+import { readBlock } from "./page_data.js";
 import { corners } from "./carrier.js";
 
 const PER_M = 1e4; // planned places are tenths of a millimetre

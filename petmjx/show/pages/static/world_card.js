@@ -2,14 +2,14 @@
 //
 //   const card = new Card(info, run, first, world, replay);   card.element; card.start(); card.dispose()
 //
-// `run` is an entry of info.runs, `first` the box that failed first or −1, `world` from endedWorld in ended.js,
+// `run` is an entry of info.runs, `first` the box that failed first or −1, `world` from endedWorld in final_boxes.js,
 // `replay` the number of its recorded history or −1.
 
 import { rgbOf, shareOf } from "./colours.js";
 import { decimals } from "./decimals.js";
 import { make, makeSvg } from "./dom.js";
-import { bounds } from "./ended.js";
-import { goodsOf } from "./names.js";
+import { bounds } from "./final_boxes.js";
+import { goodsOf } from "./box_names.js";
 import { Replay } from "./replay.js";
 import { clamped } from "./vectors.js";
 import { createViewer } from "./viewer.js";
