@@ -27,7 +27,7 @@ from benchmarks.packers_of_study import (
     packed_physically,
     packers,
 )
-from benchmarks.record import environment
+from benchmarks.result_fields import environment
 from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.packers.learned_packer import Policy
 from petmjx.packers.packer_registry import BALANCED

@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from benchmarks.record import environment
+from benchmarks.result_fields import environment
 from benchmarks.toss_study import MUJOCO_OWN, calibration, compared, friction, spread
 from benchmarks.tosses import RESTITUTION, read_tosses
 from petmjx.results.share_statistics import wilson_interval

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from benchmarks.record import Result
+from benchmarks.result_fields import Result
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text
 from petmjx.engines.verdict import Verdict

@@ -1,6 +1,6 @@
 """Where the time of a run on a GPU goes: slice by slice, how many worlds still run, and whether the device waited.
 
-``python -m benchmarks.slices plans.json --limit 10003``. If the host does not wait for a slice, the slice had ended
+``python -m benchmarks.gpu_slices plans.json --limit 10003``. If the host does not wait for a slice, the slice had ended
 before the host looked, and the device may have had nothing to do.
 """
 

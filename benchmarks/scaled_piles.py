@@ -4,7 +4,7 @@ Under gravity, a pile twice as large falls in the same way, √2 times as slowly
 scale: the timestep, the springs of contacts, 0.1 mm of size, speeds that count as quiet. If these constants decide a
 verdict, a flag must show it.
 
-    python -m benchmarks.scaled --seed 20261128 --piles 500
+    python -m benchmarks.scaled_piles --seed 20261128 --piles 500
 """
 
 from __future__ import annotations

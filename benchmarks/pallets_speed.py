@@ -15,7 +15,7 @@ import jax
 import numpy as np
 
 import petmjx
-from benchmarks.record import Result, peak_device_bytes, timed
+from benchmarks.result_fields import Result, peak_device_bytes, timed
 from petmjx.common.units import FloatArray
 from petmjx.engines.protocol import Engine
 from petmjx.packers.sample_plans import generate
@@ -244,7 +244,7 @@ def environment(loop: Loop) -> Result:
 
 def bounds(loop: Loop) -> Result:
     """Compare ``count`` decisions of bounds with simulations."""
-    from benchmarks.bounds import bounds as compare
+    from benchmarks.placement_bounds_check import bounds as compare
 
     return compare(loop.engine, loop.count, loop.seed)
 

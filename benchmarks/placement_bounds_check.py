@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 import petmjx
-from benchmarks.record import Result, timed
+from benchmarks.result_fields import Result, timed
 from petmjx.common.units import FloatArray
 from petmjx.engines.protocol import Engine
 from petmjx.loop.placement_bounds import FALLS, OPEN, STANDS, decidable

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmarks.record import environment, timed
+from benchmarks.result_fields import environment, timed
 from petmjx.common.checked_records import read_toml
 from petmjx.engines.cost_model import MEASURED, Work
 from petmjx.engines.machine_speed import REFERENCE_S, block_s

@@ -1,6 +1,6 @@
 """Where the time of ``petmjx score`` goes from shell to shell: when each stage of a run in a process of its own ended.
 
-``python -m benchmarks.shell plans.json --engine mjx-warp``. With ``--engine instant`` worlds take no time, and the
+``python -m benchmarks.stage_times plans.json --engine mjx-warp``. With ``--engine instant`` worlds take no time, and the
 remaining time is the host's. ``--workers N`` uses workers; then ``instant`` answers in them. Stages are observed from
 outside, so the command itself is the one that users run.
 """
@@ -19,9 +19,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from benchmarks.record import append_line, environment
+from benchmarks.result_fields import append_line, environment
 
-_CHILD = "import time; at = time.time(); from benchmarks.shell import score; score(at)"
+_CHILD = "import time; at = time.time(); from benchmarks.stage_times import score; score(at)"
 
 
 class Stages:
@@ -71,7 +71,7 @@ def score(at: float) -> None:
     if workers:
         _note_workers(stages, engine)
     elif engine == "instant":
-        from benchmarks.instant import Instant
+        from benchmarks.instant_engine import Instant
         from petmjx.engines.user_engine import UserEngine
 
         vars(run_engine)["make_engine"] = lambda *some, **more: UserEngine(Instant(), None)
@@ -86,7 +86,7 @@ def score(at: float) -> None:
     stages.around(api, "simulate", after="read again")
     name = engine
     if engine == "instant":
-        from benchmarks.instant import IN_WORKERS
+        from benchmarks.instant_engine import IN_WORKERS
 
         name = IN_WORKERS if workers else "mjx-warp"
     of_workers = ["--workers", workers] if workers else []
@@ -108,7 +108,7 @@ def _note_workers(stages: Stages, engine: str) -> None:
     from petmjx.engines.remote import ray_cluster, worker_pool
 
     if engine == "instant":
-        from benchmarks.instant import instant_workers
+        from benchmarks.instant_engine import instant_workers
 
         vars(worker_pool).update(instant_workers())
     stages.around(ray_cluster, "import_ray", before="Ray asked for")

@@ -20,8 +20,8 @@ from typing import Any, Final
 import numpy as np
 
 from benchmarks.all_memory import looked_at
-from benchmarks.instant import IN_WORKERS, Instant, answering_in_workers
-from benchmarks.record import Result, timed
+from benchmarks.instant_engine import IN_WORKERS, Instant, answering_in_workers
+from benchmarks.result_fields import Result, timed
 from petmjx.common.errors import InputError
 from petmjx.common.processes import process_pool
 from petmjx.engines.engine_choice import check_options, options_of
