@@ -7,8 +7,8 @@
 #define PETMJX_CONTACT_CUH
 
 #include "block.cuh"
+#include "body_vectors.cuh"
 #include "efc.cuh"
-#include "six.cuh"
 
 namespace petmjx {
 

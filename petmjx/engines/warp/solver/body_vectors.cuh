@@ -1,7 +1,7 @@
 // Vectors of a body's six numbers, for the vector units of CPUs. Vectors have eight numbers; the last two are not used.
 
-#ifndef PETMJX_SIX_CUH
-#define PETMJX_SIX_CUH
+#ifndef PETMJX_BODY_VECTORS_CUH
+#define PETMJX_BODY_VECTORS_CUH
 
 #include "efc.cuh"
 

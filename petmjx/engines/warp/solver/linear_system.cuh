@@ -4,8 +4,8 @@
 // above it. Panels are stored one after another, each row by row. So an envelope takes no more room than it needs, and
 // a small one fits into shared memory.
 
-#ifndef PETMJX_SYSTEM_CUH
-#define PETMJX_SYSTEM_CUH
+#ifndef PETMJX_LINEAR_SYSTEM_CUH
+#define PETMJX_LINEAR_SYSTEM_CUH
 
 #include "tiles.cuh"
 

@@ -3,10 +3,10 @@
 // Left-looking: a tile is read once, all products of the tiles above it are subtracted, and it is written once. These
 // tiles are contiguous, in its own panel and in one other panel.
 
-#ifndef PETMJX_BY_THREAD_CUH
-#define PETMJX_BY_THREAD_CUH
+#ifndef PETMJX_CPU_CHOLESKY_CUH
+#define PETMJX_CPU_CHOLESKY_CUH
 
-#include "system.cuh"
+#include "linear_system.cuh"
 
 #if !defined(__CUDA_ARCH__)
 namespace petmjx {
