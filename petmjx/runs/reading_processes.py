@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from petmjx.common.machine import cpu_threads, cuda_devices
-from petmjx.engines.run_engine import bytes_of_plans, may_use_gpu
+from petmjx.engines.engine_warmup import bytes_of_plans, may_use_gpu
 from petmjx.engines.subprocess.task_pipe import Child
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
