@@ -261,8 +261,8 @@ class OpenWorlds(ABC):
 
         Args:
             until_lost: if True, a fork ends as soon as the pallet certainly does not stand: a box is tilted too far at
-                a sample, or a box is gone (``petmjx.engines.metrics.GONE_TILT``). A fork that ends so early
-                does not show how it would have continued.
+                a sample, or a box is gone (``petmjx.engines.metrics.GONE_TILT``). A fork that ends so early does not
+                show how it would have continued.
 
         Raises:
             ValueError: a world has ended.

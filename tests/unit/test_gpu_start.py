@@ -118,7 +118,7 @@ def test_a_gpu_that_does_not_start_ends_nothing(monkeypatch: pytest.MonkeyPatch)
 
 
 def _launch_on(device: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("block_launch", "programs"):
+    for module in ("block_launch", "compiled_programs"):
         monkeypatch.setattr(f"petmjx.engines.warp.{module}.launch_device", lambda: device)
 
 
