@@ -28,11 +28,11 @@ from petmjx.results.history_tables import read_history
 from petmjx.results.recording import Recording
 from petmjx.results.run_folder import RUN_FILE
 from petmjx.results.run_reader import RunResults, load_run, read_outcome, world_row
-from petmjx.runs.rerun import worlds_of_run
 from petmjx.runs.sweep_file import nominal_sweep
 from petmjx.runs.sweep_run import SweepRun
 from petmjx.runs.sweep_summary import SweepColumns
 from petmjx.runs.sweep_worlds import SweepPlan
+from petmjx.runs.worlds_of_earlier_run import worlds_of_run
 from petmjx.world.compliance import sinks_m
 from petmjx.world.history import History, Record
 from petmjx.world.job import Drive

@@ -61,7 +61,7 @@ def _scene(plan_id: str, source: list[Path], variant: int | None, options: dict[
 
     if source and is_run(source[0]):
         from petmjx.results.run_reader import load_run
-        from petmjx.runs.rerun import worlds_of_run
+        from petmjx.runs.worlds_of_earlier_run import worlds_of_run
 
         if options:
             raise InputError(f"{next(iter(options))}: a world of a run has the run's options; drop this one")
