@@ -1,8 +1,8 @@
 """Where the time of ``petmjx score`` goes from shell to shell: when each stage of a run in a process of its own ended.
 
-``python -m benchmarks.stage_times plans.json --engine mjx-warp``. With ``--engine instant`` worlds take no time, and the
-remaining time is the host's. ``--workers N`` uses workers; then ``instant`` answers in them. Stages are observed from
-outside, so the command itself is the one that users run.
+``python -m benchmarks.stage_times plans.json --engine mjx-warp``. With ``--engine instant`` worlds take no time, and
+the remaining time is the host's. ``--workers N`` uses workers; then ``instant`` answers in them. Stages are observed
+from outside, so the command itself is the one that users run.
 """
 
 from __future__ import annotations

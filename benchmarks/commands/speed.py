@@ -115,8 +115,8 @@ def estimates(
     **options: Any,
 ) -> None:
     """Compares petmjx's estimates of time with real times, for runs of many kinds and sizes."""
-    from benchmarks.time_estimates import cases, compared
     from benchmarks.result_fields import append_line
+    from benchmarks.time_estimates import cases, compared
     from petmjx.options.run_options import RunOptions
 
     given = usable(plans, RunOptions(**options)) if plans else ()
