@@ -14,7 +14,7 @@ import pandas as pd
 from petmjx.analysis.run_comparison import BOX_KEY, KEY, compare_runs
 from petmjx.engines.verdict import Reason, Verdict
 from petmjx.results.run_reader import RunResults, load_run
-from petmjx.results.share_intervals import ONE_PLAN, share_standing
+from petmjx.results.share_statistics import ONE_PLAN, share_standing
 from petmjx.results.to_json import to_json
 
 LOADED_N = 1.0

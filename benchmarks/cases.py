@@ -43,7 +43,7 @@ class Case:
     """One measurement."""
 
     name: str
-    group: str  # Cases of a group can be run together, and have one table (``benchmarks.table``).
+    group: str  # Cases of a group can be run together, and have one table (``benchmarks.result_tables``).
     text: str  # Meaning of the measurement, in one line.
     way: Way = Way.FILES
     count: int = 2_000  # Number of plans; with ``boxes``, of copies (0: as many as fill the engine).

@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from typing import Any, Final
 
-from benchmarks.record import environment
+from benchmarks.result_fields import environment
 from petmjx.engines.engine_choice import make_engine
 from petmjx.engines.protocol import Progress
 from petmjx.engines.verdict import Outcome

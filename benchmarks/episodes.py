@@ -11,7 +11,7 @@ import pandas as pd
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from benchmarks.record import Result, timed
+from benchmarks.result_fields import Result, timed
 from petmjx.engines.protocol import Engine
 from petmjx.gym.vector_env import PalletizingVectorEnv
 

@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple
 import mujoco
 import numpy as np
 
-from benchmarks.record import environment
+from benchmarks.result_fields import environment
 from petmjx.common.units import STANDARD_GRAVITY
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.verdict import Outcome, Verdict

@@ -19,8 +19,8 @@ import pandas as pd
 import petmjx
 from benchmarks.agreement import agreement, joint_run
 from benchmarks.cases import MUJOCO, PLAIN_LOOP, SEED, STACK_PLAN, Case, Way, oracle_case
-from benchmarks.plain import fixed_steps, plain_loop
-from benchmarks.record import Clock, Result, environment, peak_device_bytes, timed
+from benchmarks.plain_python_loop import fixed_steps, plain_loop
+from benchmarks.result_fields import Clock, Result, environment, peak_device_bytes, timed
 from petmjx.common.errors import InputError
 from petmjx.common.machine import device_name
 from petmjx.engines.engine_choice import make_engine

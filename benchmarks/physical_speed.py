@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from benchmarks.record import Result, timed
+from benchmarks.result_fields import Result, timed
 from petmjx.packers.finalists import finalists
 from petmjx.packers.pack import Packed, pack_each
 from petmjx.packers.pack_options import PhysicalOptions

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 import petmjx
-from benchmarks.record import environment
+from benchmarks.result_fields import environment
 from petmjx.common.machine import device_name
 from petmjx.plans.plan import Plan
 

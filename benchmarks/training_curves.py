@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.record import Result
+from benchmarks.result_fields import Result
 from petmjx.packers.baseline_packer import PlacedBox
 from petmjx.packers.sample_plans import as_placements
 from petmjx.plans.order_generator import Item, draw_order

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from petmjx.version import __version__
 
 if TYPE_CHECKING:
-    from petmjx.analysis.box_strength import loads
+    from petmjx.analysis.box_loads import loads
     from petmjx.analysis.criteria_run import CriteriaResults, criteria
     from petmjx.analysis.kpis import kpis
     from petmjx.analysis.packer_comparison import compare_packers
@@ -85,7 +85,7 @@ _HOME = {
     "PlacementResults": "petmjx.loop.placement_results",
     "Trajectories": "petmjx.loop.free_motion",
     "release": "petmjx.loop.free_motion",
-    "loads": "petmjx.analysis.box_strength",
+    "loads": "petmjx.analysis.box_loads",
     "Packed": "petmjx.packers.pack",
     "pack": "petmjx.packers.pack",
     "merge_runs": "petmjx.runs.merge",

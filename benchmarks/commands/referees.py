@@ -40,8 +40,8 @@ def crossengine(
 ) -> None:
     """Plans in other simulators: does any of petmjx's verdicts stand alone? Needs the extra "referees"."""
     from benchmarks.crossengine import Court, by_softness, summaries
-    from benchmarks.record import append_line, environment
     from benchmarks.referees.referee import REFEREES, referee
+    from benchmarks.result_fields import append_line, environment
     from petmjx.options.run_options import RunOptions
     from petmjx.options.simulation import Simulation
     from petmjx.plans.bundled import bundled_path
@@ -78,8 +78,8 @@ def cross_forces(
     out: Out = DEFAULT_OUT,
 ) -> None:
     """Forces on boxes of small piles, in other simulators and by statics. Needs the extra "referees"."""
-    from benchmarks.record import append_line, environment
     from benchmarks.referees.referee import REFEREES, referee
+    from benchmarks.result_fields import append_line, environment
     from benchmarks.stack_forces import differences
 
     for line in differences({word: referee(word) for word in words(referees) or REFEREES}):

@@ -14,7 +14,7 @@ from petmjx.common.errors import InputError
 from petmjx.options.simulation import Schedule
 
 if TYPE_CHECKING:
-    from benchmarks.record import Result
+    from benchmarks.result_fields import Result
 
 
 @app.command("list")
@@ -48,7 +48,7 @@ def run(
 
     from benchmarks.cases import chosen_cases
     from benchmarks.measure import Bench
-    from benchmarks.record import append_line
+    from benchmarks.result_fields import append_line
 
     bench = Bench(
         work=work or Path(tempfile.mkdtemp(prefix="petmjx-bench-")),
@@ -77,7 +77,7 @@ def compare(
     """Compare runs that were made earlier, also in several pieces, and append a line."""
     from benchmarks.agreement import agreement, joint_run
     from benchmarks.cases import chosen_cases
-    from benchmarks.record import append_line, environment
+    from benchmarks.result_fields import append_line, environment
 
     [of] = chosen_cases([case])
     label, folders = _labelled(oracle)
@@ -103,8 +103,8 @@ def make_tables(
     ] = None,
 ) -> None:
     """Make Markdown tables from results."""
-    from benchmarks.record import read_lines
-    from benchmarks.table import tables, write_between_markers
+    from benchmarks.result_fields import read_lines
+    from benchmarks.result_tables import tables, write_between_markers
 
     text = tables(read_lines(files))
     if readme is None:

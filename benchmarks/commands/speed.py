@@ -43,7 +43,7 @@ def real_boxes(
 ) -> None:
     """Plans of boxes of three materials on epal-1, set down by tines: do two engines agree?"""
     from benchmarks.real_boxes import compared
-    from benchmarks.record import append_line
+    from benchmarks.result_fields import append_line
     from petmjx.options.run_options import RunOptions
 
     limit = {"limit": options.pop("limit")} if "limit" in options else {}
@@ -65,7 +65,7 @@ def cpu_engines(
 ) -> None:
     """C MuJoCo against the kernels of mjx-warp on CPU threads: time and verdicts."""
     from benchmarks.cpu_engines import compared
-    from benchmarks.record import append_line
+    from benchmarks.result_fields import append_line
     from petmjx.options.run_options import RunOptions
 
     limit = RunOptions(**options).limit
@@ -89,8 +89,8 @@ def loop(
 ) -> None:
     """Speed of physics in the loop: candidates per second, time of one candidate, placing compared with scoring,
     memory."""
-    from benchmarks.loop import CASES, Loop, measured
-    from benchmarks.record import append_line, environment
+    from benchmarks.pallets_speed import CASES, Loop, measured
+    from benchmarks.result_fields import append_line, environment
     from petmjx.engines.engine_choice import make_engine
     from petmjx.options.run_options import RunOptions
 
@@ -115,8 +115,8 @@ def estimates(
     **options: Any,
 ) -> None:
     """Compares petmjx's estimates of time with real times, for runs of many kinds and sizes."""
-    from benchmarks.estimates import cases, compared
-    from benchmarks.record import append_line
+    from benchmarks.result_fields import append_line
+    from benchmarks.time_estimates import cases, compared
     from petmjx.options.run_options import RunOptions
 
     given = usable(plans, RunOptions(**options)) if plans else ()
@@ -145,8 +145,8 @@ def million(
     out: Out = DEFAULT_OUT,
 ) -> None:
     """A sweep of a million small worlds, which is killed and resumed: time per world, memory, tables, report."""
-    from benchmarks.million import Million, measured
-    from benchmarks.record import append_line, environment
+    from benchmarks.million_worlds import Million, measured
+    from benchmarks.result_fields import append_line, environment
 
     given = {"keep": keep, "threads": threads, "workers": workers}
     options = {name: value for name, value in given.items() if value is not None}
@@ -170,7 +170,7 @@ def physical_speed(
 ) -> None:
     """How fast the packer physical is."""
     from benchmarks.physical_speed import packing_speed, search_speed
-    from benchmarks.record import append_line, environment
+    from benchmarks.result_fields import append_line, environment
     from petmjx.common.machine import cpu_threads
     from petmjx.packers.pack import orders_of
 

@@ -84,7 +84,7 @@ def criteria(
 ) -> None:
     """Agreement of closed-form criteria of stability with physics (docs/criteria.md)."""
     from benchmarks.criteria_study import BEGIN, END, study
-    from benchmarks.table import write_between_markers
+    from benchmarks.result_tables import write_between_markers
     from petmjx.analysis.criteria_run import criteria as ask
     from petmjx.common.machine import cpu_threads
     from petmjx.results.run_reader import load_run
@@ -109,7 +109,7 @@ def small_stacks(
     **options: Any,
 ) -> None:
     """Stacks of two to six boxes that statics decides, and petmjx's verdicts."""
-    from benchmarks.record import append_line, environment, timed
+    from benchmarks.result_fields import append_line, environment, timed
     from benchmarks.small_stacks import CHECKS, cases, judge, summary
 
     stacks = list(cases(count, seed))
@@ -130,8 +130,8 @@ def balance(
     **options: Any,
 ) -> None:
     """Whether the worlds that a run calls stable balance at their places of rest."""
-    from benchmarks.balance import balances, summary
-    from benchmarks.record import append_line, environment, timed
+    from benchmarks.rest_balance import balances, summary
+    from benchmarks.result_fields import append_line, environment, timed
     from petmjx.options.run_options import RunOptions
     from petmjx.options.simulation import Simulation
     from petmjx.results.run_reader import load_run
@@ -153,7 +153,7 @@ def flex(out: Out = DEFAULT_OUT) -> None:
     from itertools import chain
 
     from benchmarks.flex import compared, piles, stacks
-    from benchmarks.record import append_line
+    from benchmarks.result_fields import append_line
 
     for line in chain(compared(), stacks(), (piles() for _ in range(1))):
         append_line(out, line)
@@ -210,7 +210,7 @@ def packers(
 ) -> None:
     """How dense, sure and firm the plans of packers are, on the same orders (docs/packers.md)."""
     from benchmarks.packer_study import Asked, study
-    from benchmarks.record import append_line
+    from benchmarks.result_fields import append_line
     from benchmarks.robobpp import read_set
     from petmjx.common.machine import cpu_threads
     from petmjx.packers.learned_packer import Policy
@@ -253,7 +253,7 @@ def training(
     out: Out = DEFAULT_OUT,
 ) -> None:
     """Curves of the recipe in JAX, with held-out orders, and plans for python -m benchmarks packers --other."""
-    from benchmarks.record import append_line, environment
+    from benchmarks.result_fields import append_line, environment
     from benchmarks.training_curves import Training, train
 
     of = Training(engine, seeds=seeds, pallets=pallets, boxes=boxes, packed=packed, most_s=most_s)
@@ -277,8 +277,8 @@ def reality(
 ) -> None:
     """Measurements, petmjx's values, and the differences (docs/reality-measured.md)."""
     from benchmarks.reality import BEGIN, END, PARTS, TOSSES, gallery, present, table
-    from benchmarks.record import append_line
-    from benchmarks.table import write_between_markers
+    from benchmarks.result_fields import append_line
+    from benchmarks.result_tables import write_between_markers
     from petmjx.engines.engine_choice import check_options
 
     engines = engine or ["mujoco"]

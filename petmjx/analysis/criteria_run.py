@@ -30,10 +30,10 @@ from petmjx.plans.convention_checks import warn
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_sources import PlanSource, gather_plans, without_narrow_walls
 from petmjx.results.documented_tables import Described, check_tables_free, has_keys, write_documented_tables
+from petmjx.results.input_files import input_files
 from petmjx.results.plan_lookup import how_read, plans_in_place, plans_of
 from petmjx.results.run_folder import text
 from petmjx.results.run_reader import RunResults, is_chain, load_run
-from petmjx.results.source_files import source_files
 from petmjx.results.to_json import to_json
 from petmjx.runs.chain_summary import arrivals
 from petmjx.world.carrier_boards import has_walls, pallet
@@ -313,7 +313,7 @@ def criteria(
     need_packers()
     if out is not None:
         out = path_of(out, "out")
-        check_criteria_free(out, overwrite, judged=run is not None, inputs=source_files(plans, run))
+        check_criteria_free(out, overwrite, judged=run is not None, inputs=input_files(plans, run))
     physics = run if isinstance(run, RunResults) or run is None else load_run(run)
     if physics is not None and "carrier" not in options:
         chosen = chosen.changed(carrier=physics.carrier)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from petmjx.analysis.criteria import Criterion
 from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Verdict
-from petmjx.results.share_intervals import DEFAULT_CONFIDENCE
+from petmjx.results.share_statistics import DEFAULT_CONFIDENCE
 
 N_BOOTSTRAP: Final = 4000
 """Number of bootstrap samples of the plans. With 4,000 samples, the bounds of an interval differ between two bootstraps

@@ -18,8 +18,8 @@ from petmjx.engines.verdict import Verdict
 from petmjx.options.simulation import Check
 from petmjx.plans.articles import read_articles, with_articles
 from petmjx.plans.plan import Plan
+from petmjx.results.plan_digests import plan_digest
 from petmjx.results.plan_lookup import how_read
-from petmjx.results.plan_records import plan_digest
 from petmjx.results.run_reader import RunResults, load_run
 
 MOST_SHIFT_Z_M: Final = 0.01

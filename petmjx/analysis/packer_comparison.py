@@ -30,7 +30,7 @@ from petmjx.engines.verdict import Verdict
 from petmjx.results.documented_tables import Described, check_tables_free, write_documented_tables
 from petmjx.results.notebook_tables import ShownColumn, block_as_html, table_as_html
 from petmjx.results.run_reader import RunResults, RunSource
-from petmjx.results.share_intervals import (
+from petmjx.results.share_statistics import (
     DEFAULT_CONFIDENCE,
     PairedCounts,
     holm,

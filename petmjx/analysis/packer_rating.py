@@ -15,7 +15,7 @@ from petmjx.analysis.packer_comparison import PackerComparison
 from petmjx.analysis.packer_runs import MISSING
 from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Verdict
-from petmjx.results.share_intervals import wilson_interval
+from petmjx.results.share_statistics import wilson_interval
 
 
 def rate(comparison: PackerComparison) -> pd.DataFrame:

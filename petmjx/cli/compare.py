@@ -89,13 +89,13 @@ def _compare_packers(
     as_json: bool,
 ) -> None:
     from petmjx.analysis.packer_comparison import check_comparison_free, compare_packers, write_comparison
-    from petmjx.results.source_files import source_files
+    from petmjx.results.input_files import input_files
     from petmjx.show.packer_tables import packer_tables
     from petmjx.show.table_layout import line, print_renderables
 
     paths = opt.named_paths(runs, "compare --packers") or runs
     if out is not None:
-        check_comparison_free(out, overwrite, source_files(paths, orders))
+        check_comparison_free(out, overwrite, input_files(paths, orders))
     comparison = compare_packers(paths, orders=orders)
     if out is not None:
         write_comparison(comparison, out, overwrite)

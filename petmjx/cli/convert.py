@@ -47,10 +47,10 @@ def convert(
     from petmjx.plans.plan_set import PlanSet
     from petmjx.plans.plan_sources import gather_plans
     from petmjx.plans.plan_writer import save_plans
+    from petmjx.results.input_files import input_files
     from petmjx.results.plan_lookup import plans_in_place
-    from petmjx.results.source_files import source_files
 
-    check_outputs([out], overwrite=overwrite, inputs=source_files(plans))
+    check_outputs([out], overwrite=overwrite, inputs=input_files(plans))
     if orders:
         _convert_orders(plans, out, target, options)
         return
@@ -74,7 +74,7 @@ def convert(
 def _convert_orders(files: list[Path], out: Path, target: str | None, options: dict[str, Any]) -> None:
     """Write the orders of a file in BED-BPP's form."""
     from petmjx.options.run_options import RunOptions
-    from petmjx.plans.item_orders import OrderReading
+    from petmjx.plans.item_units_and_quantities import OrderReading
     from petmjx.plans.json_writer import write_orders
     from petmjx.plans.order_reader import read_orders
 

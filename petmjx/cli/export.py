@@ -37,11 +37,11 @@ def export(
     If DIR, the folder of a run, is given, the model is the one that the run simulated. Without DIR, the options
     determine the model.
     """
-    from petmjx.results.source_files import source_files
+    from petmjx.results.input_files import input_files
     from petmjx.world.mujoco_model import to_mjcf
 
     if out is not None:
-        check_outputs([out], overwrite=overwrite, inputs=source_files(source, options.get("articles")))
+        check_outputs([out], overwrite=overwrite, inputs=input_files(source, options.get("articles")))
     scene, physics = _scene(plan_id, source or [], variant, options)
     mjcf = to_mjcf(scene, physics)
     if out is None:
@@ -61,7 +61,7 @@ def _scene(plan_id: str, source: list[Path], variant: int | None, options: dict[
 
     if source and is_run(source[0]):
         from petmjx.results.run_reader import load_run
-        from petmjx.runs.rerun import worlds_of_run
+        from petmjx.runs.worlds_of_earlier_run import worlds_of_run
 
         if options:
             raise InputError(f"{next(iter(options))}: a world of a run has the run's options; drop this one")

@@ -29,10 +29,10 @@ def figure_files(pdf: Path | None, svg: Path | None, png: Path | None, overwrite
     Raises:
         InputError: a name does not have the suffix of its option, or a file already exists or cannot be written.
     """
-    from petmjx.results.source_files import source_files
+    from petmjx.results.input_files import input_files
     from petmjx.show.figures.figure_files import check_figures
 
-    paths = list(opt.files_by_kind(overwrite, source_files(*read), pdf=pdf, svg=svg, png=png).values())
+    paths = list(opt.files_by_kind(overwrite, input_files(*read), pdf=pdf, svg=svg, png=png).values())
     if paths:
         check_figures(paths)
     return paths

@@ -49,11 +49,11 @@ def info(
     --orders reads the file.
     """
     from petmjx.plans.readings import reading_toml
-    from petmjx.results.source_files import source_files
+    from petmjx.results.input_files import input_files
     from petmjx.show.file_info import file_infos, info_lines
 
     outputs = [path for path in (write_as, html) if path is not None]
-    check_outputs(outputs, overwrite=overwrite, inputs=source_files(plans))
+    check_outputs(outputs, overwrite=overwrite, inputs=input_files(plans))
     infos, plan_set = file_infos(plans, options)
     readings = plan_set.readings
     if as_json:

@@ -65,13 +65,13 @@ def kpis(
     from petmjx.analysis.kpi_submission import parse_name, write_submission
     from petmjx.analysis.kpis import kpis as rate
     from petmjx.common.errors import InputError
-    from petmjx.results.source_files import source_files
+    from petmjx.results.input_files import input_files
     from petmjx.show.kpi_tables import kpi_tables
     from petmjx.show.table_layout import print_renderables
 
     if xlsx and out is None:
         raise InputError("--xlsx needs --out DIR")
-    read = source_files(plans, orders, run)
+    read = input_files(plans, orders, run)
     if out is not None:
         check_kpis_free(out, overwrite, xlsx=xlsx, inputs=read)
     if leaderboard is not None:

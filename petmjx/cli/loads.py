@@ -43,15 +43,15 @@ def loads(
     its strength if the walls of the boxes above do not stand on its walls, if its walls stick out beyond the box below,
     or if its walls are over gaps of the carrier's deck. Loads do not change verdicts.
     """
-    from petmjx.analysis.box_strength import check_loads_free
-    from petmjx.analysis.box_strength import loads as compare
-    from petmjx.results.source_files import source_files
+    from petmjx.analysis.box_loads import check_loads_free
+    from petmjx.analysis.box_loads import loads as compare
+    from petmjx.results.input_files import input_files
     from petmjx.results.to_json import to_json
     from petmjx.show.load_tables import load_tables
     from petmjx.show.table_layout import print_renderables
 
     if out is not None:
-        check_loads_free(out, overwrite, source_files(run, plans, articles))
+        check_loads_free(out, overwrite, input_files(run, plans, articles))
     comparison = compare(run, articles, plans or None, stacking=losses)
     if out is not None:
         comparison.write(out, overwrite)

@@ -61,8 +61,8 @@ def repair(
     from petmjx.plans.plan_writer import check_plan_file
     from petmjx.repairs.repair import RepairInterrupted
     from petmjx.repairs.repair import repair as repaired
+    from petmjx.results.input_files import input_files
     from petmjx.results.plan_lookup import plans_in_place
-    from petmjx.results.source_files import source_files
     from petmjx.results.to_json import to_json
     from petmjx.show.progress import progress
     from petmjx.show.repair_tables import repair_tables
@@ -73,7 +73,7 @@ def repair(
     if html is not None and html.suffix.lower() != ".html":
         raise InputError(f"--html {printable(str(html))}: the file's name must end in .html")
     files = [file for file in (out, html) if file is not None]
-    check_outputs(files, overwrite=overwrite, inputs=source_files(plans))
+    check_outputs(files, overwrite=overwrite, inputs=input_files(plans))
     for file in files:
         check_writable(file)
     n_plans, interrupted = 0, False

@@ -24,7 +24,7 @@ from petmjx.packers.packer_registry import BASELINE, PACKERS
 from petmjx.packers.sample_plans import DEFAULT_LOOSE_SHARE
 
 if TYPE_CHECKING:
-    from petmjx.plans.item_orders import OrderReading
+    from petmjx.plans.item_units_and_quantities import OrderReading
 
 DEFAULT_SAMPLES: Final = 100
 MOST_SHOWN: Final = 10

@@ -67,11 +67,11 @@ def show(
     If DIR, the folder of a run, is given, the plan is simulated exactly as in that run. Without DIR, the options
     determine the simulation. If you request no drawing, the command prints a text about the simulation in the terminal.
     """
-    from petmjx.results.source_files import source_files
+    from petmjx.results.input_files import input_files
     from petmjx.show.pictures.picture_files import check_drawing
 
     files = opt.files_by_kind(
-        overwrite, source_files(source), html=html, png=png, pdf=pdf, svg=svg, gif=gif, mp4=mp4, rrd=rrd
+        overwrite, input_files(source), html=html, png=png, pdf=pdf, svg=svg, gif=gif, mp4=mp4, rrd=rrd
     )
     check_drawing(list(files.values()))
     look = {name: options.pop(name) for name in PictureOptions.model_fields if name in options}
@@ -150,7 +150,7 @@ def _show(story: Story, files: list[Path], look: dict[str, Any], viewer: bool) -
 
 def _draw(story: Story, files: list[Path], look: dict[str, Any]) -> None:
     """Draw each file, with a progress bar for films, and print the names of the written files."""
-    from petmjx.analysis.story import headline, notes_in_words
+    from petmjx.analysis.story_in_words import headline, notes_in_words
     from petmjx.show.pictures.picture_files import draw
     from petmjx.show.progress import progress_when_called
 

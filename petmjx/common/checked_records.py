@@ -29,9 +29,9 @@ from pydantic._internal._model_construction import ModelMetaclass  # pydantic ex
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from petmjx.common.errors import InputError
-from petmjx.common.file_kinds import foreign_kind
 from petmjx.common.safe_read import read_regular
 from petmjx.common.text import count_text, printable, printable_name, shortened_text
+from petmjx.common.unreadable_files import foreign_kind
 
 _typed = False
 """Whether the command line is running. A process runs at most one command line, and all threads share this flag."""

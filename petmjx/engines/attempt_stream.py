@@ -1,6 +1,6 @@
 """Simulates worlds with an engine, repeats invalid worlds with other settings, and yields each final outcome.
 
-Each simulation of a world is an *attempt*. petmjx/engines/attempts.py lists the settings of all attempts.
+Each simulation of a world is an *attempt*. petmjx/engines/attempt_settings.py lists the settings of all attempts.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from typing import Any, Final, Generic
 from petmjx.common.errors import InputError
 from petmjx.common.processes import defer_signals
 from petmjx.common.text import count_text
-from petmjx.engines.attempt_runner import AttemptResult, AttemptRunner, Pending
-from petmjx.engines.attempts import ATTEMPTS, BESIDE, AttemptRecipe, Engines, may_go_on, ready_for
+from petmjx.engines.attempt_settings import ATTEMPTS, BESIDE, AttemptRecipe, Engines, may_go_on, ready_for
+from petmjx.engines.attempt_with_fallback import AttemptResult, AttemptRunner, Pending
 from petmjx.engines.contact_penetration import may_penetrate
 from petmjx.engines.job_stream import JobBounds, JobStream
 from petmjx.engines.protocol import GPU_WORLDS, Capability, Engine, Progress
@@ -76,8 +76,8 @@ def score_worlds(
     waits while the jobs in the stream have ``PENDING_BOXES`` boxes (``PENDING_BOXES_GPU`` for a GPU). Invalid worlds
     are collected, and simulated again together at the end, or earlier if ``most_pending`` of them wait. So the memory
     of a run does not grow with its number of worlds. If CPU threads make an attempt beside a GPU
-    (petmjx/engines/attempts.py), this attempt begins at once. If other worlds may follow from a world, its attempt in
-    stiffer contacts also begins at once, together with first attempts, if the engine can mix the two
+    (petmjx/engines/attempt_settings.py), this attempt begins at once. If other worlds may follow from a world, its
+    attempt in stiffer contacts also begins at once, together with first attempts, if the engine can mix the two
     (``Capability.STIFF_JOBS``).
 
     ``following`` returns the worlds that follow from the results so far, such as the drives (motions of the carrier) of

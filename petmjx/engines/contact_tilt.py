@@ -14,7 +14,7 @@ edge than its tipping distance tips over. If boxes below lean, their angle times
 
 The tipping distance may be millimetres for a column of slender boxes, or for a light box under a heavy box, but is much
 less for real cartons. If the tilt by soft contacts may have decided the verdict of a world, the world is simulated
-again with stiffer contacts (petmjx/engines/attempts.py).
+again with stiffer contacts (petmjx/engines/attempt_settings.py).
 """
 
 from __future__ import annotations

@@ -47,5 +47,5 @@ def compile_ahead(sim: Simulation, builds: KernelBuilds | None) -> None:
     """Load the kernels of ``mjx-warp`` that most runs need, once the processes of ``begin_builds`` have compiled them.
     Call this function after ``start_gpu``. Errors are ignored here: the engine reports them."""
     with suppress(Exception):
-        if importlib.import_module("petmjx.engines.warp.programs").load_usual_kernels(sim, builds):
+        if importlib.import_module("petmjx.engines.warp.compiled_programs").load_usual_kernels(sim, builds):
             note_kept(sim)

@@ -12,7 +12,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.machine import device_name
 from petmjx.common.units import FloatArray
 from petmjx.engines.job_stream import JobStream
-from petmjx.engines.open_worlds import MOST_BOXES, OpenWorlds
+from petmjx.engines.open_world_protocol import MOST_BOXES, OpenWorlds
 from petmjx.engines.verdict import Outcome
 from petmjx.options.simulation import Simulation
 from petmjx.world.free_bodies import FreeBodies

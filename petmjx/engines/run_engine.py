@@ -4,130 +4,23 @@ engine for ``auto``.
 
 from __future__ import annotations
 
-import threading
-import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
-from os import PathLike
-from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 from petmjx.common.checked_records import shown_value
 from petmjx.common.errors import InputError
-from petmjx.common.machine import cpu_threads, cuda_devices, device_name
+from petmjx.common.machine import cpu_threads
 from petmjx.common.processes import defer_signals
 from petmjx.engines.cost_model import MEASURED, Costs, Work
 from petmjx.engines.engine_choice import ENGINES, Choice, choose, make_engine, options_of
-from petmjx.engines.gpu_start import begin_builds, compile_ahead, start_gpu
 from petmjx.engines.machine_speed import costs_here
-from petmjx.engines.open_worlds import MOST_BOXES, OpenWorlds
-from petmjx.engines.protocol import Capability, Engine, MinimalEngine, Progress
-from petmjx.engines.verdict import Outcome
+from petmjx.engines.protocol import Engine, MinimalEngine
+from petmjx.engines.user_engine import UserEngine
 from petmjx.options.run_options import AUTO, RunOptions
-from petmjx.options.simulation import Simulation
-from petmjx.world.job import Job
-from petmjx.world.scene import Scene
 
 if TYPE_CHECKING:
     from petmjx.engines.remote.worker_choice import WorkerStartup
-
-_OLD_FLAGS: Final = ("takes_more", "takes_parts", "looks", "names_engines")
-"""Former attributes of engines, which ``Engine.capabilities`` has replaced."""
-
-WORTH_A_GPU: Final = 4 << 20
-"""If plan files have at least this size, in bytes (about 400 plans), ``auto`` will use a GPU if there is one."""
-
-
-class UserEngine(Engine):
-    """A user's own engine, with defaults for the parts of ``Engine`` that it leaves out. The engine is never closed,
-    since the user owns it.
-
-    Args:
-        threads: the option of the run. If the engine does not name its device, the name is made with this number.
-    """
-
-    def __init__(self, engine: MinimalEngine, threads: int | None) -> None:
-        self.name, self._engine, self._threads = engine.name, engine, threads
-        self.devices = int(getattr(engine, "devices", 1))
-        if dated := [name for name in _OLD_FLAGS if getattr(engine, name, False)]:
-            warnings.warn(
-                f"engine {self.name}: {', '.join(dated)} has no effect; use capabilities instead", stacklevel=2
-            )
-
-    @property
-    def capabilities(self) -> Capability:
-        return getattr(self._engine, "capabilities", super().capabilities)
-
-    @property
-    def tells(self) -> bool:
-        return getattr(self._engine.run, "says_at_hand", False)
-
-    @property
-    def streams(self) -> bool:
-        return getattr(self._engine.run, "takes_stream", False)
-
-    def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> OpenWorlds:
-        """The open worlds of the user's engine, if it has any; else the default of ``Engine``."""
-        opens = getattr(self._engine, "open", None)
-        worlds: OpenWorlds = (super().open if opens is None else opens)(scenes, sim, most_boxes)
-        return worlds
-
-    @property
-    def device(self) -> str:
-        return getattr(self._engine, "device", "") or device_name(self.name, self._threads)
-
-    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
-        return self._engine.run(jobs, sim, progress)
-
-
-@contextmanager
-def engine_warmup(options: RunOptions, plans: object, sim: Simulation) -> Iterator[WorkerStartup | None]:
-    """Prepares the engine while plans are read. If ``mjx-warp`` will be the engine of this process, the context starts
-    JAX and Warp on the GPU and compiles kernels. If workers are requested, the context starts them, and yields the
-    started workers for ``resolve_engine``. Starting libraries and workers is mostly waiting, so plans are read
-    meanwhile."""
-    if options.asked_workers is not None and isinstance(options.engine, str):
-        from petmjx.engines.remote.worker_choice import WorkerStartup  # for runs with workers only
-
-        startup = WorkerStartup(options, worth_gpus=bytes_of_plans(plans) >= WORTH_A_GPU)
-        try:
-            yield startup
-        except BaseException:
-            startup.give_up()
-            raise
-        return
-    thread = None
-    if may_use_gpu(options, plans):
-        thread = threading.Thread(target=_start_if_gpu, args=(sim,), name="petmjx-start")
-        thread.start()
-    # if the caller raises an error here, such as one about plans, it is reported at once: the thread is not joined
-    yield None
-    if thread is not None:
-        thread.join()
-
-
-def may_use_gpu(options: RunOptions, plans: object) -> bool:
-    """Whether the engine of this process will be ``mjx-warp`` if there is a GPU."""
-    if not isinstance(options.engine, str) or options.engine not in (AUTO, "mjx-warp"):
-        return False
-    return options.engine != AUTO or bytes_of_plans(plans) >= WORTH_A_GPU
-
-
-def _start_if_gpu(sim: Simulation) -> None:
-    if cuda_devices():  # asking the GPU's driver takes time, too, so this thread does it
-        builds = begin_builds(sim)
-        start_gpu()
-        # Another thread waits for the kernels and loads them, while worlds are made.
-        threading.Thread(target=compile_ahead, args=(sim, builds), name="petmjx-kernels").start()
-
-
-def bytes_of_plans(plans: object) -> int:
-    """Total size of plan files, and of the files in folders, in bytes; 0 for anything else than paths."""
-    several = plans if isinstance(plans, list | tuple) else [plans]
-    paths = [Path(source) for source in several if isinstance(source, str | PathLike)]
-    with suppress(OSError, ValueError):
-        return sum(file.stat().st_size for path in paths for file in (path.iterdir() if path.is_dir() else [path]))
-    return 0
 
 
 @contextmanager
@@ -199,8 +92,8 @@ def resolve_engine(
         name, reason = choose(seconds, threads, compiles=costs.kernel_start_s > costs.kernel_load_s)
     engine, choice = make_engine(name, **options_of(name, options)), Choice(name, reason, seconds.get(name))
     if hands_over and requested_engine == AUTO and name == "mujoco" and options.world_timeout_s is None:
-        from petmjx.engines.engine_handover import HandoverEngine
         from petmjx.engines.mujoco.engine import MujocoEngine  # imported here, since it loads MuJoCo
+        from petmjx.engines.mujoco_to_warp_handover import HandoverEngine
 
         kernels = "mjx-warp-cpu"
         assert isinstance(engine, MujocoEngine)

@@ -106,7 +106,7 @@ class Outcome:
     solver: str = "newton"
     attempt: int = 1
     engine: str = ""
-    """Name of the engine that made this attempt. Set by petmjx.engines.attempt_runner."""
+    """Name of the engine that made this attempt. Set by petmjx.engines.attempt_with_fallback."""
     state: KeptState | EngineState | None = None
     """The settled state, if the job requests it. Outside the engine, the type is ``KeptState``."""
     margin: float = math.nan

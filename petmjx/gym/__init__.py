@@ -24,7 +24,7 @@ ENVIRONMENT: Final = "Palletizing-v0"
 if f"petmjx/{ENVIRONMENT}" not in registry:
     register(
         f"petmjx/{ENVIRONMENT}",
-        entry_point="petmjx.gym.env:PalletizingEnv",
+        entry_point="petmjx.gym.single_env:PalletizingEnv",
         vector_entry_point="petmjx.gym.vector_env:PalletizingVectorEnv",
     )
 

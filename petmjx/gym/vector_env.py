@@ -15,9 +15,9 @@ from petmjx.common.argument_checks import integer_of
 from petmjx.common.checked_records import shown_value
 from petmjx.common.errors import InputError
 from petmjx.gym.curriculum import level_of
-from petmjx.gym.env import PalletizingEnv, check_render_mode, spaces_of
 from petmjx.gym.episodes import Episodes
 from petmjx.gym.observation_spaces import Observation
+from petmjx.gym.single_env import PalletizingEnv, check_render_mode, spaces_of
 from petmjx.loop.engine_setup import MOST_PALLETS
 
 Info = dict[str, Any]

@@ -17,7 +17,7 @@ from typing import Any
 from petmjx.jax.pallet_functions import empty, place, try_all
 from petmjx.jax.palletizing_environment import Observation, Palletizing
 from petmjx.jax.placement_arrays import REASONS, PlacementArrays
-from petmjx.jax.timestep import Spec, StepType, TimeStep
+from petmjx.jax.timestep_and_specs import Spec, StepType, TimeStep
 
 __all__ = [
     "REASONS",

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from petmjx.engines.protocol import Engine
 from petmjx.jax.placement_arrays import PlacementArrays, empty_results, shapes, write_results
 from petmjx.loop.pallets import Pallets
-from petmjx.loop.placements import Placements
+from petmjx.loop.placement_arguments import Placements
 from petmjx.options.simulation import Simulation
 
 KEPT_PER_PALLET: Final = 4

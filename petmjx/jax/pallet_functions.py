@@ -15,7 +15,7 @@ from petmjx.common.errors import InputError
 from petmjx.jax.host_pallets import empty_host
 from petmjx.jax.placement_arrays import PlacementArrays
 from petmjx.loop.engine_setup import MOST_PALLETS, check_open, open_engine
-from petmjx.loop.placements import check_limits
+from petmjx.loop.placement_arguments import check_limits
 from petmjx.options.carriers import AnyCarrier
 from petmjx.options.run_options import AUTO
 from petmjx.options.simulation import Simulation

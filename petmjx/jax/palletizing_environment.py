@@ -20,7 +20,7 @@ from petmjx.jax.free_cells import Cells, Pile, Ways
 from petmjx.jax.pallet_functions import State as Pallet
 from petmjx.jax.pallet_functions import empty, place
 from petmjx.jax.placement_arrays import PlacementArrays
-from petmjx.jax.timestep import Spec, StepType, TimeStep
+from petmjx.jax.timestep_and_specs import Spec, StepType, TimeStep
 from petmjx.loop.candidate_places import LARGEST_GAP_MM
 from petmjx.loop.height_maps import cells_of
 from petmjx.loop.order_sources import ENDLESS, Boxes, Orders, order_reading

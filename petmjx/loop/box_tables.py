@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
 from petmjx.loop.extreme_points import Points
-from petmjx.loop.placements import Placements
+from petmjx.loop.placement_arguments import Placements
 from petmjx.plans.plan import Plan
 from petmjx.world.growing_scenes import FIRST_COLUMNS, widened_table
 

@@ -16,7 +16,7 @@ from petmjx.common.processes import DEFAULT_THREADS, on_threads
 from petmjx.common.units import FloatArray
 from petmjx.common.warp_setup import machine_code
 from petmjx.loop.box_tables import BoxTable
-from petmjx.loop.placements import Placements
+from petmjx.loop.placement_arguments import Placements
 from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM
 
 LARGEST_GAP_MM: Final = 1_000.0

@@ -15,7 +15,7 @@ from petmjx.common.argument_checks import number_of, text_of
 from petmjx.common.checked_records import shown_value
 from petmjx.common.errors import InputError
 from petmjx.common.units import FloatArray, deg_to_rad
-from petmjx.engines.open_worlds import OpenWorlds
+from petmjx.engines.open_world_protocol import OpenWorlds
 from petmjx.engines.verdict import Verdict
 from petmjx.loop.placement_results import PlacementResults
 from petmjx.options.simulation import Simulation, Thresholds

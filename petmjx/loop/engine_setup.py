@@ -10,7 +10,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.machine import why_no_warp
 from petmjx.engines.engine_choice import ENGINES, make_engine, options_of
 from petmjx.engines.protocol import Engine, MinimalEngine
-from petmjx.engines.run_engine import UserEngine
+from petmjx.engines.user_engine import UserEngine
 from petmjx.options.carriers import extent_m
 from petmjx.options.run_options import AUTO, RunOptions
 from petmjx.options.simulation import Check, Schedule, Simulation

@@ -12,12 +12,12 @@ from petmjx.analysis.story import Story
 from petmjx.common.errors import InputError
 from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.engines.metrics import BoxMetrics
-from petmjx.engines.open_worlds import Reading
+from petmjx.engines.open_world_protocol import Reading
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
+from petmjx.show.pictures.box_colours import colouring
 from petmjx.show.pictures.camera import Margins, framing, view_of
-from petmjx.show.pictures.colours import colouring
 from petmjx.show.pictures.draw_story import Painter
 from petmjx.show.pictures.picture_files import why_nothing_is_drawn
 from petmjx.show.pictures.picture_options import Colour

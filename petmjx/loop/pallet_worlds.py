@@ -13,9 +13,9 @@ from petmjx.common.units import FloatArray
 from petmjx.engines.protocol import Engine
 from petmjx.loop.box_tables import BoxTable
 from petmjx.loop.candidate_trials import placing_errors_of
+from petmjx.loop.placement_arguments import Placements
 from petmjx.loop.placement_bounds import Bounds, boxes_apart_mm, decidable
 from petmjx.loop.placement_results import PlacementResults
-from petmjx.loop.placements import Placements
 from petmjx.options.simulation import Simulation
 from petmjx.world.growing_scenes import EmptyCarrier, NextBoxes
 

@@ -25,9 +25,9 @@ from petmjx.loop.engine_setup import MOST_PALLETS, OF_RUN, Closable, check_open,
 from petmjx.loop.height_maps import height_maps
 from petmjx.loop.pallet_verdicts import PalletWorld, SettledEngine, pallet_scores
 from petmjx.loop.pallet_worlds import PalletWorlds
+from petmjx.loop.placement_arguments import Placements, boxes_of, grid_of, once_each, pallets_of, placements_of
 from petmjx.loop.placement_bounds import FALLS, OPEN, STANDS
 from petmjx.loop.placement_results import PlacementResults
-from petmjx.loop.placements import Placements, boxes_of, grid_of, once_each, pallets_of, placements_of
 from petmjx.options.carriers import AnyCarrier, extent_m
 from petmjx.options.run_options import AUTO, RunOptions, sorted_options
 from petmjx.options.simulation import Simulation

@@ -30,9 +30,9 @@ from numpy.typing import NDArray
 
 from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.engines.mujoco.box_motion import shift, tilt_deg
-from petmjx.engines.open_worlds import Readings
+from petmjx.engines.open_world_protocol import Readings
 from petmjx.loop.box_tables import BoxTable
-from petmjx.loop.placements import Placements
+from petmjx.loop.placement_arguments import Placements
 from petmjx.options.carriers import Carrier
 from petmjx.options.physics import Cone
 from petmjx.options.simulation import Simulation, Thresholds

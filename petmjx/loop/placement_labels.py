@@ -10,7 +10,6 @@ An episode depends only on its number and the seed, so a larger set begins with 
 
 from __future__ import annotations
 
-import hashlib
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
@@ -29,13 +28,11 @@ from petmjx.common.prefetch import prefetch
 from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.loop.candidate_places import Places
 from petmjx.loop.engine_setup import chooses_gpu
+from petmjx.loop.label_splits import split_of
 from petmjx.loop.order_sources import Boxes, Orders
 from petmjx.loop.pallets import Pallets
 from petmjx.options.run_options import AUTO
 from petmjx.plans.plan import Plan
-
-SPLITS: Final = {"train": 0.8, "validation": 0.1, "test": 0.1}
-"""Share of the orders in each split."""
 
 CAREFUL_SUPPORT: Final = 0.75
 """Smallest share of the base that must be supported at the places of the careful packer."""
@@ -104,20 +101,6 @@ Label = dict[str, Any]
 box are NumPy arrays."""
 
 SCHEMA: Final = pa.schema([(name, kind) for name, (kind, _) in COLUMNS.items()])
-
-
-def split_of(boxes: Boxes) -> str:
-    """The split (training, validation or test) to which an order belongs. The split depends only on the sizes and
-    masses of the order's boxes, not on their sequence or orientation. So orders with the same boxes are in the same
-    split."""
-    rows = np.column_stack([np.sort(boxes.size_mm, axis=1), boxes.mass_kg]).round(3)
-    content = rows[np.lexsort(rows.T)].tobytes()
-    place = int.from_bytes(hashlib.sha256(content).digest()[:8]) / 2**64
-    for name, share in SPLITS.items():
-        if place < share:
-            return name
-        place -= share
-    return name
 
 
 @dataclass(eq=False)

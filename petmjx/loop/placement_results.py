@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.engines.mujoco.box_motion import has_dropped, shift, tilt_deg
-from petmjx.engines.open_worlds import Readings, joined_records, widened_rows
+from petmjx.engines.open_world_protocol import Readings, joined_records, widened_rows
 from petmjx.engines.verdict import DROPPED_EXCESS, Flag, Outcome, Signs, Verdict, judge_all, margins_of
 from petmjx.options.simulation import Thresholds
 

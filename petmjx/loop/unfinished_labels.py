@@ -34,7 +34,7 @@ from petmjx.common.text import count_text
 from petmjx.loop.placement_labels import SCHEMA, Label
 from petmjx.results.run_folder import part_files, part_name, part_number, write_text
 from petmjx.results.run_manifest import differing_settings
-from petmjx.results.run_tables import LISTED, Parts
+from petmjx.results.run_table_reader import LISTED, Parts
 from petmjx.results.schema import SCHEMA_VERSION
 from petmjx.results.tables_in_progress import Tables
 

@@ -56,14 +56,14 @@ class Schedule(StrEnum):
 
 class Solver(StrEnum):
     """MuJoCo's constraint solver. A simulation that fails is repeated in further attempts with other settings;
-    petmjx/engines/attempts.py chooses the solver of each attempt."""
+    petmjx/engines/attempt_settings.py chooses the solver of each attempt."""
 
     NEWTON = "newton"
     CG = "cg"
 
 
 class Attempts(StrEnum):
-    """Whether boxes are rigid or soft in the last attempt at a simulation (petmjx/engines/attempts.py)."""
+    """Whether boxes are rigid or soft in the last attempt at a simulation (petmjx/engines/attempt_settings.py)."""
 
     RIGID = "rigid"
     SOFT = "soft"

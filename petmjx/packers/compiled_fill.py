@@ -70,7 +70,7 @@ def _kernel() -> Any:
 
     set_up_warp()
     text = names_in_cpp()
-    for name in ("matrices.cpp", "fill.cpp"):
+    for name in ("fill_arithmetic.cpp", "fill.cpp"):
         text += f'#line 1 "{name}"\n' + resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
     return with_cpp(fill, text, fuse_fp=False)
 

@@ -32,7 +32,7 @@ from petmjx.plans.plan_writer import save_plans
 from petmjx.results.notebook_tables import ShownColumn, block_as_html, table_as_html
 
 if TYPE_CHECKING:
-    from petmjx.plans.item_orders import OrderReading
+    from petmjx.plans.item_units_and_quantities import OrderReading
 
 OF_RUN: Final = ("engine", "threads", "lanes", "world_timeout_s")
 """Fields of ``RunOptions`` that ``pack`` accepts. The accepted fields affect how packings are simulated."""
@@ -253,7 +253,7 @@ def reading_of(
     Raises:
         InputError: an option is unusable.
     """
-    from petmjx.plans.item_orders import OrderReading
+    from petmjx.plans.item_units_and_quantities import OrderReading
 
     of_files = {name: options[name] for name in OF_ORDERS if options.get(name) is not None}
     left = {name: value for name, value in options.items() if name not in OF_ORDERS}

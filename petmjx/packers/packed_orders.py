@@ -15,7 +15,7 @@ from petmjx.packers.sample_plans import as_placements
 from petmjx.plans.json_writer import Placement
 from petmjx.plans.order_generator import Order
 from petmjx.plans.plan import Plan
-from petmjx.results.share_intervals import wilson_interval
+from petmjx.results.share_statistics import wilson_interval
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,7 +32,7 @@ from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan_fields import COM_FIELDS_JSON
 
 if TYPE_CHECKING:
-    from petmjx.plans.item_orders import OrderReading
+    from petmjx.plans.item_units_and_quantities import OrderReading
 
 DEFAULT_LOOSE_SHARE = 0.5
 """Share of loose plans in a mixed set. For example, the first 100 plans of seed 0 are 55 loose and 45 strict plans.

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Final, Protocol, runtime_checkable
 
 from petmjx.common.errors import InputError
-from petmjx.common.file_kinds import LOOKED_AT_ARCHIVE, foreign_kind
 from petmjx.common.safe_read import open_regular
 from petmjx.common.text import count_text, number_in, shortened_text
+from petmjx.common.unreadable_files import LOOKED_AT_ARCHIVE, foreign_kind
 
 PARQUET_MAGIC: Final = b"PAR1"
 PARQUET_SUFFIX: Final = ".parquet"

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from petmjx.common.errors import InputError
-from petmjx.common.file_kinds import foreign_kind, program_kind
+from petmjx.common.unreadable_files import foreign_kind, program_kind
 from petmjx.plans.column_names import words_of
 from petmjx.plans.file_formats import NoBoxes, NoGeometry, nul_fault
 from petmjx.plans.header_and_total_rows import geometric_names

@@ -17,7 +17,7 @@ from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.foreign_formats import sources_of_bytes
 from petmjx.plans.item_columns import BOX_PROPERTIES, ItemColumns, has_sizes_of_items, item_columns
 from petmjx.plans.item_joins import bytes_of, with_items_of
-from petmjx.plans.item_orders import DELI, EURO, PG, SIZES, ForeignOrders, OrderReading, orders_of_items
+from petmjx.plans.item_units_and_quantities import DELI, EURO, PG, SIZES, ForeignOrders, OrderReading, orders_of_items
 from petmjx.plans.known_forms import BoxSource, rows_of
 from petmjx.plans.numpy_arrays import loaded_array
 from petmjx.plans.order_generator import Item, Order, target_named

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from petmjx.common.errors import InputError
-from petmjx.common.file_kinds import foreign_kind
 from petmjx.common.safe_read import FREE_BYTES, MOST_BYTES, allowed_bytes, read_regular, size
 from petmjx.common.text import count_text, printable_id
+from petmjx.common.unreadable_files import foreign_kind
 from petmjx.plans.file_formats import wide_encoding
 
 _GZIP_MAGIC: Final = b"\x1f\x8b\x08"

@@ -40,7 +40,7 @@ from petmjx.plans.plan_fields import (
 )
 
 if TYPE_CHECKING:
-    from petmjx.plans.item_orders import ForeignOrders, OrderReading
+    from petmjx.plans.item_units_and_quantities import ForeignOrders, OrderReading
 
 _CONVERT: Final = "petmjx convert {file} --orders -o orders.json takes it, and writes orders that all commands read"
 """Advice that is appended to errors of commands that have no options for reading orders."""
@@ -106,7 +106,7 @@ def read_order_frame(
     Arguments and errors are those of :func:`read_orders`. Messages call the frame "orders".
     """
     from petmjx.plans.foreign_orders import frame_orders
-    from petmjx.plans.item_orders import OrderReading
+    from petmjx.plans.item_units_and_quantities import OrderReading
 
     try:
         orders = frame_orders(frame, _FRAME, reading or OrderReading())
@@ -189,7 +189,7 @@ def _foreign(path: Path, name: str, reading: OrderReading | None) -> ForeignOrde
     from petmjx.common.arrow_files import parquet_table
     from petmjx.plans.foreign_orders import foreign_orders, frame_orders, orders_of_plans
     from petmjx.plans.item_columns import TWO_WAYS
-    from petmjx.plans.item_orders import OrderReading
+    from petmjx.plans.item_units_and_quantities import OrderReading
 
     try:
         data, _ = unpacked_bytes(path)

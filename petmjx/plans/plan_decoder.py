@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from petmjx.common.processes import no_collection
 from petmjx.common.units import FloatArray
 from petmjx.plans.input_conventions import InputConventions
-from petmjx.plans.joined_plans import plan_of_rows
 from petmjx.plans.json_reader import LONGEST_VALUE, Entry, MalformedPlans, scan_plans
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_fields import (
@@ -32,6 +31,7 @@ from petmjx.plans.plan_fields import (
     UnreadFields,
     plan_id_fault,
 )
+from petmjx.plans.plan_transfer_arrays import plan_of_rows
 from petmjx.plans.plan_validation import PlanError, parse_plan
 
 _MOST_PLANS: Final = 2000

@@ -28,7 +28,7 @@ from petmjx.repairs.search_processes import run_searches
 from petmjx.repairs.trials import OF_RUN, SEARCHED, Question, Share, TimeLimit, TrialStream
 from petmjx.results.notebook_tables import ShownColumn, block_as_html, table_as_html
 from petmjx.results.plan_lookup import plans_in_place
-from petmjx.results.share_intervals import wilson_interval
+from petmjx.results.share_statistics import wilson_interval
 from petmjx.world.option_lint import notes_about
 
 OF_READING: Final = (*READING, "articles", "limit", "strict")

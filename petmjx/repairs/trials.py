@@ -20,8 +20,8 @@ import pandas as pd
 from petmjx.common.errors import InputError, PlanWarning
 from petmjx.common.machine import cpu_threads, why_no_warp, why_no_warp_on_cpu
 from petmjx.common.text import printable_name
-from petmjx.engines.attempt_runner import outcomes_of_stream
-from petmjx.engines.attempts import ATTEMPTS, Engines, may_go_on
+from petmjx.engines.attempt_settings import ATTEMPTS, Engines, may_go_on
+from petmjx.engines.attempt_with_fallback import outcomes_of_stream
 from petmjx.engines.contact_penetration import note_penetration
 from petmjx.engines.engine_choice import make_engine, options_of
 from petmjx.engines.job_stream import JobBounds, JobStream

@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from petmjx.results.run_tables import Parts
+from petmjx.results.run_table_reader import Parts
 from petmjx.results.schema import RANK, RANK_COLUMN
 
 if TYPE_CHECKING:

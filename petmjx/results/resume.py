@@ -18,7 +18,7 @@ from petmjx.options.run_options import WORLDS
 from petmjx.results.run_folder import part_name
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import read_info, split_warnings
-from petmjx.results.run_tables import Parts
+from petmjx.results.run_table_reader import Parts
 from petmjx.results.world_counts import COUNTED, WorldCounts
 
 _COLUMNS: Final = ("plan_id", "variant", *COUNTED, "culprit", "n_steps")

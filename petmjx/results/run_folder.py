@@ -13,8 +13,8 @@
     DIR/.lock                       exists while a run writes
 
 A file never appears half-written. Tables are written as several files, called parts. A part belongs to the run only if
-``run.json`` lists it with its digest (petmjx.results.run_tables). Parts that are not listed were left by a killed run.
-Parts of ``worlds``, ``boxes`` and ``attempts`` with the same number hold the same worlds. Parts of ``histories``,
+``run.json`` lists it with its digest (petmjx.results.run_table_reader). Parts that are not listed were left by a killed
+run. Parts of ``worlds``, ``boxes`` and ``attempts`` with the same number hold the same worlds. Parts of ``histories``,
 ``frames`` and ``contacts`` with the same number also hold the same worlds.
 """
 

@@ -12,8 +12,8 @@ from typing import Any, Final
 
 from petmjx.plans.order_matching import OrderCheck
 from petmjx.plans.plan_set import Skipped
-from petmjx.results.order_columns import orders_block
 from petmjx.results.schema import SCHEMA_VERSION, Param
+from petmjx.results.stored_order_checks import orders_block
 from petmjx.results.world_counts import WorldCounts
 
 RUNNING: Final = "running"

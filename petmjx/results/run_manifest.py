@@ -15,10 +15,10 @@ from petmjx.common.text import count_text, printable, printable_name, shortened_
 from petmjx.options.run_options import ALL
 from petmjx.options.walls import Walls
 from petmjx.plans.order_matching import PlanOrderCounts
-from petmjx.results.plan_records import PlanRecord
-from petmjx.results.run_file import check_whole
+from petmjx.results.plan_digests import PlanRecord
 from petmjx.results.run_folder import RUN_FILE
-from petmjx.results.run_tables import Parts
+from petmjx.results.run_json_checks import check_whole
+from petmjx.results.run_table_reader import Parts
 from petmjx.results.schema import plans_schema
 
 MOST_NAMED: Final = 4

@@ -31,15 +31,15 @@ from petmjx.engines.verdict import Attempt, Outcome
 from petmjx.plans.order_matching import OrderCheck
 from petmjx.plans.plan import Plan
 from petmjx.results.folder_lock import held_folder_lock
+from petmjx.results.placements_table import PLACEMENTS
 from petmjx.results.plan_order import WorldRanks, is_ranked
-from petmjx.results.plan_table import PLACEMENTS
 from petmjx.results.resume import CompletedWorlds, resume_state
-from petmjx.results.run_file import write_run_file
 from petmjx.results.run_folder import OF_WORLDS, RUN_FILE, check_run_folder, make_room, tidy
 from petmjx.results.run_json import RUNNING, RunInfo, now
+from petmjx.results.run_json_checks import write_run_file
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import FINISHED, RunResults, load_run
-from petmjx.results.run_tables import LISTED, Parts
+from petmjx.results.run_table_reader import LISTED, Parts
 from petmjx.results.schema import Param, schemas
 from petmjx.results.tables_in_progress import MemoryParts, Tables
 from petmjx.results.to_json import to_json

@@ -14,7 +14,7 @@ import pyarrow as pa
 from petmjx.common.errors import InputError
 from petmjx.results.plan_order import WorldRanks
 from petmjx.results.run_folder import OF_WORLDS, copy_file, drop_parts, part_name, part_number, write_table
-from petmjx.results.run_tables import Parts, check_columns
+from petmjx.results.run_table_reader import Parts, check_columns
 
 
 class Tables:

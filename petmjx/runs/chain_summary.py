@@ -19,7 +19,7 @@ from petmjx.engines.verdict import Verdict
 from petmjx.results.plan_order import rows_in_order
 from petmjx.results.run_writer import RunWriter
 from petmjx.results.schema import data_frame, summary_table
-from petmjx.results.share_intervals import (
+from petmjx.results.share_statistics import (
     ALL_PLANS,
     ONE_PLAN,
     PairedCounts,

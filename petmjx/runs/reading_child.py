@@ -10,13 +10,13 @@ from typing import Final, NamedTuple
 from petmjx.engines.subprocess.task_pipe import serve
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
-from petmjx.plans.joined_plans import JoinedPlans
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_fields import UnreadFields
 from petmjx.plans.plan_segments import Segment, SegmentContent, read_segment
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.plan_sources import PlanSource, carrier_extent_mm, gather_plans
-from petmjx.results.plan_records import PlanRecord, records_of
+from petmjx.plans.plan_transfer_arrays import JoinedPlans
+from petmjx.results.plan_digests import PlanRecord, records_of
 from petmjx.world.edge_distances import edge_risks
 from petmjx.world.scene import build_scenes
 

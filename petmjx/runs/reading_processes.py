@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from petmjx.common.machine import cpu_threads, cuda_devices
-from petmjx.engines.run_engine import bytes_of_plans, may_use_gpu
+from petmjx.engines.engine_warmup import bytes_of_plans, may_use_gpu
 from petmjx.engines.subprocess.task_pipe import Child
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
@@ -22,7 +22,7 @@ from petmjx.plans.plan_reader import OPTIONS_OF_OTHERS
 from petmjx.plans.plan_segments import Segment, joined, segments_of
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.plan_sources import PlanSource, carrier_extent_mm, usable_of, usable_plans
-from petmjx.results.plan_records import PlanRecord, records_of
+from petmjx.results.plan_digests import PlanRecord, records_of
 from petmjx.runs.reading_child import ReadingAnswer
 
 WORTH_A_PROCESS: Final = 16 << 20

@@ -18,9 +18,10 @@ from petmjx.common.machine import package_versions
 from petmjx.common.text import count_text, printable_name
 from petmjx.common.units import FloatArray
 from petmjx.engines.engine_choice import Choice
+from petmjx.engines.engine_warmup import engine_warmup
 from petmjx.engines.metrics import BoxMetrics
 from petmjx.engines.protocol import Engine, Progress
-from petmjx.engines.run_engine import engine_for, engine_warmup
+from petmjx.engines.run_engine import engine_for
 from petmjx.engines.verdict import Reason
 from petmjx.options.physics import Physics
 from petmjx.options.run_options import RunOptions
@@ -29,9 +30,9 @@ from petmjx.plans.order_matching import OrderCheck, check_orders
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.plan_sources import PlanSource, are_files
+from petmjx.results.placements_table import placements_table
+from petmjx.results.plan_digests import PlanRecord
 from petmjx.results.plan_lookup import plans_in_place
-from petmjx.results.plan_records import PlanRecord
-from petmjx.results.plan_table import placements_table
 from petmjx.results.recording import Recording, recording_of
 from petmjx.results.resume import engine_of_run
 from petmjx.results.run_manifest import Manifest

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from petmjx.engines.attempt_settings import ATTEMPTS
 from petmjx.engines.attempt_stream import FIRST_WORLDS, check_pool_for, score_worlds
-from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.job_stream import JobBounds
 from petmjx.engines.protocol import Engine, Progress
 from petmjx.engines.subprocess.check_pool import CheckPool

@@ -13,7 +13,7 @@ from petmjx.common.text import count_text, first_names, printable, printable_nam
 from petmjx.options.run_options import OF_ORDERS, RunOptions
 from petmjx.plans.item_columns import TWO_WAYS
 from petmjx.plans.item_joins import has_named_places
-from petmjx.plans.item_orders import OrderReading
+from petmjx.plans.item_units_and_quantities import OrderReading
 from petmjx.plans.order_reader import OF_PLAN, read_orders
 from petmjx.plans.plan_reader import REPEATED, load_plans
 from petmjx.plans.plan_set import PlanSet

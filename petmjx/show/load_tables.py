@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 from rich.console import RenderableType
 
-from petmjx.analysis.box_strength import Loads
+from petmjx.analysis.box_loads import Loads
 from petmjx.analysis.crushing import NOT, POSSIBLY, SURELY
 from petmjx.common.text import box_label, count_text
 from petmjx.show.table_layout import (

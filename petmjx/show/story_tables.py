@@ -11,7 +11,8 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from petmjx.analysis.story import Story, events, how_it_was_simulated, notes_in_words, reason_in_words
+from petmjx.analysis.story import Story
+from petmjx.analysis.story_in_words import events, how_it_was_simulated, notes_in_words, reason_in_words
 from petmjx.common.text import count_text
 from petmjx.engines.verdict import Verdict
 from petmjx.show.table_layout import FittedTable, TableColumn, line, number

@@ -12,7 +12,7 @@ import pandas as pd
 
 from petmjx.common.text import box_label
 from petmjx.common.units import FloatArray
-from petmjx.results.share_intervals import ALL_PLANS, ONE_PLAN
+from petmjx.results.share_statistics import ALL_PLANS, ONE_PLAN
 from petmjx.runs.chain_legs import AS_IS
 from petmjx.runs.chain_summary import WHOLE_WAY, arrivals, shares_by_leg
 from petmjx.runs.sweep_axes import AXIS_KINDS

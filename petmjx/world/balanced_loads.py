@@ -22,7 +22,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.common.highs import minimised
+from petmjx.common.linear_programmes import minimised
 from petmjx.common.units import FloatArray
 from petmjx.world.pushing_forces import IntArray
 from petmjx.world.supports import Bearing

@@ -112,9 +112,9 @@ class Job:
             its next box. Engines get a state of their own type; outside engines, a ``KeptState`` holds the state.
         pauses_after: number of boxes, fewer than the scene has, after which the placement pauses: the world ends when
             the next box would be placed, and the outcome has its state. The state serves as ``start`` of all jobs whose
-            worlds are equal up to this moment (``petmjx.engines.warp.beginnings``). The outcome has no state if the
-            world ended earlier. A placement can pause only on engines with ``Capability.PAUSES``, in worlds without a
-            drive in which each box is placed as soon as the other boxes are at rest.
+            worlds are equal up to this moment (``petmjx.engines.warp.equal_beginnings``). The outcome has no state if
+            the world ended earlier. A placement can pause only on engines with ``Capability.PAUSES``, in worlds without
+            a drive in which each box is placed as soon as the other boxes are at rest.
         poses: (n, 7) middles, m, and orientations (w, x, y, z) of the boxes when the drive begins. The boxes are at
             rest at these poses. So a drive can continue from the poses that another drive left, on any engine. The
             carrier is where the placement left it, since engines clamp the carrier in acceleration profiles. If

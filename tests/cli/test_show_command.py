@@ -11,7 +11,7 @@ import pytest
 from support.pictures import falling_story, needs_pictures, standing_story
 
 import petmjx
-from petmjx.analysis.story import events, headline
+from petmjx.analysis.story_in_words import events, headline
 from petmjx.cli.main import main
 from petmjx.common.errors import InputError
 from petmjx.show.pictures.mujoco_viewer import Player, play, show, viewer_model

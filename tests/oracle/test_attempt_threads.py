@@ -16,7 +16,7 @@ pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 from support.fake_stepper import assert_same
 from support.plans import make_plan, make_world, stack
 
-from petmjx.engines import attempts
+from petmjx.engines import attempt_settings
 from petmjx.engines.attempt_stream import score_worlds
 from petmjx.engines.attempt_threads import AttemptThreads
 from petmjx.engines.subprocess.attempt_process import AttemptTask
@@ -44,7 +44,7 @@ def test_a_world_is_simulated_again_beside_the_others_and_the_same(monkeypatch: 
         results.append(result)
     assert len(begun_after) == 1
     assert begun_after[0] < 3, "not at the end"
-    monkeypatch.setattr(attempts, "BESIDE_ITSELF", "")
+    monkeypatch.setattr(attempt_settings, "BESIDE_ITSELF", "")
     (again,) = score_worlds([make_world(SINKS)], Simulation(), engine)
     assert len(begun_after) == 1
     (beside,) = (result for result in results if result.world.plan is SINKS)

@@ -11,8 +11,8 @@ import pytest
 from support.plans import make_plan, make_world, stack
 
 import petmjx
+from petmjx.engines.attempt_settings import ATTEMPTS
 from petmjx.engines.attempt_stream import score_worlds
-from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.engine_choice import make_engine
 from petmjx.options.simulation import Simulation
 
@@ -28,7 +28,7 @@ import sys
 import numpy as np
 from support.plans import make_plan, make_world, stack
 from petmjx.options.simulation import Simulation
-from petmjx.engines.attempts import ATTEMPTS
+from petmjx.engines.attempt_settings import ATTEMPTS
 from petmjx.engines.engine_choice import make_engine
 from petmjx.engines.attempt_stream import score_worlds
 from petmjx.engines.warp.cpu_engine import MjxWarpCpuEngine
@@ -41,14 +41,14 @@ print(outcome.n_steps, *outcome.boxes.pos.ravel())
 RUN = """
 import sys
 import petmjx
-from petmjx.engines import attempt_stream, attempts
+from petmjx.engines import attempt_stream, attempt_settings
 
 engine, plans, out, first = sys.argv[1:]
 # each further attempt, as if all before had failed
-asked = (attempts.ATTEMPTS[0], *attempts.ATTEMPTS[int(first) - 1 :])
+asked = (attempt_settings.ATTEMPTS[0], *attempt_settings.ATTEMPTS[int(first) - 1 :])
 attempt_stream.score_worlds.__kwdefaults__["attempts"] = asked
-attempts.AttemptRecipe.is_for = lambda self, outcome, sim: self.number == int(first) and outcome.attempt != int(first)
-petmjx.score(plans, engine=engine, out=out)
+attempt_settings.AttemptRecipe.is_for = lambda self, outcome, sim: self.number == int(first) and outcome.attempt !=
+int(first) petmjx.score(plans, engine=engine, out=out)
 """
 
 

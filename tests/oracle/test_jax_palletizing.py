@@ -63,7 +63,7 @@ def step(env: petmjx.jax.Palletizing) -> Any:
 @pytest.mark.parametrize("order", [0, 1])
 def test_an_episode_is_that_of_the_gymnasium_environment(reset: Any, step: Any, order: int) -> None:
     pytest.importorskip("gymnasium", reason="gymnasium is not installed (extra: gym)")
-    from petmjx.gym.env import PalletizingEnv
+    from petmjx.gym.single_env import PalletizingEnv
 
     table = TABLE[TABLE.order_id == order]
     gym = PalletizingEnv(**{**OPTIONS, "orders": table}, rewards=TERMS, actions="cells", most_illegal=2)

@@ -45,7 +45,7 @@ from petmjx.engines.mjx.host_to_device import load
 from petmjx.engines.mjx.padded_template import MAX_ITERATIONS
 from petmjx.engines.mjx.timetable import build_timetable
 from petmjx.engines.mjx.world_state import fresh_state
-from petmjx.engines.warp import programs
+from petmjx.engines.warp import compiled_programs
 from petmjx.engines.warp import time_slices as rollouts
 from petmjx.engines.warp.engine import MjxWarpEngine
 
@@ -153,10 +153,12 @@ def test_a_drive_has_an_iteration_limit_of_its_own(monkeypatch: pytest.MonkeyPat
     """The limit does not change the placing of boxes. An iteration limit of the user replaces it."""
     jobs = [Job(tiny("hand-bridge"), pushes("force", LEVELS["force"])), Job(tiny("hand-bridge"))]
 
-    monkeypatch.setattr(rollouts, "programs", programs.programs.__wrapped__)  # not cached, as they depend on the limit
+    monkeypatch.setattr(
+        rollouts, "programs", compiled_programs.programs.__wrapped__
+    )  # not cached, as they depend on the limit
 
     def found(driven: int, **options: Any) -> list[Outcome]:
-        monkeypatch.setattr(programs, "DRIVEN_ITERATIONS", driven)
+        monkeypatch.setattr(compiled_programs, "DRIVEN_ITERATIONS", driven)
         return run_all(engine(), jobs, SHORT.changed(**options))
 
     few, many, custom = found(1), found(MAX_ITERATIONS), found(1, solver_iterations=MAX_ITERATIONS)
@@ -274,9 +276,9 @@ def test_one_program_a_shape() -> None:
     some = list(tiny_scenes().values())
     for scenes in (some[:4], some[1:], some[:3]):
         run_all(fresh, [Job(scene) for scene in scenes], SHORT)
-    ((_, rollout),) = fresh._kept.values()
+    ((_, rollout),) = fresh._rollouts._kept.values()
     run_all(fresh, [Job(scene, pushes("force", 1.0)) for scene in some[1:3]], SHORT)
-    assert [kept_rollout for _, kept_rollout in fresh._kept.values()] == [rollout]
+    assert [kept_rollout for _, kept_rollout in fresh._rollouts._kept.values()] == [rollout]
     assert len(rollout.programs._compiled) == 2, "of up to four worlds, and of two with a profile"
     run_all(engine(slice_ns=apart), [Job(scene) for scene in some[:4]], SHORT, progress)
     assert progress.compile_s == 0, "another engine of the same process"

@@ -11,7 +11,7 @@ import pytest
 
 from petmjx.common.errors import InputError
 from petmjx.engines.mujoco.engine import MujocoEngine
-from petmjx.engines.open_worlds import OpenWorlds
+from petmjx.engines.open_world_protocol import OpenWorlds
 from petmjx.engines.verdict import Flag, Outcome, Verdict
 from petmjx.options.simulation import Quiet, Schedule, Simulation
 from petmjx.world.job import FORCE, Drive, Excitation, Job

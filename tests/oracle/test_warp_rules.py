@@ -28,8 +28,8 @@ from support.fake_stepper import fake_scene
 from petmjx.common.warp_cpp import with_cpp
 from petmjx.common.warp_setup import set_up_warp
 from petmjx.engines.warp import world_arrays
+from petmjx.engines.warp.compiled_programs import constants
 from petmjx.engines.warp.kernels.rules import after_step
-from petmjx.engines.warp.programs import constants
 from petmjx.engines.warp.solver import newton
 from petmjx.engines.warp.world_arrays import Model, Thread, Workspace, array_types, filled_record
 

@@ -26,7 +26,7 @@ from support.worlds import simulate
 
 from petmjx.engines.mjx.world_constants import NEVER
 from petmjx.engines.verdict import Outcome
-from petmjx.engines.warp import block_launch, block_pools
+from petmjx.engines.warp import block_launch, block_pool_choice
 from petmjx.engines.warp.block_launch import FEW_BOXES, SIZES, Launch
 from petmjx.engines.warp.block_pool import BlockPool
 from petmjx.engines.warp.engine import MjxWarpEngine
@@ -41,7 +41,7 @@ ONE = BlockPool(Launch(4, SIZES[0].threads, 2, 0, 37), 4, 40, 1, 420, 336)
 @pytest.fixture
 def taken(monkeypatch: pytest.MonkeyPatch) -> list[list[int]]:
     """Return the numbers of worlds that each pool of blocks takes, slice after slice. No blocks are for last worlds."""
-    monkeypatch.setattr(block_pools, "tail_pool", lambda *_: None)
+    monkeypatch.setattr(block_pool_choice, "tail_pool", lambda *_: None)
     return watched_queues(monkeypatch)
 
 
@@ -51,7 +51,7 @@ def test_a_world_goes_on_in_other_blocks_when_few_such_worlds_are_left(
     most: int, monkeypatch: pytest.MonkeyPatch, taken: list[list[int]], crowd: dict[str, Outcome]
 ) -> None:
     few = {"n_boxes": most, "blocks": 2, "least": 1 if most == 1 else 2}
-    monkeypatch.setattr(block_pools, "small_world_pool", lambda pool, worlds, lanes: replace(pool, **few))
+    monkeypatch.setattr(block_pool_choice, "small_world_pool", lambda pool, worlds, lanes: replace(pool, **few))
     scenes = tiny_scenes()
     assert_equal_worlds(simulate(engine(slice_ns=SOME_NS), scenes, SHORT), crowd)
     of_few, of_one = np.array(taken).T
@@ -109,7 +109,7 @@ def test_memory_without_room_for_them_has_room_for_others(
     monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
     tried = room_for_one_pool(monkeypatch)
-    monkeypatch.setattr(block_pools, "small_world_pool", lambda pool, *_: replace(pool, n_boxes=1, least=1))
+    monkeypatch.setattr(block_pool_choice, "small_world_pool", lambda pool, *_: replace(pool, n_boxes=1, least=1))
     assert_equal_worlds(simulate(engine(), tiny_scenes(TINY[:1]), SHORT), crowd)
     assert tried == [2, 1]
 
@@ -155,6 +155,6 @@ def test_blocks_of_many_worlds_give_what_blocks_of_one_give(
     together = simulate(MjxWarpEngine(slice_ns=3_000_000), scenes, sim)
     assert len(taken[0]) == 2
     assert min(np.array(taken).max(0)) > 100
-    monkeypatch.setattr(block_pools, "small_world_pool", lambda *_: None)
+    monkeypatch.setattr(block_pool_choice, "small_world_pool", lambda *_: None)
     assert_equal_worlds(simulate(MjxWarpEngine(), scenes, sim), together)
     assert len(taken[-1]) == 1

@@ -31,7 +31,7 @@ from petmjx.engines.mjx.host_to_device import GRANULE
 from petmjx.engines.mujoco.slip import SlipLaw
 from petmjx.engines.warp import block_launch
 from petmjx.engines.warp.block_launch import Launch
-from petmjx.engines.warp.programs import friction_damping
+from petmjx.engines.warp.compiled_programs import friction_damping
 from petmjx.engines.warp.solver import newton
 from petmjx.engines.warp.world_arrays import MAX_BOXES, PANEL
 

@@ -17,16 +17,16 @@ from support.plans import make_plan, make_world, stack
 from support.tiny_worlds import devices, engine, shared_engine
 
 import petmjx
+from petmjx.engines.attempt_settings import ATTEMPTS, AttemptRecipe
 from petmjx.engines.attempt_stream import score_worlds
-from petmjx.engines.attempts import ATTEMPTS, AttemptRecipe
 from petmjx.engines.contact_penetration import STIFF_INTERVAL_S, stiffened
 from petmjx.engines.mjx.timetable import build_timetable
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.protocol import Engine
 from petmjx.engines.verdict import Flag, Verdict
+from petmjx.engines.warp.compiled_programs import constants, contact_constants
 from petmjx.engines.warp.cpu_engine import MjxWarpCpuEngine
 from petmjx.engines.warp.engine import MjxWarpEngine
-from petmjx.engines.warp.programs import constants, contact_constants
 from petmjx.engines.warp.world_table import TableRun, WorldTable
 from petmjx.engines.world_results import WorldResult
 from petmjx.options.simulation import Simulation

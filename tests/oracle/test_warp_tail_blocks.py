@@ -19,11 +19,11 @@ from support.tiny_worlds import SHORT, STEP_NS, TINY, assert_equal_worlds, engin
 from support.worlds import simulate
 
 from petmjx.engines.verdict import Outcome
-from petmjx.engines.warp import block_launch, block_pools, tail_blocks
+from petmjx.engines.warp import block_launch, block_pool_choice, tail_blocks
 from petmjx.engines.warp.block_launch import LAST, SIZES, Launch
 from petmjx.engines.warp.block_pool import BlockPool
+from petmjx.engines.warp.compiled_programs import programs
 from petmjx.engines.warp.engine import MjxWarpEngine
-from petmjx.engines.warp.programs import programs
 from petmjx.engines.warp.solver.newton import DRIVER_BYTES, own_bytes
 from petmjx.engines.warp.tail_blocks import MOST_EXPECTED, expected_tail, tail_pool, tail_queues
 from petmjx.options.simulation import Simulation
@@ -120,7 +120,7 @@ def test_a_world_goes_on_in_blocks_for_the_last_ones(
     """On a CPU, all blocks have the same size. One block simulates the worlds. When two worlds are left, two other
     blocks take them. Slices of one step take long, so there are only three worlds."""
     queue_counts = watched_queues(monkeypatch)
-    monkeypatch.setattr(block_pools, "tail_pool", lambda pool, lanes: replace(pool, blocks=2, last=True))
+    monkeypatch.setattr(block_pool_choice, "tail_pool", lambda pool, lanes: replace(pool, blocks=2, last=True))
     assert_equal_worlds(simulate(engine(slice_ns=STEP_NS), tiny_scenes(TINY[:3]), SHORT), crowd)
     of_last, of_others = np.array(queue_counts).T
     assert (of_last[0], of_others[0]) == (0, 1)
@@ -131,8 +131,10 @@ def test_worlds_go_on_where_there_are_blocks_for_few_boxes_too(
     monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
     queue_counts = watched_queues(monkeypatch)
-    monkeypatch.setattr(block_pools, "small_world_pool", lambda pool, *_: replace(pool, blocks=2, n_boxes=1, least=1))
-    monkeypatch.setattr(block_pools, "tail_pool", lambda pool, _: replace(pool, blocks=2, last=True))
+    monkeypatch.setattr(
+        block_pool_choice, "small_world_pool", lambda pool, *_: replace(pool, blocks=2, n_boxes=1, least=1)
+    )
+    monkeypatch.setattr(block_pool_choice, "tail_pool", lambda pool, _: replace(pool, blocks=2, last=True))
     assert_equal_worlds(simulate(engine(slice_ns=STEP_NS), tiny_scenes(TINY[:3]), SHORT), crowd)
     of_last, of_few, of_others = np.array(queue_counts).max(axis=0)
     assert min(of_last, of_few, of_others) > 0
@@ -154,5 +156,5 @@ def test_blocks_for_the_last_worlds_give_what_others_give(monkeypatch: pytest.Mo
     assert min(most) > 50
     monkeypatch.undo()
     programs.cache_clear()
-    monkeypatch.setattr(block_pools, "tail_pool", lambda *_: None)
+    monkeypatch.setattr(block_pool_choice, "tail_pool", lambda *_: None)
     assert_equal_worlds(simulate(MjxWarpEngine(), scenes, sim), outcomes)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pandas as pd
 
-from benchmarks.scaled import changes, scaled
+from benchmarks.scaled_piles import changes, scaled
 from petmjx.engines.verdict import Flag
 
 SEED = 43242

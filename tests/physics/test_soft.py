@@ -13,8 +13,8 @@ from support.plans import Box, make_plan
 
 import petmjx
 from petmjx.common.errors import InputError
+from petmjx.engines.attempt_settings import ATTEMPTS
 from petmjx.engines.attempt_stream import score_worlds
-from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.mujoco.soft_boxes import SoftWorld
 from petmjx.engines.protocol import Progress

@@ -351,7 +351,7 @@ def main() -> int:
     result = {"case": "damaged-runs", "seed": options.seed, **counts, "wall_s": time.perf_counter() - begin}
     print(json.dumps(result))
     if options.out is not None:
-        from benchmarks.record import append_line, environment
+        from benchmarks.result_fields import append_line, environment
 
         append_line(options.out, {**result, **environment(), "group": "damage"})
     return 1 if counts["wrong"] else 0

@@ -27,8 +27,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from petmjx.common.errors import PetmjxError
 from petmjx.plans.plan import Plan
 from petmjx.results import run_folder
-from petmjx.results.plan_records import records_of
-from petmjx.results.plan_table import placements_table
+from petmjx.results.placements_table import placements_table
+from petmjx.results.plan_digests import records_of
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import load_run
 from petmjx.results.run_writer import RunWriter

@@ -14,7 +14,7 @@ from petmjx.engines.verdict import Outcome, Reason, Verdict
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_reader import load_plans
-from petmjx.results.plan_records import records_of
+from petmjx.results.plan_digests import records_of
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_writer import RunWriter
 from petmjx.world.scene import build_scene

@@ -12,8 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from petmjx.engines.verdict import Outcome
-from petmjx.engines.warp import block_launch
-from petmjx.engines.warp import engine as mjx_warp
+from petmjx.engines.warp import block_launch, memory_shortage
 from petmjx.engines.warp.block_launch import Features, Launch, size_for
 from petmjx.engines.warp.block_pool import BlockPool
 from petmjx.engines.warp.engine import MjxWarpEngine
@@ -86,7 +85,7 @@ def watched_rollouts(monkeypatch: pytest.MonkeyPatch, look: Callable[[int, int, 
         made.append(Rollout(run, pools, slice_ns))
         return made[-1]
 
-    monkeypatch.setattr(mjx_warp, "Rollout", rollout)
+    monkeypatch.setattr(memory_shortage, "Rollout", rollout)
     return made
 
 
@@ -101,7 +100,7 @@ def room_for_one_pool(monkeypatch: pytest.MonkeyPatch) -> list[int]:
             raise out_of_memory()
         return Rollout(run, pools, slice_ns)
 
-    monkeypatch.setattr(mjx_warp, "Rollout", rollout)
+    monkeypatch.setattr(memory_shortage, "Rollout", rollout)
     return tried
 
 

@@ -15,7 +15,7 @@ from petmjx.options.physics import PHYSICS
 from petmjx.options.simulation import Simulation
 from petmjx.plans.articles import Article, read_articles, with_articles
 from petmjx.plans.plan import Plan
-from petmjx.results.plan_records import plan_digest
+from petmjx.results.plan_digests import plan_digest
 from petmjx.world.scene import build_scene
 from petmjx.world.variants import PlacementChange, Variant, apply
 

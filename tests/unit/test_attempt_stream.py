@@ -13,8 +13,8 @@ from support.outcomes import make_outcome
 from support.plans import make_plan, make_world
 
 import petmjx.engines.outcome_checks as looked_at
+from petmjx.engines.attempt_settings import ATTEMPTS, CAREFUL_ITERATIONS, CAREFUL_TOLERANCE
 from petmjx.engines.attempt_stream import score_worlds
-from petmjx.engines.attempts import ATTEMPTS, CAREFUL_ITERATIONS, CAREFUL_TOLERANCE
 from petmjx.engines.job_stream import JobStream
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.protocol import Capability, Engine, Progress, says_at_hand, takes_stream

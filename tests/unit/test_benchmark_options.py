@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from support.command_line import only_line
 
-from benchmarks import shell
+from benchmarks import stage_times
 from benchmarks.__main__ import main
 from benchmarks.all_memory import memory_of_all
 
@@ -45,7 +45,7 @@ def test_a_run_that_fails_from_shell_to_shell(
 ) -> None:
     monkeypatch.setattr("sys.argv", ["shell", str(tmp_path / "missing.json")])
     with pytest.raises(SystemExit) as ended:
-        shell.main()
+        stage_times.main()
     assert ended.value.code == 2
     assert only_line(capsys.readouterr().err).endswith("missing.json: no such file or folder")
 

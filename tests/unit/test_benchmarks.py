@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 
 import petmjx
-from benchmarks import million, table
+from benchmarks import million_worlds, result_tables
 from benchmarks.__main__ import main
 from benchmarks.agreement import agreement
 from benchmarks.cases import CASES, GROUPS, STACK_PLAN, chosen_cases, oracle_case
 from benchmarks.measure import Bench, bricks, spread_over_sizes
-from benchmarks.record import COMMIT_VARIABLE, append_line, read_lines
+from benchmarks.result_fields import COMMIT_VARIABLE, append_line, read_lines
 from petmjx.common.errors import InputError
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.protocol import Progress
@@ -157,7 +157,7 @@ def test_pieces_of_a_run_count_as_one(plans: Path, tmp_path: Path) -> None:
     [result] = read_lines([joint])
     assert result["agreement"] == full_run["agreement"]
     assert result["agreement"]["pieces"]["same"] == result["agreement"]["pieces"]["common"] == 3
-    assert "pieces" in table.tables([result])
+    assert "pieces" in result_tables.tables([result])
 
 
 def test_what_takes_too_long_is_cut_off(plans: Path, tmp_path: Path) -> None:
@@ -185,7 +185,7 @@ def test_sweeps_are_timed_by_placements_and_drives(plans: Path, tmp_path: Path) 
     assert first["world_steps"] == timings["placement_steps"] + timings["drive_steps"]
     assert 0 < timings["drive_s"] < first["run_s"]
     assert second["agreement"]["first run"]["same"] == 4
-    assert "### Sweeps" in table.tables([first])
+    assert "### Sweeps" in result_tables.tables([first])
 
 
 def test_how_often_plans_stand_is_compared(plans: Path, tmp_path: Path) -> None:
@@ -226,7 +226,7 @@ def test_what_compiles_is_run_before_it_is_timed(tmp_path: Path) -> None:
     # two worlds with 200 steps of soft start, and 1 s at 2 ms
     assert result["world_steps"] == 2 * (200 + 500)
     assert result["counts"]["stable"] == 2
-    assert "2 lanes" in table.tables([result])
+    assert "2 lanes" in result_tables.tables([result])
 
 
 def test_cases_by_name_and_group() -> None:
@@ -235,7 +235,7 @@ def test_cases_by_name_and_group() -> None:
     with pytest.raises(InputError, match="unknown case 'nonsense'"):
         chosen_cases(["nonsense"])
     assert len(CASES) == sum(map(len, GROUPS.values()))  # no two cases have the same name
-    assert GROUPS.keys() <= table.SECTIONS.keys()
+    assert GROUPS.keys() <= result_tables.SECTIONS.keys()
     for case in CASES.values():
         assert case.sim.physics.timestep_s > 0
 
@@ -277,7 +277,7 @@ def test_any_beginning_is_spread_over_the_sizes() -> None:
 
 def test_tables_go_between_the_markers(measured: Path, tmp_path: Path) -> None:
     readme = tmp_path / "README.md"
-    readme.write_text(f"before\n{table.BEGIN}\nold\n{table.END}\nafter\n", encoding="utf-8")
+    readme.write_text(f"before\n{result_tables.BEGIN}\nold\n{result_tables.END}\nafter\n", encoding="utf-8")
     assert main(["table", str(measured), "--readme", str(readme)]) == 0
     text = readme.read_text(encoding="utf-8")
     assert text.startswith("before\n")
@@ -289,19 +289,19 @@ def test_tables_go_between_the_markers(measured: Path, tmp_path: Path) -> None:
     rows = [line for line in text.splitlines() if line.startswith("| W-adaptive | mujoco")]
     assert all(line.count("|") == rows[0].count("|") for line in rows[:2])
     with pytest.raises(InputError, match="lacks the markers"):
-        table.write_between_markers(measured, "text")
+        result_tables.write_between_markers(measured, "text")
 
 
 def test_only_the_last_of_equal_measurements_is_shown() -> None:
     old = {"case": "stacks-8", "engine": "mujoco", "plans_per_s": 1.0}
     new, other = {**old, "plans_per_s": 2.0}, {**old, "engine": "mjx-warp"}
-    assert table.latest([old, other, new]) == [new, other]
+    assert result_tables.latest([old, other, new]) == [new, other]
 
 
 def test_of_runs_that_take_turns_the_quickest_counts() -> None:
     one = {"group": "threads", "way": "files", "case": "threads-1", "engine": "mujoco", "commit": "a", "physics": ""}
     two = {**one, "case": "threads-2"}
-    text = table.tables(
+    text = result_tables.tables(
         [
             {**one, "commit": "before", "wall_s": 1.0, "repetition": 1},
             {**one, "wall_s": 10.0, "repetition": 1},
@@ -317,8 +317,8 @@ def test_of_runs_that_take_turns_the_quickest_counts() -> None:
 
 def test_the_readme_shows_what_the_results_say(repository: Path) -> None:
     folder = repository / "benchmarks"
-    text = table.tables(read_lines(sorted((folder / "results").glob("*.jsonl"))))
-    assert f"{table.BEGIN}\n\n{text}\n{table.END}" in (folder / "README.md").read_text(encoding="utf-8")
+    text = result_tables.tables(read_lines(sorted((folder / "results").glob("*.jsonl"))))
+    assert f"{result_tables.BEGIN}\n\n{text}\n{result_tables.END}" in (folder / "README.md").read_text(encoding="utf-8")
 
 
 def test_bad_options_are_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -367,35 +367,35 @@ def test_numbers_are_cut_to_six_digits(tmp_path: Path) -> None:
     assert read_lines([tmp_path / "out.jsonl"]) == [{"a": [0.333333, 2], "b": 1234570.0}]
 
 
-def _dies(case: million.Million) -> dict[str, Any]:
+def _dies(case: million_worlds.Million) -> dict[str, Any]:
     os._exit(3)
 
 
 def test_a_step_whose_process_dies_ends_the_benchmark(tmp_path: Path) -> None:
     with pytest.raises(BrokenProcessPool):
-        million._in_process(_dies, million.Million(tmp_path))
+        million_worlds._in_process(_dies, million_worlds.Million(tmp_path))
 
 
 @pytest.mark.parametrize("placing", ["exact", "hand"])
 def test_a_million_worlds_are_placed_as_asked_for(
     placing: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(million, "TOLD_EVERY_S", 0.0)
-    case = million.Million(tmp_path, plans=1, variants=2, placing=placing)
-    assert million.run(case)["steps"] > 0
+    monkeypatch.setattr(million_worlds, "TOLD_EVERY_S", 0.0)
+    case = million_worlds.Million(tmp_path, plans=1, variants=2, placing=placing)
+    assert million_worlds.run(case)["steps"] > 0
     info = json.loads((case.out / "run.json").read_text())
     assert info["config"]["simulation"]["placing"]["name"] == placing
     assert "worlds/s" in capsys.readouterr().err
 
 
 def test_a_million_worlds_in_small(tmp_path: Path) -> None:
-    case = million.Million(tmp_path, plans=2, variants=6, options=(("keep", "worlds"),))
-    first, again = million.run(case), million.run(case)
+    case = million_worlds.Million(tmp_path, plans=2, variants=6, options=(("keep", "worlds"),))
+    first, again = million_worlds.run(case), million_worlds.run(case)
     assert (first["recorded"], first["worlds"], again["recorded"], again["worlds"]) == (0, 12, 12, 0)
-    assert million.written(case.out) == million.load(case)["rows"] == 12
-    assert million.report_of(case)["bytes"] == (tmp_path / "report.html").stat().st_size
-    assert "boxes" not in million.tables(case.out)
+    assert million_worlds.written(case.out) == million_worlds.load(case)["rows"] == 12
+    assert million_worlds.report_of(case)["bytes"] == (tmp_path / "report.html").stat().st_size
+    assert "boxes" not in million_worlds.tables(case.out)
     assert vars(worker_pool)["Worker"] is Worker  # later runs of this process have ordinary workers again
-    boxes = [plan.n_boxes for plan in million.made(5)]
+    boxes = [plan.n_boxes for plan in million_worlds.made(5)]
     assert boxes == sorted(boxes)
-    assert (min(boxes), max(boxes)) == (million.FEWEST, million.MOST)
+    assert (min(boxes), max(boxes)) == (million_worlds.FEWEST, million_worlds.MOST)

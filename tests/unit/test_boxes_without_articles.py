@@ -15,10 +15,11 @@ from rich.console import Console
 from support.stories import falling_story
 
 import petmjx
-from petmjx.analysis.story import Story, box_name, events, first_box_in_words, headline
+from petmjx.analysis.story import Story
+from petmjx.analysis.story_in_words import box_name, events, first_box_in_words, headline
 from petmjx.common.text import box_in_words, box_label
 from petmjx.show.pages.still_svg import still_svg
-from petmjx.show.pictures.colours import colouring
+from petmjx.show.pictures.box_colours import colouring
 from petmjx.show.pictures.picture_options import Colour
 from petmjx.show.run_tables import worlds_table
 from petmjx.show.story_tables import story_tables
@@ -81,13 +82,13 @@ def test_names_in_scripts_of_pages(tmp_path: Path) -> None:
     "Box 9: 400 × 300 × 200 mm"."""
     if (node := shutil.which("node")) is None:
         pytest.skip("node is not installed")
-    (tmp_path / "names.mjs").write_bytes((STATIC / "names.js").read_bytes())
+    (tmp_path / "names.mjs").write_bytes((STATIC / "box_names.js").read_bytes())
     goods = ("'', ''", "'tea', ''", "'', '7'", "'tea', '7'")
     calls = f"[labelOf(9, ''), labelOf(9, 'tea'), {', '.join(f'goodsOf({good})' for good in goods)}]"
     script = f"import {{ labelOf, goodsOf }} from './names.mjs'; console.log(JSON.stringify({calls}))"
     (tmp_path / "run.mjs").write_text(script, encoding="utf-8")
     done = subprocess.run([node, "run.mjs"], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert json.loads(done.stdout) == ["9", "9 tea", "", "tea", "item 7", "tea (item 7)"]
-    for name, used in (("colours.js", "NO_ARTICLE"), ("card.js", "goodsOf"), ("story.js", "labelOf")):
+    for name, used in (("colours.js", "NO_ARTICLE"), ("world_card.js", "goodsOf"), ("story.js", "labelOf")):
         assert f"{used}" in (STATIC / name).read_text(encoding="utf-8")
     assert "(${this.rows.text" not in (STATIC / "plan_view.js").read_text(encoding="utf-8")

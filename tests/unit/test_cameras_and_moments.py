@@ -14,8 +14,8 @@ from petmjx.common.convex_hull import convex_hull
 from petmjx.common.errors import InputError
 from petmjx.show.pages.palette import article_colours, rgb_of
 from petmjx.show.pictures.animation import film_times, usual_speed
+from petmjx.show.pictures.box_colours import colouring, ramp_colours
 from petmjx.show.pictures.camera import FIELD_OF_VIEW_DEG, VIEWS, Margins, View, framing, view_of
-from petmjx.show.pictures.colours import colouring, ramp_colours
 from petmjx.show.pictures.draw_story import forces_of_pairs, framed_points, newtons_per_m
 from petmjx.show.pictures.overlay import first_outline
 from petmjx.show.pictures.picture_options import Colour, PictureOptions, size_of

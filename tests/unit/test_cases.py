@@ -3,7 +3,7 @@
 Similar reports that do not concern single plans have tests in other files: commands that replaced files
 (test_overwrite_guard.py, test_overwriting.py), leaderboards (test_packer_rating.py), outcomes held back
 (test_outcomes_held_back.py), Parquet (test_parquet_bounds.py), read-only homes (test_compile_caches.py), Gymnasium
-(test_gym.py), strength (test_box_strength.py), rocking, landings and soft boxes (tests/physics).
+(test_gym.py), strength (test_box_loads.py), rocking, landings and soft boxes (tests/physics).
 """
 
 from __future__ import annotations

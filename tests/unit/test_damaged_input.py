@@ -248,7 +248,7 @@ def test_options_beyond_a_physical_range_are_refused_with_the_range(
 
 
 def test_a_half_timestep_of_the_retry_may_be_below_the_range() -> None:
-    from petmjx.engines.attempts import ATTEMPTS
+    from petmjx.engines.attempt_settings import ATTEMPTS
 
     sim = Simulation(physics={"timestep_s": 0.0001}, quiet={"steps": 100_000})
     (half,) = (recipe.apply_to_sim(sim) for recipe in ATTEMPTS if recipe.number == 5)

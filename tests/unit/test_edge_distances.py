@@ -17,8 +17,8 @@ from test_fallback import Scripted, never, scored
 from test_supports import random_heap
 
 import petmjx
-from petmjx.analysis.story import headline, notes_in_words
-from petmjx.engines.attempts import ATTEMPTS
+from petmjx.analysis.story_in_words import headline, notes_in_words
+from petmjx.engines.attempt_settings import ATTEMPTS
 from petmjx.engines.knife_edges import AT_REST, BY_PLAN, WHILE_BUILT, KnifeEdge, nearest_edge, sets_flag
 from petmjx.engines.outcome_checks import edges_again, note_edges, outcome_checks
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.record import read_lines
+from benchmarks.result_fields import read_lines
 from petmjx.engines.cost_model import MEASURED, Work
 from petmjx.options.simulation import SOFT_START_STEPS, Simulation
 

@@ -13,7 +13,7 @@ from petmjx.common.warp_setup import machine_code
 from petmjx.loop import candidate_places
 from petmjx.loop.box_tables import BoxTable
 from petmjx.loop.candidate_places import Places, free_places
-from petmjx.loop.placements import Placements
+from petmjx.loop.placement_arguments import Placements
 from petmjx.packers.candidate_points import Candidates
 
 EXTENT_MM = (1200.0, 800.0)

@@ -15,9 +15,9 @@ from support.plans import make_plan, make_world, stack
 
 import petmjx
 from petmjx.common.errors import InputError
-from petmjx.engines import attempt_runner, attempt_stream, attempts
+from petmjx.engines import attempt_settings, attempt_stream, attempt_with_fallback
+from petmjx.engines.attempt_settings import ATTEMPTS
 from petmjx.engines.attempt_stream import score_worlds
-from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.protocol import Engine, Progress
 from petmjx.engines.subprocess.check_pool import CheckPool, CheckTask
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
@@ -74,8 +74,8 @@ def scored(
 ) -> tuple[list[WorldResult], list[str]]:
     """Results and notes of a run. ``c_engine`` and ``kernel`` also make the attempts that run beside the engine."""
     engines = {"mujoco": c_engine, "mjx-warp-cpu": kernel or Scripted("mjx-warp-cpu", never)}
-    monkeypatch.setattr(attempts, "make_engine", engines.__getitem__)
-    monkeypatch.setattr(attempts, "AttemptProcess", lambda _: AtOnce(engines.__getitem__))
+    monkeypatch.setattr(attempt_settings, "make_engine", engines.__getitem__)
+    monkeypatch.setattr(attempt_settings, "AttemptProcess", lambda _: AtOnce(engines.__getitem__))
     progress = Progress()
     worlds = [make_world(make_plan(f"p{k}", stack(1))) for k in range(WORLDS)]
     results = list(score_worlds(worlds, sim or Simulation(), engine, progress=progress))
@@ -134,7 +134,7 @@ def test_further_attempts_of_single_worlds_begin_beside_the_first_ones(monkeypat
     threads make attempts with stiffer contacts, and C MuJoCo makes the other attempts. Attempts with half the timestep,
     which may be many, wait for the GPU."""
     engine_names: list[str] = []
-    monkeypatch.setattr(attempt_runner, "MOST_TOGETHER", 1)
+    monkeypatch.setattr(attempt_with_fallback, "MOST_TOGETHER", 1)
 
     @dataclass
     class Telling(Scripted):
@@ -158,8 +158,8 @@ def test_worlds_with_errors_that_sank_and_drives_keep_to_the_gpu_in_stiffer_cont
     """If boxes of a plan sink, they do so in all of its worlds with errors. Such attempts with stiffer contacts are
     many, so the GPU makes them."""
     engines = {name: Scripted(name, never) for name in ("mujoco", "mjx-warp-cpu")}
-    monkeypatch.setattr(attempts, "make_engine", engines.__getitem__)
-    monkeypatch.setattr(attempts, "AttemptProcess", lambda _: AtOnce(engines.__getitem__))
+    monkeypatch.setattr(attempt_settings, "make_engine", engines.__getitem__)
+    monkeypatch.setattr(attempt_settings, "AttemptProcess", lambda _: AtOnce(engines.__getitem__))
     nominal = make_world(make_plan("p", stack(1)))
     drive = Drive(Excitation("push", "force", np.zeros((3, 3))))
     heavy = make_world(make_plan("heavy", HEAVY))
@@ -183,8 +183,8 @@ def test_a_world_with_errors_that_leans_is_simulated_beside_the_gpu(monkeypatch:
                 yield replace(outcome, verdict=Verdict.UNSTABLE, reason=Reason.TILT, flags=Flag.SINKING)
 
     engines = {name: Scripted(name, never) for name in ("mujoco", "mjx-warp-cpu")}
-    monkeypatch.setattr(attempts, "make_engine", engines.__getitem__)
-    monkeypatch.setattr(attempts, "AttemptProcess", lambda _: AtOnce(engines.__getitem__))
+    monkeypatch.setattr(attempt_settings, "make_engine", engines.__getitem__)
+    monkeypatch.setattr(attempt_settings, "AttemptProcess", lambda _: AtOnce(engines.__getitem__))
     worlds = [replace(make_world(make_plan("p", stack(1))), variant=1)]
     (result,) = score_worlds(worlds, Simulation(), Leaning("mjx-warp", never), attempts=ATTEMPTS[:6])
     assert [(a.attempt, a.engine) for a in result.attempts] == [(1, "mjx-warp"), (6, "mjx-warp-cpu")]
@@ -223,7 +223,7 @@ def test_an_interruption_loses_nothing_that_is_looked_at_beside_the_run(monkeypa
                 super()._take(process, wait=True, **until)
 
     monkeypatch.setattr(attempt_stream, "LARGE", WORLDS)
-    monkeypatch.setattr(attempt_runner, "MOST_TOGETHER", 1)
+    monkeypatch.setattr(attempt_with_fallback, "MOST_TOGETHER", 1)
     monkeypatch.setattr(attempt_stream.CheckPool, "here", lambda: Slow(1))
     worlds = [make_world(make_plan(f"p{k}", stack(1))) for k in range(WORLDS)]
     results = score_worlds(worlds, Simulation(physics="reference"), Scripted("mjx-warp", never))
@@ -264,8 +264,8 @@ def test_of_a_plan_that_sinks_worlds_with_errors_are_not_simulated_beside_the_gp
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     engines = {name: Scripted(name, never) for name in ("mujoco", "mjx-warp-cpu")}
-    monkeypatch.setattr(attempts, "make_engine", engines.__getitem__)
-    monkeypatch.setattr(attempts, "AttemptProcess", lambda _: AtOnce(engines.__getitem__))
+    monkeypatch.setattr(attempt_settings, "make_engine", engines.__getitem__)
+    monkeypatch.setattr(attempt_settings, "AttemptProcess", lambda _: AtOnce(engines.__getitem__))
     engine = Scripted("mjx-warp", never, Reason.SINKING)
     made = petmjx.score([make_plan("p", HEAVY)], engine=engine, confidence=4, placing="exact").attempts
     again = made[made["attempt"] == 6]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.plans import Box, make_plan
 
-from benchmarks.estimates import cut, shelf_plan
+from benchmarks.time_estimates import cut, shelf_plan
 from petmjx.engines.cost_model import (
     FALL_BOXES,
     FALL_STEPS,

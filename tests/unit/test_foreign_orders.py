@@ -23,7 +23,7 @@ from petmjx.loop.order_sources import Orders, order_reading
 from petmjx.options.run_options import RunOptions
 from petmjx.packers.pack import orders_of, reading_of
 from petmjx.packers.sample_plans import pack_orders
-from petmjx.plans.item_orders import SET_KG_M3, OrderReading
+from petmjx.plans.item_units_and_quantities import SET_KG_M3, OrderReading
 from petmjx.plans.order_generator import Order, target_extent_mm, target_named
 from petmjx.plans.order_reader import keep_orders, read_orders
 from petmjx.plans.placed_boxes import USUAL_KG_M3

@@ -17,13 +17,13 @@ import pytest
 
 from petmjx.common.errors import InputError
 from petmjx.common.machine import own_environment
-from petmjx.engines import gpu_start, run_engine
+from petmjx.engines import gpu_start
 from petmjx.engines.cost_model import MEASURED, Work
+from petmjx.engines.engine_warmup import WORTH_A_GPU, engine_warmup
 from petmjx.engines.remote import ray_cluster as of_clusters
 from petmjx.engines.remote import worker_choice as of_workers
 from petmjx.engines.remote.ray_actor import Recipe
 from petmjx.engines.remote.worker_resources import Node
-from petmjx.engines.run_engine import engine_warmup
 from petmjx.engines.subprocess import kernel_builds
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
@@ -33,10 +33,10 @@ from petmjx.options.simulation import Simulation
 def started(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
     """An event that is set when kernels are compiled, after a GPU was started."""
     event = threading.Event()
-    monkeypatch.setattr(run_engine, "cuda_devices", lambda: ("a GPU",))
-    monkeypatch.setattr(run_engine, "start_gpu", lambda: None)
-    monkeypatch.setattr(run_engine, "begin_builds", lambda sim: None)
-    monkeypatch.setattr(run_engine, "compile_ahead", lambda sim, builds: event.set())
+    monkeypatch.setattr("petmjx.engines.engine_warmup.cuda_devices", lambda: ("a GPU",))
+    monkeypatch.setattr("petmjx.engines.engine_warmup.start_gpu", lambda: None)
+    monkeypatch.setattr("petmjx.engines.engine_warmup.begin_builds", lambda sim: None)
+    monkeypatch.setattr("petmjx.engines.engine_warmup.compile_ahead", lambda sim, builds: event.set())
     return event
 
 
@@ -51,7 +51,7 @@ def started(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
 def test_it_starts_where_it_will_be_the_engine(
     options: dict[str, object], expected: bool, started: threading.Event, tmp_path: Path
 ) -> None:
-    (tmp_path / "plans.json").write_bytes(b" " * (run_engine.WORTH_A_GPU))
+    (tmp_path / "plans.json").write_bytes(b" " * WORTH_A_GPU)
     for plans in (tmp_path, [tmp_path / "plans.json"]):
         started.clear()
         with engine_warmup(RunOptions(**options), plans, Simulation()):
@@ -66,7 +66,7 @@ def test_auto_starts_none_for_few_plans_or_without_one(
     for plans in (tmp_path / "plans.json", tmp_path / "missing", None, 3, "\0"):
         with engine_warmup(RunOptions(), plans, Simulation()):
             pass
-    monkeypatch.setattr(run_engine, "cuda_devices", lambda: ())
+    monkeypatch.setattr("petmjx.engines.engine_warmup.cuda_devices", lambda: ())
     with engine_warmup(RunOptions(engine="mjx-warp"), tmp_path, Simulation()):
         pass
     assert not started.is_set()
@@ -82,8 +82,8 @@ def _join_starts() -> None:
 
 def test_what_is_wrong_with_plans_is_not_held_up(monkeypatch: pytest.MonkeyPatch) -> None:
     released = threading.Event()
-    monkeypatch.setattr(run_engine, "cuda_devices", lambda: ("a GPU",))
-    monkeypatch.setattr(run_engine, "start_gpu", released.wait)
+    monkeypatch.setattr("petmjx.engines.engine_warmup.cuda_devices", lambda: ("a GPU",))
+    monkeypatch.setattr("petmjx.engines.engine_warmup.start_gpu", released.wait)
     with pytest.raises(InputError, match="no such"), engine_warmup(RunOptions(engine="mjx-warp"), None, Simulation()):
         raise InputError("no such file")
     released.set()
@@ -110,7 +110,7 @@ jax.devices()
 
 
 def test_a_gpu_that_does_not_start_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(run_engine, "cuda_devices", lambda: ("a GPU",))
+    monkeypatch.setattr("petmjx.engines.engine_warmup.cuda_devices", lambda: ("a GPU",))
     monkeypatch.setattr(gpu_start.importlib, "import_module", lambda name: 1 / 0)
     with engine_warmup(RunOptions(engine="mjx-warp"), None, Simulation()):
         pass
@@ -118,14 +118,14 @@ def test_a_gpu_that_does_not_start_ends_nothing(monkeypatch: pytest.MonkeyPatch)
 
 
 def _launch_on(device: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("block_launch", "programs"):
+    for module in ("block_launch", "compiled_programs"):
         monkeypatch.setattr(f"petmjx.engines.warp.{module}.launch_device", lambda: device)
 
 
 @pytest.fixture
 def on_a_gpu(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[object]:
     """An empty cache, and a GPU for Warp. The fixture has the launches whose kernels were loaded."""
-    programs = pytest.importorskip("petmjx.engines.warp.programs")
+    programs = pytest.importorskip("petmjx.engines.warp.compiled_programs")
     loaded: list[object] = []
     _launch_on(SimpleNamespace(is_cuda=True, sm_count=132, max_shared_memory_per_block=227 << 10), monkeypatch)
     monkeypatch.setattr(programs, "load_kernels", loaded.extend)
@@ -204,8 +204,8 @@ def _heard(notes: queue.SimpleQueue[str], most: int) -> list[str]:
     ("engine", "size", "steps", "early", "later"),
     [
         ("mujoco", 0, 9, ["cluster", "mujoco"], ["ready"]),
-        ("auto", run_engine.WORTH_A_GPU, 10_000_000, ["cluster", "mjx-warp"], ["ready"]),
-        ("auto", run_engine.WORTH_A_GPU, 9, ["cluster", "mjx-warp"], ["dismissed", "mujoco", "ready"]),
+        ("auto", WORTH_A_GPU, 10_000_000, ["cluster", "mjx-warp"], ["ready"]),
+        ("auto", WORTH_A_GPU, 9, ["cluster", "mjx-warp"], ["dismissed", "mujoco", "ready"]),
         ("auto", 0, 9, ["cluster"], ["mujoco", "ready"]),
     ],
 )

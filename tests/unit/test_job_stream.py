@@ -197,7 +197,7 @@ def test_the_source_pauses_while_many_wait_for_another_attempt(monkeypatch: pyte
     """The source of jobs pauses while many worlds wait for another attempt. If the source did not pause, memory would
     grow with the number of invalid worlds."""
     monkeypatch.setattr(attempt_stream, "PENDING_BOXES", 2)
-    monkeypatch.setattr("petmjx.engines.attempt_runner.MOST_TOGETHER", 1)
+    monkeypatch.setattr("petmjx.engines.attempt_with_fallback.MOST_TOGETHER", 1)
     engine, drawn = Streaming(), 0
 
     def source() -> Iterator[World]:
@@ -217,7 +217,7 @@ def test_the_source_pauses_while_many_wait_for_another_attempt(monkeypatch: pyte
 
 def test_what_an_engine_had_when_it_failed_is_simulated_by_its_fallback(monkeypatch: pytest.MonkeyPatch) -> None:
     fallback = FailingEngine("mujoco")
-    monkeypatch.setattr("petmjx.engines.attempts.make_engine", lambda name: fallback)
+    monkeypatch.setattr("petmjx.engines.attempt_settings.make_engine", lambda name: fallback)
     engine = Streaming("mjx-warp-cpu", fails_after=3)
     progress = Progress()
     results = list(score_worlds(worlds_failing(*[0] * 10), SIM, engine, progress=progress))
@@ -230,7 +230,7 @@ def test_what_an_engine_had_when_it_failed_is_simulated_by_its_fallback(monkeypa
 
 def test_an_engine_that_fails_before_it_takes_a_job_is_not_asked_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
     fallback = FailingEngine("mujoco")
-    monkeypatch.setattr("petmjx.engines.attempts.make_engine", lambda name: fallback)
+    monkeypatch.setattr("petmjx.engines.attempt_settings.make_engine", lambda name: fallback)
 
     class Broken(Streaming):
         @takes_stream
@@ -266,7 +266,7 @@ def test_memory_that_runs_out_as_a_world_becomes_a_job_ends_the_run_after_the_ou
             raise MemoryError("no room on the host")
         return job
 
-    monkeypatch.setattr("petmjx.engines.attempt_runner.ready_for", short)
+    monkeypatch.setattr("petmjx.engines.attempt_with_fallback.ready_for", short)
     plan_ids: list[str] = []
     worlds = worlds_failing(*[0] * 9)
     with pytest.raises(MemoryError, match="no room on the host"):

@@ -22,8 +22,9 @@ import petmjx
 from petmjx.cli import main
 from petmjx.common.errors import InputError
 from petmjx.loop.label_files import CARD, README, RULES, baselines, label_files, write_labels
+from petmjx.loop.label_splits import SPLITS, split_of
 from petmjx.loop.order_sources import Boxes, Orders, order_reading
-from petmjx.loop.placement_labels import COLUMNS, SPLITS, Label, Labeller, plans_of_labels, split_of
+from petmjx.loop.placement_labels import COLUMNS, Label, Labeller, plans_of_labels
 from petmjx.loop.unfinished_labels import LabelParts, labels_of
 
 MUJOCO: dict[str, Any] = {"engine": "mujoco", "threads": 1}
@@ -190,7 +191,7 @@ def test_baselines_are_judged_by_what_they_find() -> None:
 
 def test_what_is_wrong_with_labels_is_one_line(tmp_path: Path) -> None:
     pytest.importorskip("gymnasium", reason="gymnasium is not installed (extra: gym)")
-    from petmjx.gym.env import PalletizingEnv
+    from petmjx.gym.single_env import PalletizingEnv
 
     sizes = {"length_mm": 2000, "width_mm": 2000, "height_mm": 100, "weight_kg": 1}
     too_long = pd.DataFrame([{"order_id": order, **sizes} for order in "abb"])

@@ -22,7 +22,7 @@ from petmjx.analysis.packer_rating import rate, rating_interval
 from petmjx.cli import main
 from petmjx.common.errors import InputError
 from petmjx.engines.verdict import Reason, Verdict
-from petmjx.results.share_intervals import wilson_interval
+from petmjx.results.share_statistics import wilson_interval
 
 pytest.importorskip("scipy")
 

@@ -14,7 +14,7 @@ import pytest
 from support.outcomes import make_outcome, make_plan
 
 from petmjx.analysis.run_comparison import compare_runs
-from petmjx.analysis.story import REASONS
+from petmjx.analysis.story_in_words import REASONS
 from petmjx.common.units import FloatArray
 from petmjx.engines import metrics
 from petmjx.engines.metrics import BoxMetric, BoxMetrics, Reduction, SampleAt, WorldReduction, markdown, reduce_boxes

@@ -17,7 +17,7 @@ from support.outcomes import make_outcome, make_plan
 import petmjx
 import petmjx.results.tables_in_progress as tables_module
 from petmjx.common.errors import InputError
-from petmjx.engines import attempts
+from petmjx.engines import attempt_settings
 from petmjx.engines.attempt_stream import score_worlds
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.protocol import Engine, Progress, says_at_hand
@@ -143,8 +143,8 @@ def test_attempts_beside_a_silent_engine_are_shown_in_its_pauses(monkeypatch: py
             assert seen == ["p0"], "it was shown in the pause"
             yield outcome_of(1, Verdict.STABLE)
 
-    monkeypatch.setattr(attempts, "AttemptProcess", lambda _: Beside())
-    monkeypatch.setattr("petmjx.engines.attempt_runner.outcome_checks", unchecked)
+    monkeypatch.setattr(attempt_settings, "AttemptProcess", lambda _: Beside())
+    monkeypatch.setattr("petmjx.engines.attempt_with_fallback.outcome_checks", unchecked)
     for result in score_worlds(worlds_failing(0, 0), Simulation(), Device()):
         seen.append(result.world.plan.plan_id)
     assert seen == ["p0", "p1"]
@@ -207,8 +207,8 @@ def test_worlds_follow_while_an_attempt_runs_beside_an_idle_engine(monkeypatch: 
     def following() -> list[World]:
         return (nothing.pop() if nothing else [second]) if beside and len(runs) == 1 else []
 
-    monkeypatch.setattr(attempts, "AttemptProcess", lambda _: Beside())
-    monkeypatch.setattr("petmjx.engines.attempt_runner.outcome_checks", unchecked)
+    monkeypatch.setattr(attempt_settings, "AttemptProcess", lambda _: Beside())
+    monkeypatch.setattr("petmjx.engines.attempt_with_fallback.outcome_checks", unchecked)
     results = list(score_worlds([first], Simulation(), Device(), following=following))
     assert [result.world for result in results] == [second, first]
     assert runs == [1, 1]

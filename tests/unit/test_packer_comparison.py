@@ -22,7 +22,7 @@ from petmjx.common.errors import InputError
 from petmjx.engines.verdict import Outcome, Reason, Verdict
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
-from petmjx.results.plan_records import records_of
+from petmjx.results.plan_digests import records_of
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_writer import RunWriter
 from petmjx.show.packer_tables import packer_tables

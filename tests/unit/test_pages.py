@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 from support.stories import FALLING, falling_story, long_story, shaken_story, standing_story
 
-from petmjx.analysis.story import (
-    Story,
+from petmjx.analysis.story import Story
+from petmjx.analysis.story_in_words import (
     first_box_in_words,
     headline,
     how_it_was_simulated,
@@ -26,7 +26,7 @@ from petmjx.analysis.story import (
     reason_in_words,
 )
 from petmjx.engines.verdict import Flag, Reason, Verdict
-from petmjx.show.pages.page import escaped_html, joined_modules, page, static_text
+from petmjx.show.pages.html_page import escaped_html, joined_modules, page, static_text
 from petmjx.show.pages.page_arrays import PackedArray, block, integer_column, quantised_column
 from petmjx.show.pages.palette import OKABE_ITO, article_colours, category, ramp, rgb_of
 from petmjx.show.pages.still_svg import drawing_order, still_svg
@@ -163,7 +163,7 @@ def test_modules_are_joined_in_the_order_of_their_imports() -> None:
     ],
 )
 def test_what_cannot_be_joined_is_refused(text: str, complaint: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("petmjx.show.pages.page.static_text", lambda name: text)
+    monkeypatch.setattr("petmjx.show.pages.html_page.static_text", lambda name: text)
     with pytest.raises(ValueError, match=complaint):
         joined_modules("it.js")
 

@@ -13,7 +13,7 @@ from statsmodels.stats.contingency_tables import mcnemar
 from statsmodels.stats.multitest import multipletests
 
 from petmjx.common.errors import InputError
-from petmjx.results.share_intervals import PairedCounts, holm, mcnemar_p, newcombe_interval, wilson_interval
+from petmjx.results.share_statistics import PairedCounts, holm, mcnemar_p, newcombe_interval, wilson_interval
 
 counts = st.builds(PairedCounts, *[st.integers(0, 200)] * 4)
 

@@ -20,8 +20,8 @@ import petmjx
 from petmjx.analysis.story import Story
 from petmjx.common.errors import InputError
 from petmjx.show.pictures.animation import h264_encoder
+from petmjx.show.pictures.box_colours import FIRST, colouring
 from petmjx.show.pictures.camera import VIEWS, framing, view_of
-from petmjx.show.pictures.colours import FIRST, colouring
 from petmjx.show.pictures.draw_story import framed_points
 from petmjx.show.pictures.overlay import Overlay
 from petmjx.show.pictures.picture_options import Colour

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import petmjx
-from benchmarks.bounds import bounds
+from benchmarks.placement_bounds_check import bounds
 from petmjx.engines.engine_choice import make_engine
 from petmjx.loop.placement_bounds import FALLS, OPEN, STANDS, _hull_edges, _margin
 

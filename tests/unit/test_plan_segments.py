@@ -14,10 +14,10 @@ from support.plans import make_plan, stack
 import petmjx
 from petmjx.common.errors import InputError
 from petmjx.options.run_options import RunOptions
-from petmjx.plans.joined_plans import JoinedPlans
 from petmjx.plans.plan_reader import read_plans
 from petmjx.plans.plan_segments import Segment, joined, read_segment, segments_of
 from petmjx.plans.plan_set import PlanSet
+from petmjx.plans.plan_transfer_arrays import JoinedPlans
 
 OPTIONS, EXTENT_MM = RunOptions(), (1200.0, 800.0)
 

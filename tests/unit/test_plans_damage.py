@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from support.plan_files import placement
 
 from petmjx.common.errors import InputError
-from petmjx.common.file_kinds import foreign_kind
+from petmjx.common.unreadable_files import foreign_kind
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_reader import load_plans
 from petmjx.plans.plan_set import PlanSet

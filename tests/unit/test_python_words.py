@@ -94,7 +94,7 @@ def test_a_plan_can_be_told() -> None:
 
 
 def test_an_episode_that_has_ended_is_over() -> None:
-    env = pytest.importorskip("petmjx.gym.env").PalletizingEnv(most_illegal=1)
+    env = pytest.importorskip("petmjx.gym.single_env").PalletizingEnv(most_illegal=1)
     with pytest.raises(InputError, match="call reset"):
         env.step(0)
     _, _ = env.reset(seed=1)

@@ -26,7 +26,7 @@ from petmjx.engines.remote import ray_actor
 from petmjx.engines.remote.job_dealer import Hand, JobDealer
 from petmjx.engines.remote.ray_actor import Packet, Recipe, Report, Worker, WorkerReady, WorkerRun
 from petmjx.engines.remote.worker_pool import WorkerPool, _PoolRun, _WorkerRecord
-from petmjx.engines.run_engine import UserEngine
+from petmjx.engines.user_engine import UserEngine
 from petmjx.engines.verdict import Outcome
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import Drive, Excitation, Job

@@ -176,7 +176,7 @@ def test_a_property_of_boxes(copy: Copy) -> None:
         """
 import numpy as np
 import petmjx
-from petmjx.results.plan_records import plan_digest
+from petmjx.results.plan_digests import plan_digest
 from petmjx.world.mujoco_model import build_spec
 from petmjx.world.scene import build_scenes
 boxes = dict(size_mm=[(400, 300, 200)] * 2, corner_mm=[(0, 0, 0), (0, 0, 200)], mass_kg=[5.0] * 2)
@@ -210,7 +210,7 @@ def test_a_reason(copy: Copy) -> None:
     overloaded = f"""{STACK}
 run = petmjx.score(plan, engine='mujoco', thresholds={{'load_n': 60}}, out='out', overwrite=True)
 petmjx.report('out', 'report.html', overwrite=True)
-from petmjx.analysis.story import reason_in_words
+from petmjx.analysis.story_in_words import reason_in_words
 print(run.worlds.reason[0], reason_in_words(petmjx.tell('stack', run)), petmjx.load_run('out').info['counts'])
 """
     decided, known = copy.blocks("A reason of your own", "diff")

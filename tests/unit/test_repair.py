@@ -17,7 +17,7 @@ from support.plans import Box, make_plan, stack
 import petmjx
 from petmjx.cli.main import main
 from petmjx.common.errors import InputError
-from petmjx.engines.attempt_runner import outcomes_of_stream
+from petmjx.engines.attempt_with_fallback import outcomes_of_stream
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.repairs.balance import ROOM_MM, balances

@@ -22,12 +22,12 @@ from petmjx.common.errors import InputError
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.results.run_reader import load_run
-from petmjx.results.share_intervals import PairedCounts, newcombe_interval, wilson_interval
+from petmjx.results.share_statistics import PairedCounts, newcombe_interval, wilson_interval
 from petmjx.show.pages.page_arrays import block
-from petmjx.show.report import plan_rows
+from petmjx.show.report import report_plan_table
 from petmjx.show.report.comparison_section import common_verdicts, comparison_section
-from petmjx.show.report.plan_rows import table_rows
 from petmjx.show.report.report_page import report, report_page
+from petmjx.show.report.report_plan_table import table_rows
 from petmjx.show.report.report_runs import Kind, distinct_path_ends, open_runs
 from petmjx.show.report.run_settings import _options, changed_options
 from petmjx.show.report.sweep_answers import correlation_ratio, largest_survived
@@ -333,7 +333,7 @@ def test_grids_have_their_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert keys.index("x-level_g") < keys.index("verdict") < keys.index("x-mode")
     shares = worlds.assign(stands=worlds["verdict"] == "stable").groupby("level_g")["stands"].mean()
     assert f"<title>0.2: {100 * shares[0.2]:.1f} %, 95 %:" in body
-    monkeypatch.setattr(plan_rows, "MOST_OF_SWEEP", 11)
+    monkeypatch.setattr(report_plan_table, "MOST_OF_SWEEP", 11)
     html = page_of(folder)
     assert "has 12 worlds, too many for a table. It has one row per plan" in checked(html)
     page_rows, table = table_rows([opened])

@@ -22,8 +22,8 @@ from test_results import part_files, write_run
 
 from petmjx.common.errors import InputError, PetmjxError
 from petmjx.results import run_folder, run_writer, tables_in_progress
-from petmjx.results.plan_records import records_of
-from petmjx.results.run_file import write_run_file
+from petmjx.results.plan_digests import records_of
+from petmjx.results.run_json_checks import write_run_file
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import load_run
 from petmjx.results.run_writer import RunWriter

@@ -13,7 +13,7 @@ from support.outcomes import make_boxes, make_outcome
 
 from petmjx.engines.metrics import BoxMetrics
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
-from petmjx.results.share_intervals import ALL_PLANS, KEYS, ONE_PLAN, share_standing, wilson_interval
+from petmjx.results.share_statistics import ALL_PLANS, KEYS, ONE_PLAN, share_standing, wilson_interval
 from petmjx.runs.level_search import Bisection, Probe, failure_mode
 from petmjx.runs.transport_limits import eumos_assessment
 

@@ -13,7 +13,7 @@ from support.stories import FALLING, falling_story, shaken_story, standing_story
 from support.story_view import changed, drag_time_to, number_of, on_canvas, opened_story, seen, text
 
 import petmjx
-from petmjx.show.pages.page import joined_modules
+from petmjx.show.pages.html_page import joined_modules
 from petmjx.show.pages.page_arrays import block, integer_column, quantised_column
 from petmjx.show.pages.palette import OKABE_ITO, rgb_of
 from petmjx.show.pages.story_page import story_page
@@ -182,7 +182,7 @@ def test_blocks_are_read_as_they_were_written(open_page: OpenPage) -> None:
     text_of_block = block(
         {"walk": quantised_column(walk, True), "numbers": integer_column(numbers, True), "exact": exact}
     )
-    script = joined_modules("blocks.js") + "window.reading = blocks_js.readBlock('all');"
+    script = joined_modules("page_data.js") + "window.reading = page_data_js.readBlock('all');"
     opened = open_page(
         f'<script type="application/octet-stream" id="block-all">{text_of_block}</script>'
         f'<script type="module">{script}</script>'

@@ -21,7 +21,7 @@ import petmjx
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_reader import load_plans
 from petmjx.plans.plan_set import PlanSet
-from petmjx.results.plan_records import plan_digest
+from petmjx.results.plan_digests import plan_digest
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 

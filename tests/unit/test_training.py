@@ -19,9 +19,9 @@ import petmjx
 from petmjx.common.errors import InputError
 from petmjx.gym.actions import FEATURES, PALLET, SIDES, UPRIGHT
 from petmjx.gym.curriculum import Curriculum
-from petmjx.gym.env import PalletizingEnv
 from petmjx.gym.environment_options import PalletizingOptions
 from petmjx.gym.observation_spaces import BOX_KG, LEFT, LOAD_N, PALLET_KG
+from petmjx.gym.single_env import PalletizingEnv
 from petmjx.gym.vector_env import PalletizingVectorEnv
 from petmjx.loop.order_sources import Boxes, Orders
 

@@ -11,8 +11,8 @@ import pytest
 from support.plans import Box, make_plan, make_scene, stack
 
 from benchmarks.__main__ import main
-from benchmarks.balance import BALANCED, left_over
 from benchmarks.drift import VARIANTS, Window, cause, describe, drift_table
+from benchmarks.rest_balance import BALANCED, left_over
 from benchmarks.sensitivity import CHANGES, sensitivity
 from petmjx.options.physics import PHYSICS
 from petmjx.options.simulation import Simulation

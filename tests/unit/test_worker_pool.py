@@ -22,7 +22,7 @@ from support.plans import make_plan, stack
 
 import petmjx
 from petmjx.common.errors import EngineUnavailable, InputError, PetmjxError
-from petmjx.engines.attempts import ATTEMPTS
+from petmjx.engines.attempt_settings import ATTEMPTS
 from petmjx.engines.job_stream import JobStream
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.protocol import Progress

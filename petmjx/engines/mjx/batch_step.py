@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import mujoco
 from jaxtyping import Array, Float, Int
 
-from petmjx.engines.mjx.bed import Beds, Faces
 from petmjx.engines.mjx.body_dynamics import Bodies, Links
+from petmjx.engines.mjx.face_contacts import Beds, Faces
 from petmjx.engines.mjx.landing import Landing, act
 from petmjx.engines.mjx.mjx_import import mjx
 from petmjx.engines.mjx.newton import BlockSolver, Problem
@@ -63,7 +63,7 @@ class PaddedModel:
         template.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
         self.capacity, self.held = capacity, held
         self.pyramidal = sim.physics.cone is Cone.PYRAMIDAL
-        # if the solver is cg, runs use the engine mujoco (petmjx/engines/attempts.py)
+        # if the solver is cg, runs use the engine mujoco (petmjx/engines/attempt_settings.py)
         assert self.pyramidal or sim.solver is Solver.NEWTON
         self.model: Any = mjx.put_model(template, impl="jax")
         self.carrier, self.bodies = template.body(CARRIER_NAME).id, template.nbody

@@ -13,7 +13,7 @@ from petmjx.engines.metrics import RESTLESS_M_S, RISING_M_S2
 from petmjx.engines.mjx import box_motion as motion
 from petmjx.engines.mjx import film, hand
 from petmjx.engines.mjx.batch_step import PaddedModel
-from petmjx.engines.mjx.bed import Faces
+from petmjx.engines.mjx.face_contacts import Faces
 from petmjx.engines.mjx.frame_recorder import Trail
 from petmjx.engines.mjx.jax_setup import compiler_options
 from petmjx.engines.mjx.landing import Landing

@@ -1,6 +1,6 @@
 """Running metrics of boxes, for all worlds together: statistics of samples, and the final metrics of a run.
 
-Twin of petmjx/engines/mujoco/running_metrics.py, and of petmjx/engines/warp/kernels/samples.py, which uses the same
+Twin of petmjx/engines/mujoco/running_metrics.py, and of petmjx/engines/warp/kernels/box_motion.py, which uses the same
 fields. Definitions: docs/metrics.md. petmjx/engines/mjx/rules.py decides which boxes and steps the metrics include.
 """
 

@@ -51,7 +51,7 @@ class Worlds(NamedTuple):
     state is kept. ``ends_when_lost``: see ``has_errors`` of ``petmjx.world.job.Job``. ``confirm_steps``: a fall is
     confirmed this number of steps after the first sign of failure (``petmjx.engines.metrics.CONFIRM_S``); ``NEVER`` if
     the world does more than confirm a fall. ``pauses``: when its boxes are at rest, the world waits for further boxes
-    (petmjx/engines/open_worlds.py). ``ends_when_gone``: the world is a trial, which ends when a box is gone.
+    (petmjx/engines/open_world_protocol.py). ``ends_when_gone``: the world is a trial, which ends when a box is gone.
     ``most_steps`` is the number of steps after which the world leaves a GPU (petmjx/engines/warp/continued_worlds.py).
 
     Placing: ``start`` is the release pose of a box whose ``support`` is at its planned place. If the support has sunk

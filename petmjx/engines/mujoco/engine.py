@@ -19,7 +19,7 @@ from petmjx.engines.mujoco.free_bodies import paths
 from petmjx.engines.mujoco.message_log import QUIET_MUJOCO
 from petmjx.engines.mujoco.open_worlds import MujocoWorlds
 from petmjx.engines.mujoco.world_run import WorldCancelled, WorldRun
-from petmjx.engines.open_worlds import MOST_BOXES
+from petmjx.engines.open_world_protocol import MOST_BOXES
 from petmjx.engines.protocol import Engine, Progress, says_at_hand, takes_stream
 from petmjx.engines.verdict import Outcome
 from petmjx.options.simulation import Simulation

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
-from petmjx.engines.mujoco.bed import Beds
 from petmjx.engines.mujoco.elimination_order import body_order
+from petmjx.engines.mujoco.face_contacts import Beds
 from petmjx.engines.mujoco.hand import Hand
 from petmjx.engines.mujoco.landing import Landings
 from petmjx.engines.mujoco.open_models import ModelInstance, Templates, set_options

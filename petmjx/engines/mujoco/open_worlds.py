@@ -17,7 +17,7 @@ import numpy as np
 from petmjx.engines.mujoco.message_log import QUIET_MUJOCO
 from petmjx.engines.mujoco.open_models import Templates
 from petmjx.engines.mujoco.world_run import WorldRun
-from petmjx.engines.open_worlds import OpenWorlds, Reading, Readings
+from petmjx.engines.open_world_protocol import OpenWorlds, Reading, Readings
 from petmjx.engines.verdict import Flag, Outcome
 from petmjx.options.simulation import Simulation
 from petmjx.world.growing_scenes import NextBoxes

@@ -23,7 +23,7 @@ from petmjx.common.errors import EngineUnavailable, PetmjxError
 from petmjx.common.machine import device_name, package_versions, why_no_warp_at_once
 from petmjx.common.processes import collect_rarely
 from petmjx.common.text import one_line
-from petmjx.engines.attempt_runner import outcomes_of_stream
+from petmjx.engines.attempt_with_fallback import outcomes_of_stream
 from petmjx.engines.contact_penetration import stiffened
 from petmjx.engines.engine_choice import make_engine
 from petmjx.engines.gpu_start import start_gpu

@@ -10,7 +10,7 @@ import warp as wp
 
 from petmjx.common.errors import EngineUnavailable
 from petmjx.common.machine import cpu_threads, device_name, why_no_warp_on_cpu
-from petmjx.engines.open_worlds import MOST_BOXES
+from petmjx.engines.open_world_protocol import MOST_BOXES
 from petmjx.engines.subprocess.attempt_process import serve_attempts
 from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.engine import MjxWarpEngine

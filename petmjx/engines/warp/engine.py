@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Sequence
+from functools import partial
 from typing import Any
-
-import numpy as np
 
 from petmjx.common.errors import EngineUnavailable
 from petmjx.common.machine import why_no_warp
@@ -14,19 +13,20 @@ from petmjx.common.warp_setup import set_up_warp
 from petmjx.engines.job_stream import JobStream
 from petmjx.engines.mjx.host_to_device import GRANULE, is_out_of_memory, load
 from petmjx.engines.mjx.jax_setup import set_up_jax
-from petmjx.engines.open_worlds import MOST_BOXES
+from petmjx.engines.open_world_protocol import MOST_BOXES
 from petmjx.engines.protocol import GPU_WORLDS, Capability, Engine, Progress, RunLock, says_at_hand, takes_stream
 from petmjx.engines.verdict import Outcome
-from petmjx.engines.warp.beginnings import beginnings
 from petmjx.engines.warp.block_launch import Launch
-from petmjx.engines.warp.block_pools import BlockPools
+from petmjx.engines.warp.block_pool_choice import BlockPools
 from petmjx.engines.warp.block_queues import Queues
 from petmjx.engines.warp.continued_worlds import ContinuedWorlds
+from petmjx.engines.warp.equal_beginnings import beginnings
 from petmjx.engines.warp.free_bodies import paths
-from petmjx.engines.warp.kernel_features import KernelFeatures, queue_of, size_of
+from petmjx.engines.warp.kernel_features import KernelFeatures, queue_of
+from petmjx.engines.warp.memory_shortage import KeptRollouts, smaller_parts
 from petmjx.engines.warp.open_worlds import WarpWorlds
 from petmjx.engines.warp.table_jobs import TableJobs
-from petmjx.engines.warp.time_slices import Rollout, SliceResult, TableSlices, outcomes_of
+from petmjx.engines.warp.time_slices import SliceResult, TableSlices, outcomes_of
 from petmjx.engines.warp.world_table import TableRun, WorldTable
 from petmjx.options.simulation import Simulation
 from petmjx.world.free_bodies import FreeBodies
@@ -43,7 +43,7 @@ class MjxWarpEngine(Engine):
     (petmjx/engines/warp/kernel_launcher.py).
 
     The only solver of this engine is Newton's method. C MuJoCo makes the attempts that need another solver
-    (petmjx/engines/attempts.py).
+    (petmjx/engines/attempt_settings.py).
 
     Args:
         lanes: largest number of worlds in blocks of one kind. If ``lanes`` is None, the limit is the number for which
@@ -87,9 +87,8 @@ class MjxWarpEngine(Engine):
         self.lanes, self.most_rows, self.slice_ns = lanes, most_rows, slice_ns
         self.granule, self.least_rows = GRANULE, 0
         self._running = RunLock(self.name)
-        self._kept: dict[tuple[Launch, ...], tuple[object, Rollout]] = {}
-        """For each set of launches, the ``Rollout`` (buffers of a run) that was used last, with a key."""
         self._pools = BlockPools(lanes, self._blocks)
+        self._rollouts = KeptRollouts(self._pools)
 
     def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> WarpWorlds:
         """See ``Engine.open``."""
@@ -113,12 +112,6 @@ class MjxWarpEngine(Engine):
         """An object that takes long worlds from this engine, and simulates them to their ends. If the result is None,
         this engine simulates all worlds to their ends."""
         return None
-
-    def _drop(self) -> None:
-        """Free the memory of all kept rollouts."""
-        while self._kept:
-            _, (_, rollout) = self._kept.popitem()
-            rollout.close()
 
     @says_at_hand
     @takes_stream
@@ -157,15 +150,15 @@ class MjxWarpEngine(Engine):
                     raise
             else:
                 continue
-            self._drop()
+            self._rollouts.drop()
             # The following call is outside the ``except`` block, in which the traceback would keep the tables in
             # memory.
             yield from self._again(source, sim, progress)
 
     def _again(self, source: TableJobs, sim: Simulation, progress: Progress) -> Iterator[Outcome]:
         """After memory ran out and the states of all worlds were lost, simulate the jobs without an outcome again. The
-        jobs are divided by block size, or in half if all have the same size, and the parts are simulated one after
-        another. A job that already had the device to itself is given up."""
+        jobs are divided into parts (``smaller_parts``), which are simulated one after another. A job that already had
+        the device to itself is given up."""
         lost = source.lose()
         if source.alone and lost:
             needs = KernelFeatures.of([*lost.values()], self.granule)
@@ -174,17 +167,13 @@ class MjxWarpEngine(Engine):
                 self._slices_of(table, source, waits=True, simulate=False), sim, progress, waits=True
             )
             return
-        stream_numbers = np.array([*lost], int)
-        sizes = np.array([size_of(job) for job in lost.values()])
-        apart = [stream_numbers[sizes == size] for size in np.unique(sizes)]
-        for part in apart if len(apart) > 1 else np.array_split(stream_numbers, 2):
-            if len(part):
-                progress.message = f"out of device memory: trying again with {len(part)} of the worlds"
-                jobs = self._table_jobs(JobStream.of([lost[stream_number] for stream_number in part.tolist()]))
-                for outcome in self._outcomes(jobs, sim, progress):
-                    if outcome is not None:
-                        outcome.job = int(part[outcome.job])
-                    yield outcome
+        for part in smaller_parts(lost):
+            progress.message = f"out of device memory: trying again with {len(part)} of the worlds"
+            jobs = self._table_jobs(JobStream.of([lost[stream_number] for stream_number in part.tolist()]))
+            for outcome in self._outcomes(jobs, sim, progress):
+                if outcome is not None:
+                    outcome.job = int(part[outcome.job])
+                yield outcome
 
     def _slices(
         self,
@@ -241,45 +230,13 @@ class MjxWarpEngine(Engine):
         """The ended worlds of each time slice of a table (``TableSlices``). After an error, all kept memory is
         freed."""
         queues = Queues(table.run.needs.queues, queue_of, table.rows, depth_first=self.depth_first)
-        slices = TableSlices(table, source, queues, waits, self._pools, self._rollout)
+        rollout_for = partial(self._rollouts.of, slice_ns=self.slice_ns)
+        slices = TableSlices(table, source, queues, waits, self._pools, rollout_for)
         try:
             yield from slices.results(simulate=simulate)
         except BaseException:
-            self._drop()  # the buffers that a failed call received can no longer be used
+            self._rollouts.drop()  # the buffers that a failed call received can no longer be used
             raise
-
-    def _rollout(self, table: WorldTable) -> Rollout | None:
-        """The buffers for the simulation of a table, with fewer blocks if memory is short; None if not even
-        ``MIN_BLOCKS`` blocks fit in memory. If the table has blocks of two sizes, the memory error is raised
-        instead."""
-        run = table.run
-        pools = self._pools.of(table)
-        launches = tuple(pool.launch for pool in pools)
-        key = run.sim, run.timetable, pools
-        if launches in self._kept and self._kept[launches][0] == key:
-            return self._kept[launches][1]
-        if launches in self._kept:
-            self._kept.pop(launches)[1].close()
-        while True:
-            try:
-                rollout = Rollout(run, pools, self.slice_ns)
-            except Exception as error:
-                if not is_out_of_memory(error):
-                    raise
-                if not self._kept and any(pool.is_extra for pool in pools):
-                    pools = tuple(pool for pool in pools if not pool.is_extra)
-                elif not self._kept:
-                    more, pools = pools, tuple(pool.halved() for pool in pools)
-                    if pools == more:
-                        if len(pools) > 1:
-                            raise  # the caller tries each size alone, since one may fit in memory
-                        return None
-                self._drop()  # rollouts of other sizes may hold the memory: try again without them
-                lanes = sum(pool.lanes for pool in pools)
-                run.progress.message = f"out of device memory: trying again with {lanes} lanes"
-            else:
-                self._kept[launches] = (key, rollout)
-                return rollout
 
     def _blocks(self, launch: Launch) -> int:
         """The number of blocks of a launch, at most ``lanes``."""

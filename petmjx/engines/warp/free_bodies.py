@@ -22,10 +22,10 @@ from petmjx.engines.mjx.world_constants import NEVER, Worlds, padded_rows
 from petmjx.engines.mjx.world_state import State, Status, of_flat
 from petmjx.engines.warp.block_launch import FEW_BOXES, Features, Launch
 from petmjx.engines.warp.block_pool import BlockPool
+from petmjx.engines.warp.compiled_programs import constants
 from petmjx.engines.warp.contact_buffers import MAX_GROWTH, MORE_BOXES
 from petmjx.engines.warp.frame_buffers import pick_frames, room_for_frames
 from petmjx.engines.warp.kernel_launcher import KernelLauncher
-from petmjx.engines.warp.programs import constants
 from petmjx.engines.warp.small_world_blocks import small_world_pool
 from petmjx.options.simulation import Simulation
 from petmjx.world.free_bodies import FreeBodies

@@ -16,7 +16,7 @@ from petmjx.common.units import FloatArray
 from petmjx.engines.mjx import box_motion as motion
 from petmjx.engines.mjx.world_constants import Worlds, device_array
 from petmjx.engines.mjx.world_state import State, Status, take_rows
-from petmjx.engines.open_worlds import Readings
+from petmjx.engines.open_world_protocol import Readings
 from petmjx.engines.step_clock import Clock
 from petmjx.engines.verdict import Flag
 from petmjx.options.simulation import Simulation

@@ -19,10 +19,10 @@ from petmjx.engines.mjx.world_state import State, Status, fresh_state, of_flat, 
 from petmjx.engines.warp import world_arrays
 from petmjx.engines.warp.block_launch import Features, Launch
 from petmjx.engines.warp.block_pool import BlockPool
+from petmjx.engines.warp.compiled_programs import constants
 from petmjx.engines.warp.contact_buffers import MORE_BOXES
 from petmjx.engines.warp.kernel_launcher import SLICE_NS, KernelLauncher
 from petmjx.engines.warp.next_boxes import NewBox, with_new_box
-from petmjx.engines.warp.programs import constants
 from petmjx.options.simulation import Check, Simulation
 
 

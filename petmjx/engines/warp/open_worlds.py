@@ -21,7 +21,7 @@ from petmjx.engines.mjx.readback import readbacks_of
 from petmjx.engines.mjx.timetable import build_timetable
 from petmjx.engines.mjx.world_constants import Worlds, device_array, padded_rows, upload_worlds
 from petmjx.engines.mjx.world_state import State, Status, put_rows, take_rows
-from petmjx.engines.open_worlds import OpenWorlds, Readings
+from petmjx.engines.open_world_protocol import OpenWorlds, Readings
 from petmjx.engines.verdict import Flag, Outcome
 from petmjx.engines.warp import world_arrays
 from petmjx.engines.warp.block_launch import Features

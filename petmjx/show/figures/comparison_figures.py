@@ -12,7 +12,7 @@ from petmjx.analysis.packer_comparison import ALL_SIZES, PackerComparison
 from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name, shortened_text
-from petmjx.results.share_intervals import DEFAULT_CONFIDENCE
+from petmjx.results.share_statistics import DEFAULT_CONFIDENCE
 from petmjx.show.figures.figure_style import POINTS, WIDTH_IN, draw_intervals, wrapped_sentences
 
 ROW_IN: Final = 0.26

@@ -27,7 +27,7 @@ from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
 from petmjx.results.run_reader import RunResults, is_chain
-from petmjx.results.share_intervals import ONE_PLAN
+from petmjx.results.share_statistics import ONE_PLAN
 from petmjx.runs.chain_legs import AS_IS, PLACING
 from petmjx.runs.chain_summary import WHOLE_WAY, arrivals
 from petmjx.show.figures.figure_style import draw_intervals, paper_style

@@ -11,7 +11,7 @@ from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable, printable_name
 from petmjx.results.run_reader import RunResults
-from petmjx.results.share_intervals import ALL_PLANS, ONE_PLAN
+from petmjx.results.share_statistics import ALL_PLANS, ONE_PLAN
 from petmjx.runs.chain_summary import arrivals
 from petmjx.show.figures.figure_style import COLOUR, POINTS, WIDTH_IN, draw_intervals
 from petmjx.show.pages.palette import category

@@ -27,8 +27,8 @@ from petmjx.options.simulation import Simulation
 from petmjx.packers.packer_registry import PACKERS
 from petmjx.plans.convention_checks import warn
 from petmjx.plans.order_reader import keep_orders, read_orders
-from petmjx.results.share_intervals import DEFAULT_CONFIDENCE
-from petmjx.results.source_files import source_files
+from petmjx.results.input_files import input_files
+from petmjx.results.share_statistics import DEFAULT_CONFIDENCE
 from petmjx.show.leaderboard.entries import (
     Entry,
     Watch,
@@ -117,7 +117,7 @@ def leaderboard(
     repaired = repaired_names(list_of(repairs, "repairs", str, "names of packers"), paths)
     packed = [*(PACKERS if baselines else ()), *paths, *repaired]
     names = names_of(packed, stories, keeps_orders)
-    read = source_files(paths, source if keeps_orders else None)
+    read = input_files(paths, source if keeps_orders else None)
     files_of_board = BoardFolder(folder, packed, names, read, overwrite)
     if len(packed) < 2:
         raise InputError(f"give at least two packers to rate, or one with {option('--baselines')}")

@@ -1,4 +1,4 @@
-"""Compact arrays in a page: deflated bytes in base64, which ``petmjx/show/pages/static/blocks.js`` reads.
+"""Compact arrays in a page: deflated bytes in base64, which ``petmjx/show/pages/static/page_data.js`` reads.
 
 A *block* is a text that contains several arrays. The bytes of a block are the length of the header (4 bytes), the
 header (JSON, padded with spaces), and the arrays. Each array begins at a multiple of 8 bytes. All numbers are

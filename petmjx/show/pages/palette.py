@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any, Final
 
-from petmjx.show.pages.page import static_text
+from petmjx.show.pages.html_page import static_text
 
 Rgb = tuple[float, float, float]
 
@@ -63,8 +63,8 @@ def hex_of(rgb: Rgb) -> str:
 
 
 def look() -> dict[str, Any]:
-    """The appearance of boxes, walls and ground, read from ``petmjx/show/pages/static/look.js``."""
-    _, _, json_text = static_text("look.js").partition("LOOK = ")
+    """The appearance of boxes, walls and ground, read from ``petmjx/show/pages/static/appearance.js``."""
+    _, _, json_text = static_text("appearance.js").partition("LOOK = ")
     appearance: dict[str, Any] = json.loads(json_text.rstrip().removesuffix(";"))
     return appearance
 

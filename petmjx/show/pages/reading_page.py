@@ -10,7 +10,7 @@ from petmjx.common.text import count_text, shortened_text
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.readings import ROTATION_RULES
-from petmjx.show.pages.page import escaped_html, page
+from petmjx.show.pages.html_page import escaped_html, page
 from petmjx.show.pages.still_svg import plan_svg
 from petmjx.version import __version__
 

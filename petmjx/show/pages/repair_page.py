@@ -6,13 +6,14 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
-from petmjx.analysis.story import Story, first_box_in_words, reason_in_words
+from petmjx.analysis.story import Story
 from petmjx.analysis.story import tell as simulated_story
+from petmjx.analysis.story_in_words import first_box_in_words, reason_in_words
 from petmjx.common.atomic_write import atomic_write
 from petmjx.common.text import count_text, shortened_text
 from petmjx.options.simulation import Simulation
 from petmjx.repairs.repair import Repaired, Repairs
-from petmjx.show.pages.page import escaped_html, page
+from petmjx.show.pages.html_page import escaped_html, page
 from petmjx.show.pages.still_svg import still_svg
 from petmjx.show.repair_tables import share_text
 from petmjx.version import __version__

@@ -16,7 +16,7 @@ from petmjx.common.text import box_label
 from petmjx.common.units import FloatArray
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
-from petmjx.show.pages.page import escaped_html
+from petmjx.show.pages.html_page import escaped_html
 from petmjx.show.pages.palette import article_colours, hex_of, look, rgb_of
 from petmjx.show.pages.story_data import framed_corners
 from petmjx.world.rotation import corners, rotations

@@ -8,7 +8,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.analysis.story import Story, first_box_in_words, sinks_of, thresholds_of
+from petmjx.analysis.story import Story, sinks_of, thresholds_of
+from petmjx.analysis.story_in_words import first_box_in_words
 from petmjx.common.text import printable
 from petmjx.common.units import MM_PER_M, STANDARD_GRAVITY, FloatArray
 from petmjx.engines.mujoco import box_motion

@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from petmjx.analysis.story import Story, first_box_in_words, how_it_was_simulated, notes_in_words, reason_in_words, tell
+from petmjx.analysis.story import Story, tell
+from petmjx.analysis.story_in_words import first_box_in_words, how_it_was_simulated, notes_in_words, reason_in_words
 from petmjx.common.text import count_text, shortened_text
-from petmjx.show.pages.page import escaped_html, filled_template, page
+from petmjx.show.pages.html_page import escaped_html, filled_template, page
 from petmjx.show.pages.still_svg import still_svg
 from petmjx.show.pages.story_data import story_blocks, story_info
 from petmjx.version import __version__

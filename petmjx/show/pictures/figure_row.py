@@ -9,11 +9,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from petmjx.analysis.story import Story, headline
+from petmjx.analysis.story import Story
+from petmjx.analysis.story_in_words import headline
 from petmjx.common.text import count_text, printable, printable_name
 from petmjx.show.figures.figure_style import paper_style, write
+from petmjx.show.pictures.box_colours import FIRST, Colouring, Scale, ramp_colours
 from petmjx.show.pictures.camera import Camera, Margins
-from petmjx.show.pictures.colours import FIRST, Colouring, Scale, ramp_colours
 from petmjx.show.pictures.overlay import first_outline, scale_ends, shaking_in_words
 from petmjx.show.pictures.still_pictures import PictureStyle, draw_frames, frame_camera
 from petmjx.show.pictures.story_poses import Moment, poses_of_frame

@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.analysis.story import Story, headline
+from petmjx.analysis.story import Story
+from petmjx.analysis.story_in_words import headline
 from petmjx.common.convex_hull import convex_hull
 from petmjx.common.text import count_text, printable, three_digits
 from petmjx.common.units import FloatArray
 from petmjx.show.pages.palette import Rgb
+from petmjx.show.pictures.box_colours import FIRST, Colouring, Scale, ramp_colours
 from petmjx.show.pictures.camera import Camera, Margins
-from petmjx.show.pictures.colours import FIRST, Colouring, Scale, ramp_colours
 from petmjx.show.pictures.draw_story import LEAST_LEVEL_G
 from petmjx.show.pictures.story_poses import Poses, shaking_g
 from petmjx.world.rotation import corners, rotations

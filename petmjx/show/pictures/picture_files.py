@@ -14,8 +14,8 @@ from petmjx.common.argument_checks import path_of
 from petmjx.common.atomic_write import atomic_write, check_writable
 from petmjx.common.errors import InputError
 from petmjx.common.text import one_line, printable
+from petmjx.show.pictures.box_colours import colouring
 from petmjx.show.pictures.camera import view_of
-from petmjx.show.pictures.colours import colouring
 from petmjx.show.pictures.picture_options import GIF_SIZE, MP4_SIZE, PANEL_SIZE, STILL_SIZE, PictureOptions, size_of
 from petmjx.show.pictures.story_poses import moments
 

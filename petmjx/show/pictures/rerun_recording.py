@@ -9,9 +9,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from petmjx.analysis.story import Story, box_name, events
+from petmjx.analysis.story import Story
+from petmjx.analysis.story_in_words import box_name, events
 from petmjx.common.text import printable
-from petmjx.show.pictures.colours import CARRIER, FIRST, Colouring
+from petmjx.show.pictures.box_colours import CARRIER, FIRST, Colouring
 from petmjx.show.pictures.draw_story import forces_of_pairs, newtons_per_m
 from petmjx.show.pictures.story_poses import Poses, poses_of_frame, shift_mm, tilts_deg
 from petmjx.world.history import History

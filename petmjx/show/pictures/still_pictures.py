@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from petmjx.analysis.story import Story
+from petmjx.show.pictures.box_colours import Colouring
 from petmjx.show.pictures.camera import Camera, Margins, View, framing
-from petmjx.show.pictures.colours import Colouring
 from petmjx.show.pictures.draw_story import Painter, framed_points
 from petmjx.show.pictures.overlay import Overlay
 from petmjx.show.pictures.story_poses import poses_of_frame

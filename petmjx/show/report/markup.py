@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Final
 
-from petmjx.show.pages.page import escaped_html as escaped_text
+from petmjx.show.pages.html_page import escaped_html as escaped_text
 
 
 class Markup(str):

@@ -13,15 +13,15 @@ from petmjx.common.atomic_write import atomic_write, check_writable
 from petmjx.common.overwrite_guard import check_outputs
 from petmjx.common.text import count_text, printable
 from petmjx.common.units import MM_PER_M
+from petmjx.results.input_files import input_files
 from petmjx.results.run_reader import RunResults
-from petmjx.results.source_files import source_files
-from petmjx.show.pages.page import page
+from petmjx.show.pages.html_page import page
 from petmjx.show.pages.page_arrays import block, integer_column
 from petmjx.show.pages.palette import category, ramp
 from petmjx.show.report.comparison_section import comparison_section
 from petmjx.show.report.distributions import distributions, first_boxes
 from petmjx.show.report.markup import NOTHING, Content, Markup, element, joined_markup
-from petmjx.show.report.plan_rows import table_rows
+from petmjx.show.report.report_plan_table import table_rows
 from petmjx.show.report.report_runs import Kind, ReportRun, open_runs
 from petmjx.show.report.run_settings import about
 from petmjx.show.report.sweep_answers import sweep_answers
@@ -59,7 +59,7 @@ def report(
             written or is in a folder that does not exist.
     """
     path = path_of(out, "out")
-    check_outputs([path], overwrite=overwrite, inputs=source_files(runs, plans))
+    check_outputs([path], overwrite=overwrite, inputs=input_files(runs, plans))
     check_writable(path)  # checked before the report is made, which may take long
     sources: list[Any] = (
         [runs] if isinstance(runs, str | Path | RunResults) else list_of(runs, "runs", object, "runs or folders")

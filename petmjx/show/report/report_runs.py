@@ -21,7 +21,7 @@ from petmjx.plans.plan import Plan
 from petmjx.results.plan_lookup import PlanLookup, find_plans
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import RunResults, boxes_of_worlds, is_chain, load_run
-from petmjx.results.share_intervals import ALL_PLANS, share_standing
+from petmjx.results.share_statistics import ALL_PLANS, share_standing
 from petmjx.runs.chain_legs import AS_IS
 
 MOST_FILES_NAMED: Final = 2

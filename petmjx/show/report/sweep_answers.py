@@ -11,7 +11,7 @@ import pandas as pd
 from petmjx.common.text import count_text, three_digits
 from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Verdict
-from petmjx.results.share_intervals import ALL_PLANS, share_standing
+from petmjx.results.share_statistics import ALL_PLANS, share_standing
 from petmjx.runs.chain_legs import AS_IS
 from petmjx.runs.chain_summary import WHOLE_WAY, arrivals, shares_by_leg
 from petmjx.show.report.chart_frame import MOST_TICKS, Frame, Scale, figure, round_step

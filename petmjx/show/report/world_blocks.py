@@ -64,7 +64,7 @@ def box_blocks(runs: Sequence[ReportRun], table: pd.DataFrame, most: int = MOST_
     """Store, in blocks, the boxes of all worlds that a table lists. Worlds whose plans were not found are left out.
 
     Args:
-        table: data frame with the rows of the table, from :func:`petmjx.show.report.plan_rows.table_rows`.
+        table: data frame with the rows of the table, from :func:`petmjx.show.report.report_plan_table.table_rows`.
         most: largest number of boxes.
     """
     chosen, left = _drawn_rows(runs, table, most)
@@ -210,7 +210,7 @@ def replays(runs: Sequence[ReportRun], table: pd.DataFrame, drawn: NDArray[np.in
     """Store, in blocks, the histories of all worlds that a table lists. Worlds without a 3D picture are left out.
 
     Args:
-        table: data frame with the rows of the table, from :func:`petmjx.show.report.plan_rows.table_rows`.
+        table: data frame with the rows of the table, from :func:`petmjx.show.report.report_plan_table.table_rows`.
         drawn: (rows of the table,) negative if the row's world has no 3D picture; see ``BoxBlocks.drawn``.
     """
     poses = _poses(runs, table)

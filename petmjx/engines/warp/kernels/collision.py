@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import warp as wp
 
-from petmjx.engines.warp.kernels.bed import bed_of
 from petmjx.engines.warp.kernels.block_threads import (
     any_of_all,
     dot_double,
@@ -16,9 +15,10 @@ from petmjx.engines.warp.kernels.block_threads import (
     wait_for_all,
     warp_by_warp,
 )
+from petmjx.engines.warp.kernels.body_dynamics import ROOM, body_of, doubled, first_geom, geom_half, skin_of
 from petmjx.engines.warp.kernels.compliance import compliance_of_pair, spring_of_bed, spring_of_pair
 from petmjx.engines.warp.kernels.contact_distances import exact_distance, exact_place, exact_turn
-from petmjx.engines.warp.kernels.motion import ROOM, body_of, doubled, first_geom, geom_half, skin_of
+from petmjx.engines.warp.kernels.face_contacts import bed_of
 from petmjx.engines.warp.kernels.mujoco_warp import box_box, mat83f, plane_box, vec8f
 from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Workspace, Worlds
 

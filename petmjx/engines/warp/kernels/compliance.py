@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from petmjx.engines.warp.kernels.motion import body_of, geom_half
+from petmjx.engines.warp.kernels.body_dynamics import body_of, geom_half
 from petmjx.engines.warp.world_arrays import Model, Ref, Worlds
 from petmjx.world.compliance import LEAST_IMPEDANCE, LEAST_SHARE
 from petmjx.world.contact_laws import CONTACTS_PER_FACE

@@ -20,7 +20,7 @@ from __future__ import annotations
 import warp as wp
 
 from petmjx.engines.warp.kernels.block_threads import any_of_all, wait_for_all
-from petmjx.engines.warp.kernels.motion import body_of
+from petmjx.engines.warp.kernels.body_dynamics import body_of
 from petmjx.engines.warp.world_arrays import Ref, State, Thread, Workspace, Worlds
 
 RENEWED_EVERY = wp.constant(25)

@@ -10,7 +10,7 @@ import warp as wp
 
 from petmjx.engines.mjx import world_constants
 from petmjx.engines.warp.kernels.block_threads import cross, difference, times
-from petmjx.engines.warp.kernels.motion import (
+from petmjx.engines.warp.kernels.body_dynamics import (
     angular_velocity,
     box_half,
     center,
@@ -21,7 +21,7 @@ from petmjx.engines.warp.kernels.motion import (
     rotation,
     vec6,
 )
-from petmjx.engines.warp.kernels.samples import speed_of
+from petmjx.engines.warp.kernels.box_motion import speed_of
 from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Workspace, Worlds
 from petmjx.world import approach_paths, hand
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 import warp as wp
 
 from petmjx.engines.mjx import jitter
-from petmjx.engines.warp.kernels.motion import box_half
-from petmjx.engines.warp.kernels.samples import speed_of
+from petmjx.engines.warp.kernels.body_dynamics import box_half
+from petmjx.engines.warp.kernels.box_motion import speed_of
 from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Worlds
 
 TREMBLES = wp.constant(jitter.TREMBLES)

@@ -8,11 +8,11 @@ from __future__ import annotations
 import warp as wp
 
 from petmjx.engines.warp.kernels.block_threads import any_of_all, wait_for_all
+from petmjx.engines.warp.kernels.body_dynamics import angular_velocity, linear_velocity
+from petmjx.engines.warp.kernels.box_motion import speed_of
 from petmjx.engines.warp.kernels.compliance import spring_of_pair
-from petmjx.engines.warp.kernels.constraint import MAX_IMPEDANCE, MIN_IMPEDANCE, surface_of
+from petmjx.engines.warp.kernels.contact_rows import MAX_IMPEDANCE, MIN_IMPEDANCE, surface_of
 from petmjx.engines.warp.kernels.efc import number_of, put_number
-from petmjx.engines.warp.kernels.motion import angular_velocity, linear_velocity
-from petmjx.engines.warp.kernels.samples import speed_of
 from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Workspace, Worlds
 from petmjx.world import contact_laws
 

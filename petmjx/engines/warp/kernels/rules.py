@@ -14,6 +14,8 @@ from petmjx.engines.mjx import world_constants
 from petmjx.engines.mjx import world_state as batch_state
 from petmjx.engines.verdict import Flag
 from petmjx.engines.warp.kernels.block_threads import any_of_all, wait_for_all
+from petmjx.engines.warp.kernels.body_dynamics import center, middle_of, orientation
+from petmjx.engines.warp.kernels.box_motion import HALF, LAST_BOX, is_gone, length_of, measure, press, sway_of, tilt_of
 from petmjx.engines.warp.kernels.hand import has_missed, lets_go, take_up
 from petmjx.engines.warp.kernels.jitter import (
     distance_since,
@@ -22,9 +24,7 @@ from petmjx.engines.warp.kernels.jitter import (
     has_stayed,
     speed_without_jitter,
 )
-from petmjx.engines.warp.kernels.motion import center, middle_of, orientation
 from petmjx.engines.warp.kernels.rest import count_quiet, has_failed
-from petmjx.engines.warp.kernels.samples import HALF, LAST_BOX, is_gone, length_of, measure, press, sway_of, tilt_of
 from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Workspace, Worlds
 from petmjx.world import history, release_places
 

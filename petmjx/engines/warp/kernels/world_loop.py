@@ -25,16 +25,16 @@ from petmjx.engines.warp.kernels.block_threads import (
     times,
     wait_for_all,
 )
+from petmjx.engines.warp.kernels.body_dynamics import begin_step, end_step, first_geom
+from petmjx.engines.warp.kernels.box_motion import is_fast, is_unbalanced, rises
 from petmjx.engines.warp.kernels.collision import APART, NEAR, collide, list_pairs
-from petmjx.engines.warp.kernels.constraint import link_contacts, make_constraint
+from petmjx.engines.warp.kernels.contact_rows import link_contacts, make_constraint
 from petmjx.engines.warp.kernels.elimination_order import RENEWED_EVERY, renew_order
 from petmjx.engines.warp.kernels.film import hold
-from petmjx.engines.warp.kernels.frames import keep_frame, no_room
+from petmjx.engines.warp.kernels.frame_recorder import keep_frame, no_room
 from petmjx.engines.warp.kernels.hand import carry
 from petmjx.engines.warp.kernels.landing import land
-from petmjx.engines.warp.kernels.motion import begin_step, end_step, first_geom
 from petmjx.engines.warp.kernels.rules import NEVER, PLACES, RUNNING, after_step, place_next
-from petmjx.engines.warp.kernels.samples import is_fast, is_unbalanced, rises
 from petmjx.engines.warp.kernels.solve import in_pause, newton
 from petmjx.engines.warp.world_arrays import Counts, FrameBuffer, Model, Ref, State, Thread, Workspace, Worlds
 

@@ -7,7 +7,7 @@
 #define PETMJX_CHOLESKY_CUH
 
 #include "single_panels.cuh"
-#include "by_thread.cuh"
+#include "cpu_cholesky.cuh"
 #include "panel_pairs.cuh"
 
 namespace petmjx {

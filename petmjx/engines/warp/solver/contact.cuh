@@ -1,14 +1,14 @@
 // One contact in the solver: its rows of J, and the force and curvature of its cone's cost.
 //
-// `contact`: the contact's numbers, as make_constraint (kernels/constraint.py) writes them: frame (9), moment arms of
+// `contact`: the contact's numbers, as make_constraint (kernels/contact_rows.py) writes them: frame (9), moment arms of
 // both bodies (9 + 9), reference accelerations (aref, 3), stiffness of the normal's row (D, 1), friction (1).
 
 #ifndef PETMJX_CONTACT_CUH
 #define PETMJX_CONTACT_CUH
 
 #include "block.cuh"
+#include "body_vectors.cuh"
 #include "efc.cuh"
-#include "six.cuh"
 
 namespace petmjx {
 

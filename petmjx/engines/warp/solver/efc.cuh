@@ -29,7 +29,8 @@ struct Numbers {
 
     inline CUDA_CALLABLE int place(int number) const {
 #if !defined(__CUDA_ARCH__)
-        // Each axis lies between its two moment arms. So the six numbers of a body's row are neighbours (six.cuh).
+        // Each axis lies between its two moment arms. So the six numbers of a body's row are neighbours
+        // (body_vectors.cuh).
         if (number < 27) return 9 * (number % 9 / 3) + (number < 9 ? 3 : number < 18 ? 0 : 6) + number % 3;
 #endif
         return number / 4 * apart + number % 4;

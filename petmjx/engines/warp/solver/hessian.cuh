@@ -5,7 +5,7 @@
 
 #include "block.cuh"
 #include "contact.cuh"
-#include "system.cuh"
+#include "linear_system.cuh"
 #include "world.cuh"
 
 namespace petmjx {

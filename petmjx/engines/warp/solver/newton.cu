@@ -266,7 +266,7 @@ inline CUDA_CALLABLE void newton(
         }
         wait_for_all();
         if (ends) {
-            // The gradient shows whether the forces of a stopped solver are in balance (samples.py, is_unbalanced).
+            // The gradient shows whether the forces of a stopped solver are in balance (box_motion.py, is_unbalanced).
             if (iteration >= limit) gradient(world, rhs, partial, thread);
             break;
         }

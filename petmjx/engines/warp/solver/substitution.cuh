@@ -3,7 +3,7 @@
 #ifndef PETMJX_SUBSTITUTION_CUH
 #define PETMJX_SUBSTITUTION_CUH
 
-#include "system.cuh"
+#include "linear_system.cuh"
 
 namespace petmjx {
 

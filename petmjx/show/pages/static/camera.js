@@ -1,6 +1,6 @@
 // A camera that turns around a target. Angles in radians, lengths in metres, z is up.
 
-import { LOOK } from "./look.js";
+import { LOOK } from "./appearance.js";
 import { add, clamped, cross, dot, looking, perspective, product, scaled, sub, transformed, unit } from "./vectors.js";
 
 const SLOPE = Math.tan((32 * Math.PI) / 360); // half of a vertical angle of view of 32°

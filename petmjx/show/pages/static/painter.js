@@ -2,7 +2,7 @@
 // so that a new painter can replace one whose context was lost.
 
 import { Instances, depthMap, program } from "./gl.js";
-import { LOOK } from "./look.js";
+import { LOOK } from "./appearance.js";
 import { arrow, cube, square } from "./meshes.js";
 import * as shaders from "./shaders.js";
 import { add, looking, orthographic, product, scaled, unit } from "./vectors.js";

@@ -1,8 +1,8 @@
 // The selected plan: its outcome and its world in 3D, in every run that has it.
 
-import { Card } from "./card.js";
+import { Card } from "./world_card.js";
 import { make } from "./dom.js";
-import { endedWorld } from "./ended.js";
+import { endedWorld } from "./final_boxes.js";
 
 const MOST_CARDS = 6; // pictures side by side; browsers limit their number
 

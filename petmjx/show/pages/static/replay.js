@@ -1,6 +1,6 @@
 // Plays the recorded history of a world, with controls below its picture: a button, a time line, the time.
 
-import { readBlock } from "./blocks.js";
+import { readBlock } from "./page_data.js";
 import { make } from "./dom.js";
 import { Frames } from "./frames.js";
 import { Player, SPEEDS } from "./player.js";

@@ -1,6 +1,6 @@
 // The page of a report. Charts and small tables are in its HTML; this makes the table of plans and their pictures.
 
-import { readBlock, readInfo } from "./blocks.js";
+import { readBlock, readInfo } from "./page_data.js";
 import { byId } from "./dom.js";
 import { Filters } from "./filters.js";
 import { readState, writeState } from "./fragment.js";

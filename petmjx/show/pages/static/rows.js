@@ -1,4 +1,4 @@
-// The rows of a report's table (petmjx/show/report/plan_rows.py): filters them and sorts them.
+// The rows of a report's table (petmjx/show/report/report_plan_table.py): filters them and sorts them.
 
 const OPEN = ["plan", "variant", "of"]; // these keys name the selected plan, and are no filters
 const MINUS = "−";

@@ -1,13 +1,13 @@
 // The page of one story (petmjx/show/pages/story_page.py): joins viewer, player, time line, colours and numbers.
 
 import { contactArrows, driveArrows } from "./arrows.js";
-import { hasBlock, readBlock, readInfo } from "./blocks.js";
+import { hasBlock, readBlock, readInfo } from "./page_data.js";
 import { colourings, rgbOf } from "./colours.js";
 import { byId, make } from "./dom.js";
 import { Frames } from "./frames.js";
 import { listenToKeys } from "./keys.js";
-import { labelOf } from "./names.js";
-import { showNumbers } from "./numbers.js";
+import { labelOf } from "./box_names.js";
+import { showNumbers } from "./box_numbers.js";
 import { Player, SPEEDS } from "./player.js";
 import { Timeline } from "./timeline.js";
 import { clamped } from "./vectors.js";

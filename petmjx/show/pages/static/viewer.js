@@ -31,7 +31,7 @@
 import { Camera } from "./camera.js";
 import { boardsAt, corners } from "./carrier.js";
 import { listen } from "./gestures.js";
-import { LOOK } from "./look.js";
+import { LOOK } from "./appearance.js";
 import { ARROW_NUMBERS, BOX_NUMBERS, Painter } from "./painter.js";
 import { add, dot, norm, sub, turned, turnedBack } from "./vectors.js";
 
