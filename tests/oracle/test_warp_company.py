@@ -256,7 +256,7 @@ def test_worlds_of_each_size_have_blocks_of_their_own(monkeypatch: pytest.Monkey
     monkeypatch.setattr(mjx_warp, "Queues", Watched)
     some = engine()
     assert_equal_worlds(simulate(some, scenes, SHORT), alike)
-    ((_, rollout),) = some._kept.values()
+    ((_, rollout),) = some._rollouts._kept.values()
     assert [pool.n_boxes for pool in rollout.launcher.pools] == [12, 4]
     (order,) = queues
     assert [sorted(row[row >= 0].tolist()) for row in order] == [[5, 6], [0, 1, 2, 3, 4]]
