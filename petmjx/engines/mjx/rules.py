@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from petmjx.engines.mjx import box_motion as motion
-from petmjx.engines.mjx import hand, jitter
+from petmjx.engines.mjx import hand, trembling
 from petmjx.engines.mjx.padded_template import PARKING_HEIGHT_M, parked_positions
 from petmjx.engines.mjx.running_metrics import Sample
 from petmjx.engines.mjx.timetable import Timetable
@@ -333,8 +333,8 @@ class Rules:
         quiet = self.sim.quiet
         speed = jnp.where(self.standing(state), motion.speed(state.qvel, worlds.half), 0.0)
         if self.sim.waits_for_rest:
-            state = jitter.after_look(state, worlds, poll & adapts, speed, self.sim)
-        trembles = self.standing(state) & jitter.jitter_mask(state, self.sim)
+            state = trembling.after_look(state, worlds, poll & adapts, speed, self.sim)
+        trembles = self.standing(state) & trembling.trembling_mask(state, self.sim)
         speed = jnp.where(trembles, 0.0, speed)
         count = jnp.where((speed < quiet.quiet_m_s).all(-1), state.quiet_steps + quiet.poll_steps, 0)
         enough = poll & (count >= quiet.steps)
@@ -344,7 +344,7 @@ class Rules:
         at_begin = jnp.where((count <= quiet.poll_steps)[:, None], speed, state.quiet_speed)
         creeps = speed >= jnp.maximum(quiet.slow_m_s, quiet.slowing * at_begin)
         faster = speed > jnp.maximum(quiet.still_m_s, at_begin)
-        creeps = ((creeps | faster) & ~jitter.stay_mask(state, self.sim)).any(-1)
+        creeps = ((creeps | faster) & ~trembling.stay_mask(state, self.sim)).any(-1)
         anew = enough & creeps & ~state.metrics.has_failed(self.sim.thresholds)
         count = jnp.where(anew, quiet.poll_steps, count)
         at_begin = jnp.where(anew[:, None], speed, at_begin)
@@ -447,7 +447,7 @@ class Rules:
         moved = motion.moved(state.still_qpos, state.qpos, worlds.half)
         still_from = jnp.maximum(state.end - table.still_steps, state.driven_from if self.driven else 0)
         seconds = (state.step - still_from) * sim.physics.timestep_s
-        trembles, stays = jitter.jitter_mask(state, sim), jitter.stay_mask(state, sim, moved)
+        trembles, stays = trembling.trembling_mask(state, sim), trembling.stay_mask(state, sim, moved)
         most = jnp.where(trembles, sim.quiet.slow_m_s, sim.quiet.still_m_s) * seconds[:, None]
         standing = self.standing(state)
         turns = sim.waits_for_rest & ~trembles & ~stays & (motion.speed(state.qvel, worlds.half) > sim.quiet.still_m_s)

@@ -9,7 +9,7 @@ import numpy as np
 
 from petmjx.common.units import FloatArray
 from petmjx.engines.mujoco import box_motion
-from petmjx.engines.mujoco.jitter import Jitter
+from petmjx.engines.mujoco.trembling import Trembling
 from petmjx.options.simulation import Simulation
 from petmjx.world.scene import Scene
 
@@ -25,7 +25,7 @@ class QuietRule:
         self._sim, self._rule = sim, sim.quiet
         self._waits_for_creep = sim.waits_for_rest
         self._steps = 0
-        self.trembling = Jitter()
+        self.trembling = Trembling()
         self._first: FloatArray = np.zeros(0)
         self.extend(scene)
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import warp as wp
 
 from petmjx.engines.warp.kernels.block_threads import any_of_all
-from petmjx.engines.warp.kernels.jitter import has_jitter, has_stayed, speed_without_jitter
+from petmjx.engines.warp.kernels.trembling import has_stayed, is_trembling, speed_without_trembling
 from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Worlds
 
 
@@ -51,7 +51,7 @@ def count_quiet(
     world = at.world
     fast = bool(False)
     for box in range(at.thread, at.placed, at.threads):
-        if not speed_without_jitter(model, worlds, state, looks, world, box) < model.quiet_speed:
+        if not speed_without_trembling(model, worlds, state, looks, world, box) < model.quiet_speed:
             fast = True
     count = int(0)
     if not any_of_all(fast):
@@ -61,7 +61,7 @@ def count_quiet(
         return count, quiet
     creeps = bool(False)
     for box in range(at.thread, at.placed, at.threads):
-        speed = speed_without_jitter(model, worlds, state, looks, world, box)
+        speed = speed_without_trembling(model, worlds, state, looks, world, box)
         if count <= model.poll_steps:
             state.quiet_speed[world, box] = speed
         first = state.quiet_speed[world, box]
@@ -71,11 +71,11 @@ def count_quiet(
         quiet = False
         count = model.poll_steps
         for box in range(at.thread, at.placed, at.threads):
-            state.quiet_speed[world, box] = speed_without_jitter(model, worlds, state, looks, world, box)
+            state.quiet_speed[world, box] = speed_without_trembling(model, worlds, state, looks, world, box)
     if quiet and looks > 2 * model.tremble_looks:
         trembling = bool(False)
         for box in range(at.thread, at.placed, at.threads):
-            trembling = trembling or has_jitter(model, state, looks, world, box)
+            trembling = trembling or is_trembling(model, state, looks, world, box)
         if any_of_all(trembling):
             count = 0
     return count, quiet

@@ -17,14 +17,14 @@ from petmjx.engines.warp.kernels.block_threads import any_of_all, wait_for_all
 from petmjx.engines.warp.kernels.body_dynamics import center, middle_of, orientation
 from petmjx.engines.warp.kernels.box_motion import HALF, LAST_BOX, is_gone, length_of, measure, press, sway_of, tilt_of
 from petmjx.engines.warp.kernels.hand import has_missed, lets_go, take_up
-from petmjx.engines.warp.kernels.jitter import (
-    distance_since,
-    find_jitter,
-    has_jitter,
-    has_stayed,
-    speed_without_jitter,
-)
 from petmjx.engines.warp.kernels.rest import count_quiet, has_failed
+from petmjx.engines.warp.kernels.trembling import (
+    distance_since,
+    find_trembling,
+    has_stayed,
+    is_trembling,
+    speed_without_trembling,
+)
 from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Workspace, Worlds
 from petmjx.world import history, release_places
 
@@ -120,11 +120,11 @@ def _look_at_the_end(
         moved = distance_since(worlds, state, state.still_qpos, world, box)
         speed = float(0.0)
         if model.waits_for_rest != 0:
-            speed = speed_without_jitter(model, worlds, state, looks, world, box)
+            speed = speed_without_trembling(model, worlds, state, looks, world, box)
         stays = has_stayed(model, state, looks, world, box, moved)
         turns = speed > model.still_speed and not stays
         moves = moves or turns or moved > model.still_speed * seconds
-        most = wp.where(has_jitter(model, state, looks, world, box), model.slow_speed, model.still_speed)
+        most = wp.where(is_trembling(model, state, looks, world, box), model.slow_speed, model.still_speed)
         waits = waits or turns or (moved > most * seconds and not stays)
         q = orientation(state, world, box + 1)
         tilted = tilt_of(q) > model.tilt
@@ -301,7 +301,7 @@ def after_step(
         quiet = bool(False)
         if step % model.poll_steps == 0 and waited > 0:
             if adapts and model.waits_for_rest != 0:
-                find_jitter(model, worlds, at, looks, state)
+                find_trembling(model, worlds, at, looks, state)
                 looks += 1
             quiet_steps, quiet = count_quiet(model, worlds, at, quiet_steps, failed, looks, state)
         if not in_drive:

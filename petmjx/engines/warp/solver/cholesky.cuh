@@ -6,9 +6,9 @@
 #ifndef PETMJX_CHOLESKY_CUH
 #define PETMJX_CHOLESKY_CUH
 
-#include "single_panels.cuh"
+#include "cholesky_small.cuh"
 #include "cpu_cholesky.cuh"
-#include "panel_pairs.cuh"
+#include "cholesky_large.cuh"
 
 namespace petmjx {
 

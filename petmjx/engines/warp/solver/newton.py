@@ -51,8 +51,8 @@ room for this system.
 """
 
 FEW_PANELS = 40
-"""A kernel whose largest system has at most this many panels factors one panel at a time (single_panels.cuh); all other
-kernels factor two panels at a time (panel_pairs.cuh)."""
+"""A kernel whose largest system has at most this many panels factors one panel at a time (cholesky_small.cuh); all
+other kernels factor two panels at a time (cholesky_large.cuh)."""
 
 SLIP_ROUNDS = 12
 """Number of iterations after the first that may change the slip excess of contacts (petmjx/world/contact_laws.py). The

@@ -1,5 +1,5 @@
-"""Finds boxes that tremble or stay on C MuJoCo (docs/rules.md, section 5). petmjx/engines/mjx/jitter.py does the same
-in JAX."""
+"""Finds boxes that tremble or stay on C MuJoCo (docs/rules.md, section 5). petmjx/engines/mjx/trembling.py does the
+same in JAX."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ def _most_away_m(sim: Simulation, path_m: FloatArray | float) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Jitter:
+class Trembling:
     """The state of the search for boxes that tremble or stay after a *look* (a check whether the pallet is quiet). Each
-    look makes a new ``Jitter``.
+    look makes a new ``Trembling``.
 
     Attributes:
         boxes: (n,) whether each box trembles. n is the number of placed boxes at the looks since the last placement.

@@ -1,5 +1,5 @@
 """Finds boxes that tremble or stay (docs/rules.md, section 5), for all worlds of a batch. Twin:
-petmjx/engines/mujoco/jitter.py."""
+petmjx/engines/mujoco/trembling.py."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TREMBLES, STAYS = 1, 2
 measurement. In both cases, the box did not get anywhere; the path of a box that trembled was longer."""
 
 
-def jitter_mask(state: State, sim: Simulation) -> Bool[Array, "world box"]:
+def trembling_mask(state: State, sim: Simulation) -> Bool[Array, "world box"]:
     """Whether each box trembles. Right after a placement, no box counts as trembling, since the boxes have been checked
     too few times."""
     return (state.trembles == TREMBLES) & (state.tremble_looks > 2 * sim.quiet.tremble_looks)[:, None]
@@ -26,7 +26,7 @@ def stay_mask(
     state: State, sim: Simulation, moved: Float[Array, "world box"] | float = 0.0
 ) -> Bool[Array, "world box"]:
     """Whether each box stays. A box stays if it stayed near its place in the last complete period of measurement, and
-    has been near its place in the present period until now. As with ``jitter_mask``, no box counts as staying right
+    has been near its place in the present period until now. As with ``trembling_mask``, no box counts as staying right
     after a placement. ``moved``: distances by which boxes moved in the last steps of a world, m; 0 at a look. The
     larger of this distance and ``tremble_away`` counts."""
     stayed = (state.trembles != 0) & (state.tremble_looks > 2 * sim.quiet.tremble_looks)[:, None]

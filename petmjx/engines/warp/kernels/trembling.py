@@ -1,19 +1,19 @@
 """Finds trembling boxes: boxes that move to and fro without getting anywhere (docs/rules.md, section 5).
 
-Twin of petmjx/engines/mjx/jitter.py.
+Twin of petmjx/engines/mjx/trembling.py.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from petmjx.engines.mjx import jitter
+from petmjx.engines.mjx import trembling
 from petmjx.engines.warp.kernels.body_dynamics import box_half
 from petmjx.engines.warp.kernels.box_motion import speed_of
 from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Worlds
 
-TREMBLES = wp.constant(jitter.TREMBLES)
-STAYS = wp.constant(jitter.STAYS)
+TREMBLES = wp.constant(trembling.TREMBLES)
+STAYS = wp.constant(trembling.STAYS)
 
 
 @wp.func
@@ -40,7 +40,7 @@ def _most_away(model: Ref[Model], path: float) -> float:
 
 
 @wp.func
-def find_jitter(
+def find_trembling(
     # Model:
     model: Ref[Model],
     worlds: Ref[Worlds],
@@ -80,7 +80,7 @@ def find_jitter(
 
 
 @wp.func
-def has_jitter(model: Ref[Model], state: Ref[State], looks: int, world: int, box: int) -> bool:
+def is_trembling(model: Ref[Model], state: Ref[State], looks: int, world: int, box: int) -> bool:
     """Whether a box trembles. Until a first measurement after a placement is complete, no box counts as trembling.
 
     Args:
@@ -91,8 +91,8 @@ def has_jitter(model: Ref[Model], state: Ref[State], looks: int, world: int, box
 
 @wp.func
 def has_stayed(model: Ref[Model], state: Ref[State], looks: int, world: int, box: int, moved: float) -> bool:
-    """Whether a box stays: it stayed in the last measured period, and has stayed since. As with ``has_jitter``, no box
-    counts as staying right after a placement.
+    """Whether a box stays: it stayed in the last measured period, and has stayed since. As with ``is_trembling``, no
+    box counts as staying right after a placement.
 
     Args:
         looks: number of looks since the last placement.
@@ -104,10 +104,10 @@ def has_stayed(model: Ref[Model], state: Ref[State], looks: int, world: int, box
 
 
 @wp.func
-def speed_without_jitter(
+def speed_without_trembling(
     model: Ref[Model], worlds: Ref[Worlds], state: Ref[State], looks: int, world: int, box: int
 ) -> float:
     """Speed of a box's fastest point, m/s; 0 if it trembles."""
-    if has_jitter(model, state, looks, world, box):
+    if is_trembling(model, state, looks, world, box):
         return float(0.0)
     return speed_of(worlds, state, world, box)

@@ -4,8 +4,8 @@
 // For each panel all warps find its row of U. Then the first warp finds the next panel's diagonal tile, for which
 // everything waits. Meanwhile the other warps subtract the row's products from the rows below.
 
-#ifndef PETMJX_SINGLE_PANELS_CUH
-#define PETMJX_SINGLE_PANELS_CUH
+#ifndef PETMJX_CHOLESKY_SMALL_CUH
+#define PETMJX_CHOLESKY_SMALL_CUH
 
 #include "panels.cuh"
 

@@ -4,8 +4,8 @@
 // Everything waits for the diagonal tiles, one after another. So the first warp does little else than find the next
 // diagonal tile. The other warps find the rows of U and subtract their products from the rows below.
 
-#ifndef PETMJX_PANEL_PAIRS_CUH
-#define PETMJX_PANEL_PAIRS_CUH
+#ifndef PETMJX_CHOLESKY_LARGE_CUH
+#define PETMJX_CHOLESKY_LARGE_CUH
 
 #include "panels.cuh"
 
