@@ -1,5 +1,5 @@
 """Linear programmes, solved with HiGHS. SciPy contains HiGHS in a module of its own, which this file loads without the
-rest of SciPy: ``import scipy.optimize`` takes 0.3 s, as long as a hundred programmes."""
+rest of SciPy: ``import scipy.optimize`` takes 0.3 s, as long as solving a hundred programmes."""
 
 from __future__ import annotations
 

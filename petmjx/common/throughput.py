@@ -10,8 +10,8 @@ from collections.abc import Callable
 from petmjx.common.text import count_text, three_digits, time_left
 
 MARK_S = 0.1
-"""Smallest time between two entries of ``Throughput._marks``, s. The smallest time limits the number of entries, even
-for a million worlds."""
+"""Smallest time between two entries of ``Throughput._marks``, s. Without this smallest time, a million worlds would add
+a million entries."""
 
 
 class Throughput:

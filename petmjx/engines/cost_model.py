@@ -7,8 +7,8 @@ additional cost of a landing grows with the square of the number of standing box
 (supports of a box beyond its first support). If each box stands on only one other, as in a block of columns, landings
 cost next to nothing.
 
-On a device, the cost of a step of a full stack grows with the square of its boxes, too. But a plan with more boxes is
-at rest in a larger share of its steps, so the cost of a run grows more slowly.
+On a device, too, the cost of a step of a full stack grows with the square of the number of boxes. But a plan with more
+boxes is at rest in a larger share of its steps, so the cost of a run grows more slowly.
 """
 
 from __future__ import annotations
@@ -74,8 +74,8 @@ is begun earlier. Measured on EUMOS's 4,032 drives of 100 plans: strong drives t
 
 FALL_STEPS = 1350
 """Number of steps of a fall while boxes are placed one by one: from the first box that tips over to the drop that ends
-the world. 22 plans of two shelf packers, none of which stands, take 1,730 to 1,910 steps on average. About 450 of these
-steps place boxes."""
+the world. The 22 plans of two shelf packers, which all fall, take 1,730 to 1,910 steps on average. In about 450 of
+these steps, boxes are placed."""
 
 STATIC_FALL_STEPS = 400
 """Number of steps of a static check in which boxes fall, until one has dropped and the world ends. If a static check
@@ -113,8 +113,8 @@ share of 0.285 of the fixed schedule's steps; the share is 0.45 with few boxes, 
 
 DISPLACED_STEPS, CARRIED_STEPS = 1.1, 5.0
 """Number of steps of a placement with errors of places or sizes, relative to a placement whose boxes appear exactly at
-their places. ``DISPLACED_STEPS`` is for boxes that are moved apart and then appear. ``CARRIED_STEPS`` is for boxes that
-are carried to their places, and get stuck at their neighbours."""
+their places. ``DISPLACED_STEPS`` is for boxes that appear at places with errors; boxes that would overlap are moved
+apart first. ``CARRIED_STEPS`` is for boxes that are carried to their places, and get stuck at their neighbours."""
 
 GIVING_STEPS = 1.4
 """Number of steps of a placement with compliant boxes, relative to the same placement with rigid boxes. A pile of boxes
@@ -130,9 +130,9 @@ worlds without errors took 17 s."""
 
 LONG_PLACEMENT, LONG_DRIVE = 3.0, 2.5
 """A world is long if its placement takes more than ``LONG_PLACEMENT`` times as many steps as a placement whose boxes
-stand, or its drive more than ``LONG_DRIVE`` times the expected steps, not counting the rest window. With fewer than
-``FALL_STEPS`` steps, no placement is long: a fall of few boxes takes 400 to 650 steps, and these boxes stand after 165
-to 210 steps."""
+stand, or its drive more than ``LONG_DRIVE`` times the expected steps, not counting the rest window. A placement of
+fewer than ``FALL_STEPS`` steps is never long. So worlds of few boxes that fall are not long, although they take 400 to
+650 steps, while worlds of few boxes that stand take only 165 to 210."""
 
 
 def rest_steps(sim: Simulation, rest_s: float) -> int:
@@ -324,18 +324,23 @@ class ThreadCosts:
     Attributes:
         rest_s: time of a step of a world at rest, s per box to the power ``REST_POWER``.
         overhead_s: additional time of any step, s.
-        landing_s: additional time until a box has landed, s per box² of the standing boxes, at ``Work.coupling`` 1.
-        static_s: additional time until all boxes of a static check have landed, s per box², at ``Work.coupling`` 1.
-        shaken_s: additional time of each of the first ``SHAKEN_STEPS`` steps of a drive, s per box².
+        landing_s: additional time for one box to land, divided by the square of the number of standing boxes, s, if
+            ``Work.coupling`` is 1.
+        static_s: additional time for all boxes of a static check to land, divided by the square of their number, s, if
+            ``Work.coupling`` is 1.
+        shaken_s: additional time of each of the first ``SHAKEN_STEPS`` steps of a drive, divided by the square of the
+            number of boxes, s.
         fall_s: additional time of a fall while boxes are placed one by one, until a box has dropped, s. The time of a
             fall hardly depends on the number of boxes. The time of a single fall varies from a tenth of this value to
             ten times this value.
-        jammed: cost of a placement by hand with errors, relative to one without errors.
+        jammed: cost of a placement by hand with errors, in which boxes jam, relative to a placement without errors.
         hand_s: additional time of a step of a placement by hand, s.
         film_s: additional time of each of the first ``SHAKEN_STEPS`` steps of a drive in film, s per box.
         give_s: additional time of a step, s per compliant box.
-        driven_s: additional time of a step of a drive, s: forces are summed in each step, and contacts slide.
-        board_s: additional time of a step of a placement on a carrier of boards, s per box: all pairs are checked.
+        driven_s: additional time of a step of a drive, s, because forces on tops are summed in each step and contacts
+            slide.
+        board_s: additional time of a step of a placement on a carrier of boards, s per box, because all pairs of boxes
+            and boards are checked.
     """
 
     rest_s: float
@@ -407,12 +412,13 @@ class Costs:
     Attributes:
         mujoco, kernel: costs of ``mujoco`` and of ``mjx-warp-cpu`` on one CPU thread.
         kernel_start_s: time to start ``mjx-warp-cpu``, including compilation, s.
-        kernel_load_s: as ``kernel_start_s``, with a kernel from an earlier run.
+        kernel_load_s: time to start ``mjx-warp-cpu`` if an earlier run has compiled the kernel, s.
         jax_step_s: time of a step of one world of n boxes on ``mjx-jax`` on a CPU, divided by n², s. On two cores, a
             world of 40 boxes takes 57 steps per second.
         gpu_step_s: time of a step of ``full_worlds`` worlds on a device, s per box to the power ``WARP_POWER``.
         full_worlds: number of worlds that fill the device.
-        tail_worlds: cost of the end of a run, as a number of worlds: the last worlds leave the device nearly idle.
+        tail_worlds: number of worlds that a full device would simulate in the time in which the last worlds of a run
+            leave it nearly idle.
         gpu_start_s: time to start the device engine, including compilation, s.
     """
 
@@ -548,17 +554,18 @@ MEASURED = Costs()
 records are the lines ``estimates`` of benchmarks/results/cpu-0.3.jsonl and h200-0.3.jsonl, and the records of
 tests/unit/test_engine_choice.py. Tests compare the model with all these records.
 
-CPU threads: one thread on a machine of two virtual EPYC cores, which other programs kept busy, so that the thread took
-1.7 to 2.5 times as long as on an idle core (petmjx/engines/machine_speed.py). The records are of generated plans of 5
-to 80 boxes, blocks of up to 120 boxes, and third-party plans of 45 to 140 boxes: scores and static checks on several
-carriers, with all ways of placing, both schedules and both physics, scores with confidence, and ready-made sweeps and
-chains. The cost of film was fitted to drives of 8, 22 and 40 boxes, and the cost of compliant boxes to plans of 16 to
-24 boxes.
+The costs of CPU threads were measured with one thread on a machine of two virtual EPYC cores. Other programs kept these
+cores busy, so the thread took 1.7 to 2.5 times as long as on an idle core (petmjx/engines/machine_speed.py). The plans
+were generated plans of 5 to 80 boxes, blocks of up to 120 boxes, and third-party plans of 45 to 140 boxes. The runs
+were scores and static checks on several carriers, with all ways of placing, both schedules and both physics; scores
+with confidence; and ready-made sweeps and chains. The cost of film was fitted to drives of 8, 22 and 40 boxes, and the
+cost of compliant boxes to plans of 16 to 24 boxes.
 
 On C MuJoCo, the time of a single fall varies from a tenth of the mean to ten times the mean. So estimates for a few
 plans that fall are less exact. The estimates leave out the time for simulating worlds again with smaller timesteps.
 
-Devices: the times were measured on one H100, and do not include start and compilation. The schedule is adaptive unless
-stated otherwise. The runs are 10,003 generated plans, 4,000 with the fixed schedule, 500 and 1,000 plans with
-confidence 16 (placed exactly), 250 by hand, and 128,000 and a million worlds of 12 boxes with errors. ``mjx-warp``
-compiles for 13 to 23 s (0.5 s with a kernel from an earlier run)."""
+The costs of devices were measured on one H100, and do not include start and compilation. The seven runs were: 10,003
+generated plans; 4,000 generated plans with the fixed schedule; 500 and 1,000 plans with ``confidence`` 16, whose boxes
+appear at their places; 250 plans with ``confidence`` 16, whose boxes are carried by hand; and 128,000 and a million
+worlds of 12 boxes with placement errors. All runs except the second had the adaptive schedule. ``mjx-warp`` compiles
+for 13 to 23 s (0.5 s if an earlier run has compiled the kernel)."""

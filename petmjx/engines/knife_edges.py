@@ -78,7 +78,8 @@ def kept_edges(
 
 
 def edges_when(edge_m: FloatArray, when: str, own_weight: bool = False) -> Iterator[KnifeEdge]:
-    """The distances of the boxes' loads. Boxes with an unknown distance (NaN) are left out."""
+    """A ``KnifeEdge`` for each box, with the distance of the box's load from the edge. Boxes whose distance is unknown
+    (NaN) are left out."""
     for box in np.flatnonzero(~np.isnan(edge_m)).tolist():
         yield KnifeEdge(float(edge_m[box]), box, when, own_weight=own_weight)
 

@@ -44,7 +44,8 @@ REFERENCE_S: Final = 0.04
 """CPU time for simulating the test block of boxes on the machine of ``MEASURED``, s."""
 
 SLOWEST, FASTEST = 8.0, 0.125
-"""Bounds of the measured slowness. A value beyond these bounds cannot be the speed of the machine."""
+"""Largest and smallest result of ``slowness``. A measured value beyond these bounds cannot be the speed of a machine;
+the bound is used instead."""
 
 
 def costs_here(work: Work, threads: int) -> Costs:

@@ -94,8 +94,8 @@ def _leaning(outcomes: Sequence[Outcome]) -> list[NDArray[np.bool_]]:
 def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> None:
     """Compute the distances of the boxes' loads from the edges of their supports: in the plan, at rest and while the
     plan is built. Write the distances of all boxes, the smallest distances of each world, and two flags into the
-    outcomes. ``Flag.KNIFE_EDGE`` is set if any box is too near an edge. ``Flag.SINKING`` is set for worlds that may
-    have tipped over because contacts are soft.
+    outcomes. ``Flag.KNIFE_EDGE`` is set if the load of any box is too near an edge. ``Flag.SINKING`` is set for worlds
+    that may have tipped over because contacts are soft.
 
     Distances at rest are computed for worlds that stand and were not shaken, because their carriers are still at their
     places. Distances while the plan is built are computed for plans whose boxes are placed in order and without errors.

@@ -84,8 +84,8 @@ class Group:
     """Jobs that can share a program.
 
     Attributes:
-        indices: the jobs that are not in a batch yet.
-        capacity: number of boxes for which there is room.
+        indices: indices of the group's jobs that are not in a batch yet.
+        capacity: number of boxes for which each world of a batch has room.
         profile_steps: number of steps of the longest profile.
     """
 
@@ -95,7 +95,7 @@ class Group:
 
     @classmethod
     def of(cls, jobs: Sequence[Job], indices: list[int]) -> Group:
-        """A group of stackable jobs."""
+        """A group of jobs that may share a batch (``stackable_jobs``). ``indices``: the indices of these jobs."""
         alike = [jobs[index] for index in indices]
         steps = max(len(job.drive.excitation.samples) if job.drive else 0 for job in alike)
         return cls(indices, round_up(max(job.scene.n_boxes for job in alike)), steps)

@@ -34,7 +34,7 @@ PROFILE_GRANULE = 512
 compiled programs, although the legs differ in length."""
 
 MOST_KEPT = 16
-"""Largest number of kept programs that let paused placements continue, and of kept shapes of states."""
+"""Number of results that ``_going_on`` (compiled programs) and ``_state_shapes`` each keep for later calls."""
 
 _fresh_state = jit_between_slices(fresh_state, static_argnames=("all_placed", "rest_steps"))
 
@@ -172,7 +172,8 @@ def let_go(bodies: FreeBodies, sim: Simulation, rows: int, width: int) -> tuple[
 
 @functools.lru_cache(MOST_KEPT)
 def _going_on(sim: Simulation, timetable: Timetable, width: int) -> Callable[[State, Worlds], State]:
-    """The program that lets paused placements continue. Timetables are compared by identity."""
+    """The program that lets paused placements continue. The program is kept for later calls with the same options,
+    width and timetable object."""
     return jit_between_slices(Rules(sim, timetable, width, driven=False).go_on_in_kernels)
 
 

@@ -1,5 +1,5 @@
-"""Sets up JAX for petmjx. As petmjx sets up JAX, JAX leaves device memory for Warp, and keeps the programs that it
-compiles in a cache on disk (JAX's persistent compilation cache).
+"""Sets up JAX for petmjx. After this set-up, JAX leaves device memory for Warp, and keeps the programs that it compiles
+in a cache on disk (JAX's persistent compilation cache).
 
 The folder of this cache is a setting of the whole process. The first engine that is built sets the folder. The setting
 remains, and also applies to the caller's own JAX programs. A folder that the caller has already set is not changed.

@@ -273,9 +273,9 @@ def _sides(edges: FloatArray, at: FloatArray, lines: FloatArray) -> None:
 
 
 def _moments(lines: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Properties of the region that is inside all lines. Returns five arrays: (p,) its area; (p,) its area without the
-    last line; (p,) the largest distance of a point of the region from the last line; (p, 2) its centroid; and (p, 2, 2)
-    a square root (Cholesky factor) of its second moments per area.
+    """Properties of the region that is inside all lines. Returns five arrays: (p,) area of the region; (p,) area that
+    the region would have without the last line; (p,) largest distance of a point of the region from the last line; (p,
+    2) centroid of the region; and (p, 2, 2) square root (Cholesky factor) of the region's second moments per area.
 
     An edge of the region is the part of a line that is inside all other lines. The area and the moments are sums over
     the edges, by Green's theorem.

@@ -405,7 +405,7 @@ class LiveWorld:
         self._held = HeldCarrier(pos=state.pose[0, :3], quat=state.pose[0, 3:])
         self._has_waiting = False
         self._shaken = True
-        self._templates = None  # each world has its own place for a clamped carrier
+        self._templates = None  # the place of a clamped carrier differs between worlds, and templates lack this place
         self._build(self.capacity)
         self._restore(state, time_s)
 

@@ -122,8 +122,8 @@ class OracleMetrics:
         return bool(lost[culprit] and sway[culprit] >= job.drive.allowed_sway_m)
 
     def any_gone(self, pos: FloatArray, quat: FloatArray) -> bool:
-        """Whether one of the k placed boxes is tilted or has descended so far that a pallet under trial will not
-        stand."""
+        """Whether one of the k placed boxes is *gone*: it is tilted so much, or has descended so far, that the pallet
+        will certainly not stand (``petmjx.engines.metrics.GONE_TILT``)."""
         k = len(pos)
         descent = self._scene.target[:k, 2] - pos[:, 2] - (0.0 if self._sinks_m is None else self._sinks_m[:k])
         limits = self._thresholds
@@ -188,7 +188,7 @@ class OracleMetrics:
         self._rest_steps += 1
 
     def restart_rest(self) -> None:
-        """Start a new rest window, since the world continues after the last one."""
+        """Start a new rest window, since the world has continued after the end of its previous rest window."""
         self._rest_sum_n[:] = 0.0
         self._rest_steps = 0
 

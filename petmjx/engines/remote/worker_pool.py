@@ -341,8 +341,8 @@ class WorkerPool(Engine):
     # Jobs.
 
     def _take_jobs(self, run: _PoolRun) -> bool:
-        """Take jobs from the stream. If all jobs so far have outcomes, wait for further jobs. Returns whether there
-        were any."""
+        """Take jobs from the stream. If all jobs so far have outcomes, wait for further jobs. Returns whether the
+        method has taken any job."""
         on_devices = self.name in LEAST
         most = MOST_TAKEN * self.devices - len(run.jobs)
         least = run.stream.begin_with if on_devices and not run.stream.taken else 1

@@ -69,8 +69,8 @@ def room_for_frames(
 
 
 def pick_frames(frames: dict[str, jax.Array]) -> PickedFrames:
-    """The frames of an ended slice, still on the device, and their number. Call this method before the next slice
-    begins: after that, the device would finish the next slice first."""
+    """The frames of an ended slice, still on the device, and their number. Call this function before the next slice
+    begins: otherwise, the device would compute the whole next slice before it picks the frames."""
     used, room = int(np.asarray(frames["used"])[0]), len(frames["of"])
     some = FEWEST
     while some < used:
