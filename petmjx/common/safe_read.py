@@ -24,7 +24,7 @@ MOST_RATIO: Final = 100
 FREE_BYTES: Final = 64 << 20
 """Limits of compression. A file is refused if it unpacks to more than ``FREE_BYTES`` and to more than ``MOST_RATIO``
 times its own size, because no real table of plans can be compressed that much. Gzip compresses plans to a tenth or a
-thirtieth, and zeros to a thousandth; Parquet compresses results to a tenth."""
+thirtieth of their size, and zeros to a thousandth. Parquet compresses results to a tenth of their size."""
 
 _KINDS: Final = (
     (stat.S_ISDIR, errno.EISDIR, "Is a directory"),

@@ -73,9 +73,9 @@ class AttemptRecipe:
     """If True, all boxes are flex bodies from the beginning (petmjx/world/soft_boxes.py)."""
 
     doubles: bool = False
-    """Whether the attempt needs double precision. There are two reasons: a world may be invalid because of single
-    precision, and with a twentieth of the time constant, boxes sink into each other by less than single precision
-    resolves."""
+    """Whether the attempt needs double precision. The reason is either that the world may be invalid because of single
+    precision, or that boxes sink into each other by less than single precision resolves, since the time constant of
+    contacts is a twentieth."""
 
     few: bool = False
     """Whether only few of many worlds need the attempt. Worlds with placement errors are an exception: if their plan

@@ -77,7 +77,8 @@ def score_worlds(
     are collected, and simulated again together at the end, or earlier if ``most_pending`` of them wait. So the memory
     of a run does not grow with its number of worlds. Two kinds of further attempts begin at once: attempts that CPU
     threads make beside a GPU (petmjx/engines/attempt_settings.py), and, in runs with ``following``, attempts in stiffer
-    contacts. The latter run together with first attempts, if the engine can mix the two (``Capability.STIFF_JOBS``).
+    contacts. Attempts in stiffer contacts run together with first attempts, if the engine can mix the two kinds
+    (``Capability.STIFF_JOBS``).
 
     ``following`` returns the worlds that follow from the results so far, such as the drives (motions of the carrier) of
     a settled pallet. ``following`` is called after each outcome, and returns each world exactly once. An engine that

@@ -215,8 +215,8 @@ ON_CARRIER_M = 0.001
 def note_penetration(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> list[Outcome]:
     """The outcomes, with ``Flag.SINKING`` if boxes sank so far that the depth of contacts may have decided the verdict.
 
-    A world that gets this flag becomes invalid. With pyramidal friction cones, as in the preset ``reference``, all
-    worlds keep their verdict.
+    A world that gets the flag from this function becomes invalid. With pyramidal friction cones, as in the preset
+    ``reference``, all worlds keep their verdict.
     """
     noted, elliptic = list(outcomes), sim.physics.cone is Cone.ELLIPTIC
     scenes = [job.scene for job in jobs]

@@ -35,7 +35,7 @@ part of the schedule."""
 
 QUIET_STEPS = 220
 """Steps until a pallet is quiet with the adaptive schedule, if boxes are not placed one by one. Static checks of 45 to
-241 boxes took 150 to 890 such steps. After EUMOS's profile, pallets that stand took 216 steps."""
+241 boxes took 150 to 890 steps until the pallet was quiet. After EUMOS's profile, pallets that stand took 216 steps."""
 
 COST_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.36}
 """The cost of a schedule on a device as a share of the fixed schedule's cost. On the same machine, 10,003 plans with
@@ -43,10 +43,10 @@ the adaptive schedule took 17 s, and 4,000 plans with the fixed schedule took 21
 cheap steps, in which all boxes are at rest. In the remaining steps, boxes move and pallets collapse."""
 
 JAX_POWER, WARP_POWER = 2.0, 1.0
-"""Over whole runs, the cost of a step on ``mjx-jax`` and ``mjx-warp`` grows with this power of the number of boxes,
-since plans with more boxes have more steps at rest. While n boxes are placed one by one, the cost on ``mjx-warp`` is
-the mean of k to this power over k = 1…n: about 1 / (power + 1) of the full cost. On ``mjx-jax``, all boxes are in the
-model from the beginning."""
+"""Over whole runs, the cost of a step grows with the number of boxes to the power ``JAX_POWER`` on ``mjx-jax``, and to
+the power ``WARP_POWER`` on ``mjx-warp``, where steps at rest are cheap and plans with more boxes have more of them.
+While n boxes are placed one by one, the cost on ``mjx-warp`` is the mean of k to this power over k = 1…n: about 1 /
+(power + 1) of the full cost. On ``mjx-jax``, all boxes are in the model from the beginning."""
 
 SHAKEN_FACTOR = 2.5
 """Cost of a step of a drive on a device, relative to a step of the same pallet with the fixed schedule. Measured on an
@@ -91,8 +91,8 @@ one by one, since all boxes may fall. Static checks of plans of 24 boxes took 1 
 placing the boxes one by one, and those of generated plans of 41 boxes 1.6 to 5 times as long."""
 
 LOST = 0.3
-"""Number of steps of a fall in a placement with errors, relative to a fall without errors. The cost of the fall has the
-same factor. A world with errors ends when a box has tilted too far, before the box drops."""
+"""Number of steps of a fall in a placement with errors, relative to a fall in a placement without errors. The cost of
+the fall decreases by the same factor. A world with errors ends when a box has tilted too far, before the box drops."""
 
 BOARDS_COST = 1.35
 """Cost of a step on a carrier of boards, or between walls, relative to a slab. The measured cost was 1.2 to 1.7 for
@@ -108,8 +108,8 @@ schedule."""
 
 WAY_STEPS = {Way.DROP: 3.1, Way.HAND: 4.0, Way.TINES: 7.0}
 """Number of steps of a placement whose boxes fall or are carried to their places, relative to a placement whose boxes
-appear at their places. Measurements with plans of 14 and of 40 boxes agree within a tenth. Boxes carried by hand take a
-share of 0.285 of the fixed schedule's steps; the share is 0.45 with few boxes, and 0.24 with many."""
+appear at their places. Measurements with plans of 14 and of 40 boxes agree within a tenth. Placements by hand take
+0.285 times as many steps as the fixed schedule: 0.45 times with few boxes, and 0.24 times with many."""
 
 DISPLACED_STEPS, CARRIED_STEPS = 1.1, 5.0
 """Number of steps of a placement with errors of places or sizes, relative to a placement whose boxes appear exactly at
@@ -124,8 +124,8 @@ so soft that it does not come to rest takes up to fifteen times as many steps.""
 DISPLACED_COST, CARRIED_COST = 2.8, 4.5
 """Cost of a placement with errors on a device, relative to a placement without errors. ``DISPLACED_COST`` is for boxes
 that appear at places with errors, and may slip into gaps between other boxes. ``CARRIED_COST`` is for boxes that are
-carried to their places. 8,000 worlds of 500 plans took 35 s, and 4,000 worlds of 250 plans by hand took 30 s; 10,003
-worlds without errors took 17 s."""
+carried to their places. On one GPU, 8,000 worlds with errors (of 500 plans) took 35 s if boxes appeared, 4,000 worlds
+with errors (of 250 plans) took 30 s if boxes were carried by hand, and 10,003 worlds without errors took 17 s."""
 
 
 LONG_PLACEMENT, LONG_DRIVE = 3.0, 2.5
@@ -164,7 +164,7 @@ class WayOfPlacing:
 
     @property
     def falls(self) -> float:
-        """Cost of a fall, relative to a placement without errors."""
+        """Cost of a fall with this way of placing, relative to a fall in a placement without errors."""
         return LOST if self.has_errors else 1.0
 
 
@@ -177,12 +177,12 @@ class Work:
         boxes: number of boxes of each plan.
         placements, drives: number of placements and of drives of each plan.
         displaced: number of placements in which boxes appear at places with errors, or with changed sizes.
-        carried: number of placements with such errors in which boxes are carried to their places.
+        carried: number of placements with errors of places or sizes in which boxes are carried to their places.
         drive_steps: steps of one drive, including ``rest_steps``; the mean over profiles.
         filmed: share of the steps of drives in which pallets are wrapped in film, 0 to 1.
         giving: number of compliant boxes of each plan; empty if no plan has compliant boxes.
-        ties: for each plan, the number of supports beyond a box's first, as a mean over its boxes
-            (petmjx.plans.loose_boxes); if empty, ``TYPICAL_TIES`` is used.
+        ties: for each plan, the mean number of supports that a box has in addition to its first support
+            (petmjx.plans.loose_boxes); if ``ties`` is empty, ``TYPICAL_TIES`` is used.
         placed_share: for each plan, the share of its boxes that are placed before the first box that tips over at once
             (petmjx.plans.loose_boxes); 1 without such a box. If ``placed_share`` is empty, the share is unknown, and no
             box is expected to tip over.
@@ -269,8 +269,8 @@ class Work:
 
     @property
     def ways(self) -> tuple[WayOfPlacing, WayOfPlacing, WayOfPlacing]:
-        """The ways of placing: without errors; with errors, where boxes appear; with errors, where boxes are
-        carried.
+        """Three ways of placing: boxes appear or are carried without errors; boxes appear at places with errors; boxes
+        are carried to places with errors.
         """
         name = self.sim.placing.name
         drop = WAY_STEPS[Way.DROP] if name is Way.DROP else 1.0
@@ -505,7 +505,7 @@ class Costs:
         """(n,) for each job, the number of steps from which on its world counts as long (``LONG_PLACEMENT``,
         ``LONG_DRIVE``). The number depends neither on the machine nor on the other jobs."""
         steps = np.full(len(jobs), float(seconds_to_steps(sim.rest_window_s, sim.physics.timestep_s)))
-        for settles in (False, True):  # _expected_work takes jobs of one kind at a time
+        for settles in (False, True):  # _expected_work needs jobs that all settle, or none of which settles
             rows = [row for row, job in enumerate(jobs) if job.settles is settles]
             some = [jobs[row] for row in rows]
             work, drive_steps = _expected_work(some, sim)
@@ -525,8 +525,8 @@ class Costs:
 
 def _displaced_cost(coupling: FloatArray) -> FloatArray:
     """(n,) cost of a placement whose boxes appear at places with errors, relative to a placement without errors. With
-    errors, boxes that stand on several others lose some of these supports, and rock. The measured values are 1.6 for
-    generated plans, and 2.6 to 3 for a third-party plan, on both engines."""
+    errors, boxes that stand on several others lose some of these supports, and rock. On ``mujoco`` and on
+    ``mjx-warp-cpu``, the measured values are 1.6 for generated plans, and 2.6 to 3 for a third-party plan."""
     return 1.3 + 1.9 * coupling
 
 

@@ -62,7 +62,7 @@ class Batch:
         return int(self.worlds.shape_half.shape[1] - self.worlds.half.shape[1])
 
     def give_up(self, rows: NDArray[np.int64], flag: Flag) -> None:
-        """End worlds that cannot be simulated on this device, with this flag."""
+        """End worlds that cannot be simulated on this device, and give them this flag."""
         flags = self.table.flags.at[rows].set(self.table.flags[rows] | int(flag))
         self.table = self.table._replace(flags=flags, status=self.table.status.at[rows].set(Status.FINISHED))
 
@@ -80,7 +80,7 @@ def load(
     Args:
         rows: number of rows of the tables, at least one per job.
         width: number of box columns, at least the number of boxes of the largest plan.
-        profile_room: smallest number of rows for profiles, and smallest number of their steps.
+        profile_room: smallest number of rows for profiles, and smallest number of steps for each profile.
     """
     excitations = {id(job.drive.excitation): job.drive.excitation for job in jobs if job.drive}
     least_rows, least_steps = profile_room

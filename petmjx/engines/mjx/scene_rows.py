@@ -1,5 +1,5 @@
-"""Makes rows of tables from scenes. Similar scenes are filled in together: filled in one by one, they would take longer
-than a GPU's simulation of small worlds."""
+"""Makes rows of tables from scenes. Similar scenes are written into their rows together: one scene after another, this
+would take longer than a GPU's simulation of small worlds."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ _STEPS_TOGETHER = 64
 
 
 class OracleMetrics:
-    """Largest values so far, first sign of failure, and forces at rest of one world."""
+    """Largest values of the metrics so far, first sign of failure, and forces at rest of one world."""
 
     def __init__(self, scene: Scene, thresholds: Thresholds, gravity_m_s2: float = STANDARD_GRAVITY) -> None:
         n = scene.n_boxes

@@ -119,7 +119,8 @@ class WorldRun:
         return self._outcome(came_to_end=begun and self._loop())
 
     def _start(self) -> bool:
-        """Simulate the soft start. Returns False if the world's time or iterations are used up before its end."""
+        """Simulate the soft start. Returns False if the world's time or iterations are used up before the soft start
+        ends."""
         kind = LiveWorld if self._scene.soft is None else SoftWorld
         self._live = kind(self._scene, self._sim, self._scene.n_boxes * self._static, templates=self._templates)
         self._metrics = OracleMetrics(self._scene, self._sim.thresholds, self._sim.physics.gravity_m_s2)

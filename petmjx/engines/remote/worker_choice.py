@@ -106,8 +106,8 @@ class WorkerStartup:
 def resolve_workers(
     options: RunOptions, work: Work, costs: Costs, startup: WorkerStartup | None = None
 ) -> tuple[WorkerPool, Choice]:
-    """The pool of workers for a run, and the reason for the choice of its engine. The engine ``auto`` is chosen by the
-    CPUs and GPUs of the cluster.
+    """The pool of workers for a run, and the reason for the choice of its engine. ``auto`` chooses the engine that
+    suits the CPUs and GPUs of the cluster.
 
     Args:
         startup: workers that have already been started for these options.

@@ -149,8 +149,8 @@ def load_kernels(launches: Sequence[Launch]) -> None:
 
 HEAD_START_NS = 50_000
 """Delay between the starts of two kernels, ns. A GPU assigns thread blocks to its multiprocessors in the order in which
-they are launched, and runs them to their end. With the delay, blocks of the first kernel find the room that they
-need."""
+they are launched, and runs them to their end. Because of the delay, the blocks of the first kernel get their places on
+the multiprocessors before the blocks of the second kernel."""
 
 
 @functools.cache

@@ -5,8 +5,9 @@ The kernels and their C++ functions take whole records. Each array is declared o
 running_metrics.py. JAX passes these arrays, and the kernels change ``State`` in place. All other arrays are declared in
 this file. The workspace is one buffer, which is divided into arrays of the shapes that are declared here.
 
-Axes. ``world``: row of a table of worlds. ``block``: thread block, which steps one world at a time. ``queue``: queue of
-worlds of one size. ``body``: the carrier, followed by the boxes in packing order. ``free_body``: body that can move.
+Axes. ``world``: row of a table of worlds. ``block``: lane, which steps one world at a time; a lane is a thread block or
+one of its warps. ``queue``: queue of worlds of one size. ``body``: the carrier, followed by the boxes in packing order.
+``free_body``: body that can move.
 ``dof``: degree of freedom; each free body has six. ``geom``: the floor, followed by the shapes of the bodies. ``pair``:
 two geoms that are near each other. ``contact``: point in which the geoms of a pair touch. Units are SI.
 """
