@@ -274,7 +274,7 @@ class Engines:
     def note_failure(self, engine: str, attempt: int, worlds: int, message: str) -> None:
         """Note that an error ended an attempt on an engine, and what happens to the worlds without an outcome."""
         other = self.fallback
-        then = "invalid by failed" if other is None or engine == other.name else f"went to {other.name}"
+        then = "invalid (failed)" if other is None or engine == other.name else f"went to {other.name}"
         tail = f"; {count_text(worlds, 'world')}: {then}" if worlds else ""
         self.note(f"attempt {attempt}: {engine} failed ({message}){tail}")
 

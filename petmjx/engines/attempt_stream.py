@@ -189,7 +189,7 @@ class _AttemptRun(Generic[AnyWorld]):
                 yield from self._results_of(self._first_attempts())
             elif not self.retry_queue and self.attempt_tasks.unanswered:
                 n_unanswered = self.attempt_tasks.unanswered
-                self.engines.progress.message = f"{count_text(n_unanswered, 'world')} again on CPU threads"
+                self.engines.progress.message = f"simulating {count_text(n_unanswered, 'world')} again on CPU threads"
                 # Further worlds may follow before the attempts on CPU threads end, such as the packings of the next
                 # order.
                 yield from self._task_results(wait=self.following is None)
@@ -240,7 +240,8 @@ class _AttemptRun(Generic[AnyWorld]):
             batch = [pending for recipe, pending in self.retry_queue if recipe is attempt]
             self.retry_queue[:] = [entry for entry in self.retry_queue if entry[0] is not attempt]
             if batch:
-                self.engines.progress.message = f"{len(batch)} again, attempt {attempt.number}"
+                worlds_text = count_text(len(batch), "world")
+                self.engines.progress.message = f"simulating {worlds_text} again (attempt {attempt.number})"
                 runner = AttemptRunner[AnyWorld](attempt, attempt.apply_to_sim(self.sim), self.engines)
                 yield from self._results_of(runner.run(batch))
 

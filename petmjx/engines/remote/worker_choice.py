@@ -157,7 +157,7 @@ def _pool_choice(options: RunOptions, nodes: list[Node], work: Work, costs: Cost
             threads,
             used,
             why_no_gpu=lambda: why_no_gpus(nodes, workers),
-            why_no_kernel=lambda: "not chosen for workers",  # since each worker would have to compile the kernels
+            why_no_kernel=lambda: "each worker would have to compile the kernels",
         )
     return Choice(name, reason, seconds.get(name))
 

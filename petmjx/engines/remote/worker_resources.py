@@ -92,9 +92,9 @@ def why_no_gpus(nodes: Sequence[Node], workers: int | str) -> str | None:
     number = int(workers)
     per_gpu = _sharing(gpus, number)
     if per_gpu > MOST_SHARING:
-        return f"at most {MOST_SHARING} share a GPU, so {number} have no room; {_has(nodes)}"
+        return f"at most {MOST_SHARING} workers share a GPU, so there is no room for {number}; {_has(nodes)}"
     if number > gpus and number % gpus:
-        return f"{number} cannot share {gpus} GPUs evenly, {number - number % gpus} can; {_has(nodes)}"
+        return f"{number} workers cannot share {gpus} GPUs evenly, {number - number % gpus} can; {_has(nodes)}"
     if sum(min(node.cpus, per_gpu * node.gpus) for node in nodes) < number:
         return f"no room for {count_text(number, 'worker')} of 1 CPU beside the GPUs; {_has(nodes)}"
     return None
