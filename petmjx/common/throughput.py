@@ -36,8 +36,8 @@ class Throughput:
         """Set the number of finished worlds.
 
         Args:
-            share: finished share of the whole work, 0 to 1. If ``share`` is None, each world is taken as the same
-                amount of work.
+            share: finished share of the whole work, 0 to 1. If ``share`` is None, every world counts as the same amount
+                of work.
         """
         work = float(done) if share is None or self._total is None else share * self._total
         if (done, work) == (self._done, self._work):

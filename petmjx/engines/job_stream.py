@@ -112,8 +112,8 @@ class JobStream(Generic[Tag]):
             return self._open or not bounded
 
     def put_all(self, entries: Iterable[tuple[Job, Tag]]) -> None:
-        """Add several jobs and their tags at once, as ``put`` adds jobs that follow from outcomes. An engine that waits
-        takes them together."""
+        """Add several jobs, which follow from outcomes, and their tags at once (see ``put``). An engine that waits for
+        jobs takes them together."""
         with self._changed:
             for job, tag in entries:
                 self._following.append((job, tag))

@@ -27,8 +27,8 @@ from petmjx.world.profiles.profile_registry import resolve
 from petmjx.world.variants import DriveSpec, LegSpec
 
 PLACING: Final = "placing"
-"""Name of the first part of a chain, in which boxes are placed and come to rest. After this part, the first leg
-begins."""
+"""Name of the first part of a chain, in which boxes are placed and come to rest. The first leg begins when the boxes
+are at rest."""
 
 AS_IS: Final = ""
 """Value of the columns ``remedy`` for the unchanged chain. For a changed chain, these columns have the name of the

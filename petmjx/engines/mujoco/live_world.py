@@ -69,8 +69,8 @@ class LiveWorld:
     order.
 
     Args:
-        templates: compiled models of open worlds, which are filled in instead of compiling a model. If ``templates`` is
-            None, models are compiled.
+        templates: compiled models for open worlds. The values of this world are written into such a model, so that no
+            model need be compiled. If ``templates`` is None, models are compiled.
         held: pose in which the carrier is clamped from the beginning. If ``held`` is None, the carrier is free.
 
     Attributes:

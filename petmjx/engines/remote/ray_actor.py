@@ -129,8 +129,8 @@ class Worker:
         return pickle.dumps(WorkerReady(os.getpid(), platform.node(), device, package_versions(), error))
 
     def _build(self) -> None:
-        """Create the engine, and start the other libraries for a GPU. If the engine cannot be created, the worker has
-        no fallback engine.
+        """Create the engine, and for ``mjx-warp`` start JAX and Warp before. If the engine cannot be created, the error
+        is kept for the worker pool, because a worker has no fallback engine.
         """
         name = self._recipe.name
         try:

@@ -32,8 +32,8 @@ may be about to write a frame."""
 
 FEWEST: Final = 1024
 """Smallest number of frames that are transferred together. If a slice has more frames, eight times this number is
-transferred. If that is not enough, 64 times this number is transferred, and so on. Only these numbers are used, since
-each number of frames needs its own compiled program."""
+transferred. If that is not enough, 64 times this number is transferred, and so on. No other numbers of frames are
+transferred, since each number needs its own compiled program."""
 
 _KINDS: Final = {name: wp.dtype_to_numpy(kind.dtype) for name, kind in world_arrays.array_types(FrameBuffer).items()}
 

@@ -151,7 +151,7 @@ class Worlds:
     """Constants of worlds: the table ``world_constants.Worlds``, the samples of the excitations, and the queues."""
 
     profiles: Annotated[wp.array3d[float], "profile step 3"]
-    order: Annotated[wp.array2d[int], "queue world"]  # numbers of worlds in their order, followed by negative numbers
+    order: Annotated[wp.array2d[int], "queue world"]  # numbers of worlds in their order, padded with negative numbers
 
     if TYPE_CHECKING:
 
