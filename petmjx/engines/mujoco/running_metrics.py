@@ -103,9 +103,9 @@ class OracleMetrics:
 
     def tells_all(self, job: Job, pos: FloatArray, quat: FloatArray, culprit: int) -> bool:
         """Whether the pallet falls for certain, so that the simulation of its world can end. The pallet falls for
-        certain if a box has dropped. In worlds with errors, it also falls if one of the k placed boxes is tilted too
-        far in these poses. In a drive (motion of the carrier), it also falls if the culprit is tilted too far and has
-        moved too far.
+        certain if a box has dropped. In worlds with errors, the pallet also falls for certain if one of the k placed
+        boxes is tilted too far in these poses. In a drive (motion of the carrier), the pallet also falls for certain if
+        the culprit is tilted too far and has moved too far.
 
         Args:
             culprit: number of the box that crossed a threshold first, at an earlier check. The number is -1 if no box
