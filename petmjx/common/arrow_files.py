@@ -93,7 +93,7 @@ def read_within(
 
     Raises:
         OversizedFile: the columns would take more memory than allowed.
-        ValueError: a column contains lists or tables.
+        ValueError: a column contains lists or tables that ``nested`` does not allow.
         pyarrow.ArrowException, OSError: the file is not a complete Parquet file.
     """
     allowed = allowed_bytes(stream.size(), free, most)

@@ -100,7 +100,8 @@ VALUE: Final = "<a single value>"
 single value. pydantic inserts tags into the path of an error, and ``describe`` removes the tags. The angle brackets
 distinguish tags from names of fields."""
 _KEY: Final = "[key]"
-"""Last part of the path in pydantic's errors about a key of a table. The last part but one is the key itself."""
+"""Last part of the path in pydantic's errors about a key of a table. The part of the path before ``_KEY`` is the key
+itself."""
 
 
 @dataclass(frozen=True)
@@ -328,8 +329,8 @@ def _no_member(context: Mapping[str, str], value: Any) -> str:
 
 
 def _path(location: tuple[int | str, ...]) -> str:
-    """The path of a value within a record, in the notation of TOML and Python: fields by name, list entries as [i]. The
-    path lacks what pydantic inserts, such as the tags of unions."""
+    """The path of a value within a record, in the notation of TOML and Python: fields by name, list entries as [i].
+    Parts that pydantic inserts into the path, such as the tags of unions, are left out."""
     path = ""
     for part in location:
         if isinstance(part, int):

@@ -22,8 +22,8 @@ def convex_hull(points: Iterable[Point], least_turn: float = 0.0) -> list[Point]
 
 
 def _half(ordered: list[Point], least_turn: float) -> list[Point]:
-    """The corners of the lower or upper half of the hull, from the first of the ordered points on, without the last
-    point."""
+    """The corners of one half of the hull: of the lower half if the points are in ascending order of x, of the upper
+    half if they are in descending order. The last point is left out, because the other half begins with it."""
     chain: list[Point] = []
     for x, y in ordered:
         while len(chain) > 1:

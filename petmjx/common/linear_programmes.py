@@ -1,5 +1,5 @@
 """Linear programmes, solved with HiGHS. SciPy contains HiGHS in a module of its own, which this file loads without the
-rest of SciPy: ``import scipy.optimize`` takes 0.3 s, as long as a hundred programmes."""
+rest of SciPy: ``import scipy.optimize`` takes 0.3 s, as long as solving a hundred programmes."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def _highs() -> Any | None:
                     module = importlib.util.module_from_spec(spec)
                     sys.modules[_NAME] = module
                     spec.loader.exec_module(module)
-                except ImportError:  # a library may be in a folder that only SciPy's own import adds
+                except ImportError:  # a library may be in a folder in which only SciPy's own import searches
                     sys.modules.pop(_NAME, None)
     module_or_none = sys.modules.get(_NAME)
     return module_or_none if all(hasattr(module_or_none, name) for name in _USED) else None

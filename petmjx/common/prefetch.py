@@ -93,8 +93,8 @@ def prefetch(*sources: Generator[Item], most: int) -> Generator[Item]:
 def _wait_for(ended: Sequence[threading.Event]) -> None:
     """Wait until all threads have ended, even if Ctrl-C interrupts the wait several times.
 
-    Before the threads have ended, no other code may use the objects of the threads. ``Thread.join`` does not ensure
-    this: if it is interrupted, it regards the thread as ended.
+    Each thread sets its event when it ends. ``Thread.join`` would not be enough: if Ctrl-C interrupts ``Thread.join``,
+    Python regards the thread as ended, although the thread may still use objects that the caller then closes.
     """
     try:
         for event in ended:

@@ -26,8 +26,8 @@ def process_pool(processes: int, *, gpu: bool = True, nice: int = 0) -> ProcessP
     If this process is killed, the worker processes end (``_begin``) instead of waiting for tasks for ever.
 
     Args:
-        gpu: whether the processes see GPUs. A process that sees a GPU takes some of its memory even if it does not use
-            the GPU.
+        gpu: whether the processes see GPUs. A process that sees a GPU takes some of the GPU's memory, even if the
+            process computes nothing on the GPU.
         nice: niceness (lower priority) that is added to the processes, so that this process has priority over them. On
             systems without niceness, ``nice`` has no effect.
     """

@@ -18,13 +18,13 @@ from typing import BinaryIO, Final
 _BLOCK: Final = 1 << 20
 
 MOST_BYTES: Final = 4 << 30
-"""Largest size of a file of plans or of a table: 100 times the size of the 10,003 plans of the benchmark BED-BPP, which
-take about 40 MB."""
+"""Largest size of a file of plans or of a table: 40 times the size of 10,003 generated plans, which take about 105
+MB."""
 MOST_RATIO: Final = 100
 FREE_BYTES: Final = 64 << 20
 """Limits of compression. A file is refused if it unpacks to more than ``FREE_BYTES`` and to more than ``MOST_RATIO``
 times its own size, because no real table of plans can be compressed that much. Gzip compresses plans to a tenth or a
-thirtieth, and zeros to a thousandth; Parquet compresses results to a tenth."""
+thirtieth of their size, and zeros to a thousandth. Parquet compresses results to a tenth of their size."""
 
 _KINDS: Final = (
     (stat.S_ISDIR, errno.EISDIR, "Is a directory"),
@@ -44,14 +44,15 @@ class _Pipes:
     """The pipes that are named on a command line, and the content of the pipes that have been read.
 
     Attributes:
-        words: the words of the command line, and their parts that may be paths.
+        words: the words of the command line, and the parts of these words between "=" and ",", as in
+            ``--plans=/dev/stdin``. A path that is one of these texts is named on the command line.
     """
 
     def __init__(self, words: frozenset[str]) -> None:
         self.words = words
         self._lock = threading.Lock()
         self._descriptors: dict[tuple[int, int], int] = {}
-        """(device, inode) of a pipe → descriptor of a file in memory with its content."""
+        """(device, inode) of a pipe → descriptor of a file in memory that holds the content of the pipe."""
         self._faults: dict[tuple[int, int], OSError] = {}
 
     def file_of(self, path: Path) -> Path:

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from petmjx.common.text import count_text, three_digits, time_left
 
 MARK_S = 0.1
-"""Smallest time between two entries of ``Throughput._marks``, s. The smallest time limits the number of entries, even
-for a million worlds."""
+"""Smallest time between two entries of ``Throughput._marks``, s. Without this smallest time, a million worlds would add
+a million entries."""
 
 
 class Throughput:
@@ -36,8 +36,8 @@ class Throughput:
         """Set the number of finished worlds.
 
         Args:
-            share: finished share of the whole work, 0 to 1. If ``share`` is None, each world is taken as the same
-                amount of work.
+            share: finished share of the whole work, 0 to 1. If ``share`` is None, every world counts as the same amount
+                of work.
         """
         work = float(done) if share is None or self._total is None else share * self._total
         if (done, work) == (self._done, self._work):

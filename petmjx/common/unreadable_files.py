@@ -73,8 +73,8 @@ _PROGRAMS: Final = (
 
 
 def program_kind(text: str) -> str | None:
-    """An error text for programs, scenes and messages as text, which have no table or list of boxes; None for other
-    texts."""
+    """An error text if the text of a file is a program, a scene or a message, which has no table or list of boxes. The
+    result is None for other texts."""
     begin = text[:_SNIFFED_BYTES]
     return next((error for pattern, error in _PROGRAMS if re.match(pattern, begin)), None)
 

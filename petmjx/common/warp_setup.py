@@ -45,9 +45,9 @@ def set_up_warp() -> None:
 
 @functools.cache
 def machine_code(name: str) -> ModuleType | None:
-    """The module ``name``, whose functions launch the kernels ``KERNELS`` of this module on a CPU. The kernels are
-    compiled, or loaded if an earlier process has compiled them. The result is None if Warp is not installed, or cannot
-    compile the kernels."""
+    """The Python module called ``name``, whose functions launch Warp kernels on a CPU. The module lists these kernels
+    in ``KERNELS``. The kernels are compiled, or loaded if an earlier process has compiled them. The result is None if
+    Warp is not installed, or cannot compile the kernels."""
     if why_no_warp_on_cpu() is None:
         with suppress(Exception):  # if Warp raises anything, the caller uses NumPy
             import warp
@@ -55,7 +55,7 @@ def machine_code(name: str) -> ModuleType | None:
             module = importlib.import_module(name)
             set_up_warp()
             for kernel in module.KERNELS:
-                warp.load_module(kernel.module, device="cpu")  # one thread loads what several launch
+                warp.load_module(kernel.module, device="cpu")  # loaded before several threads launch the kernels
             return module
     return None
 

@@ -73,9 +73,9 @@ class AttemptRecipe:
     """If True, all boxes are flex bodies from the beginning (petmjx/world/soft_boxes.py)."""
 
     doubles: bool = False
-    """Whether the attempt needs double precision. There are two reasons: a world may be invalid because of single
-    precision, and with a twentieth of the time constant, boxes sink into each other by less than single precision
-    resolves."""
+    """Whether the attempt needs double precision. The reason is either that the world may be invalid because of single
+    precision, or that boxes sink into each other by less than single precision resolves, since the time constant of
+    contacts is a twentieth."""
 
     few: bool = False
     """Whether only few of many worlds need the attempt. Worlds with placement errors are an exception: if their plan
@@ -274,7 +274,7 @@ class Engines:
     def note_failure(self, engine: str, attempt: int, worlds: int, message: str) -> None:
         """Note that an error ended an attempt on an engine, and what happens to the worlds without an outcome."""
         other = self.fallback
-        then = "invalid by failed" if other is None or engine == other.name else f"went to {other.name}"
+        then = "invalid (failed)" if other is None or engine == other.name else f"went to {other.name}"
         tail = f"; {count_text(worlds, 'world')}: {then}" if worlds else ""
         self.note(f"attempt {attempt}: {engine} failed ({message}){tail}")
 

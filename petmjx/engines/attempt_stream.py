@@ -75,9 +75,9 @@ def score_worlds(
     A thread makes the worlds and puts their jobs into a ``JobStream``, from which the engine takes the jobs. The thread
     waits while the jobs in the stream have ``PENDING_BOXES`` boxes (``PENDING_BOXES_GPU`` for a GPU). Invalid worlds
     are collected, and simulated again together at the end, or earlier if ``most_pending`` of them wait. So the memory
-    of a run does not grow with its number of worlds. If CPU threads make an attempt beside a GPU
-    (petmjx/engines/attempt_settings.py), this attempt begins at once. If other worlds may follow from a world, its
-    attempt in stiffer contacts also begins at once, together with first attempts, if the engine can mix the two
+    of a run does not grow with its number of worlds. Two kinds of further attempts begin at once: attempts that CPU
+    threads make beside a GPU (petmjx/engines/attempt_settings.py), and, in runs with ``following``, attempts in stiffer
+    contacts. Attempts in stiffer contacts run together with first attempts, if the engine can mix the two kinds
     (``Capability.STIFF_JOBS``).
 
     ``following`` returns the worlds that follow from the results so far, such as the drives (motions of the carrier) of
@@ -189,7 +189,7 @@ class _AttemptRun(Generic[AnyWorld]):
                 yield from self._results_of(self._first_attempts())
             elif not self.retry_queue and self.attempt_tasks.unanswered:
                 n_unanswered = self.attempt_tasks.unanswered
-                self.engines.progress.message = f"{count_text(n_unanswered, 'world')} again on CPU threads"
+                self.engines.progress.message = f"simulating {count_text(n_unanswered, 'world')} again on CPU threads"
                 # Further worlds may follow before the attempts on CPU threads end, such as the packings of the next
                 # order.
                 yield from self._task_results(wait=self.following is None)
@@ -240,7 +240,8 @@ class _AttemptRun(Generic[AnyWorld]):
             batch = [pending for recipe, pending in self.retry_queue if recipe is attempt]
             self.retry_queue[:] = [entry for entry in self.retry_queue if entry[0] is not attempt]
             if batch:
-                self.engines.progress.message = f"{len(batch)} again, attempt {attempt.number}"
+                worlds_text = count_text(len(batch), "world")
+                self.engines.progress.message = f"simulating {worlds_text} again (attempt {attempt.number})"
                 runner = AttemptRunner[AnyWorld](attempt, attempt.apply_to_sim(self.sim), self.engines)
                 yield from self._results_of(runner.run(batch))
 
@@ -310,7 +311,7 @@ class _AttemptTasks(Generic[AnyWorld]):
     lent: CheckPool[Pending[AnyWorld]] | None = None
     """The check pool that the caller provides and keeps for later runs, if any."""
     needs_pool: bool = True
-    """Whether checks of many outcomes take long enough for processes."""
+    """Whether checks of many outcomes take so long that processes for them are worth starting."""
     check_pool: CheckPool[Pending[AnyWorld]] | None = None
     first: AttemptRunner[AnyWorld] | None = None
     """The runner of the first attempts, whose outcomes the check pool checks."""
@@ -354,7 +355,7 @@ class _AttemptTasks(Generic[AnyWorld]):
         return AttemptRunner[AnyWorld](attempt, attempt.apply_to_sim(self.sim), self.engines)
 
     def are_few(self, attempt: AttemptRecipe, pending: Pending[AnyWorld]) -> bool:
-        """Whether only few worlds like this one need an attempt."""
+        """Whether only few of the run's worlds need this attempt, so that CPU threads can make it."""
         world, before, _ = pending
         # if boxes of a plan may sink into each other, all of the plan's worlds with placement errors need the attempt
         sank = world.variant != 0 and before is not None and before.verdict is Verdict.INVALID

@@ -118,7 +118,7 @@ class AttemptRunner(Generic[AnyWorld]):
     def run_fallback(self, left: list[Pending[AnyWorld]]) -> Iterator[AttemptResult[AnyWorld] | None]:
         """Simulate the worlds for which the engine returned no outcome. If there is a fallback engine, it simulates
         these worlds. Worlds that still have no outcome become invalid, with the reason ``failed``. Like ``run``, this
-        method yields results of attempts and None.
+        method yields results of attempts, and None when the engine pauses.
         """
         engine = self.engines.primary
         if left and self.engines.fallback is not None:

@@ -37,10 +37,11 @@ from statics, some fell although they should stand: 5 stacks with 15 steps, 4 wi
 simulation of a pallet with trembling boxes takes three times as long."""
 
 STIFF_INTERVAL_S = 0.2
-"""In attempts with stiff contacts and the schedule ``adaptive``, the longest of the short waits
-(``Simulation.interval_s``), s. A pile with a trembling box may never be quiet for ``STIFF_QUIET_STEPS``. With the usual
-0.7 s, such a pile would wait for 0.7 s before each further box. 0.2 s are twice the time for which a box counts as
-landing. The last wait of a world stays long, so a box that tips slowly is still found."""
+"""Value of ``Simulation.interval_s`` in attempts with stiff contacts and the schedule ``adaptive``, s: the time after
+which a short wait (docs/rules.md, section 5) ends, even if the pallet is not quiet. A pile with a trembling box may
+never be quiet for ``STIFF_QUIET_STEPS``. With the usual 0.7 s, such a pile would wait for 0.7 s before each further
+box. 0.2 s are twice the time for which a box counts as landing. The last wait of a world stays long, so a box that tips
+slowly is still found."""
 
 
 def stiffened(sim: Simulation, share: float, timestep_divisor: int = 1) -> Simulation:
@@ -214,8 +215,8 @@ ON_CARRIER_M = 0.001
 def note_penetration(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> list[Outcome]:
     """The outcomes, with ``Flag.SINKING`` if boxes sank so far that the depth of contacts may have decided the verdict.
 
-    A world that gets this flag becomes invalid. With pyramidal friction cones, as in the preset ``reference``, all
-    worlds keep their verdict.
+    A world that gets the flag from this function becomes invalid. With pyramidal friction cones, as in the preset
+    ``reference``, all worlds keep their verdict.
     """
     noted, elliptic = list(outcomes), sim.physics.cone is Cone.ELLIPTIC
     scenes = [job.scene for job in jobs]

@@ -63,8 +63,9 @@ ROCKING_M: Final = 0.001
 its tipping distance is smaller: a box rocks by some tenths of a millimetre when the next box is placed."""
 
 BOUND_SHARE: Final = 0.25
-"""Largest lean of a box as a share of the tilt threshold, and largest descent and sideways motion of a box as a share
-of the shift threshold: 5 mm of 20 mm. A stack of ten equal boxes descends by 1 mm, a stack of thirty by 9 mm."""
+"""If soft contacts tilt a box by more than this share of the tilt threshold, or move it by more than this share of the
+shift threshold (5 mm of 20 mm, down or sideways), they may have decided the verdict. A stack of ten equal boxes
+descends by 1 mm, a stack of thirty by 9 mm."""
 
 
 class ContactTilt(NamedTuple):

@@ -7,8 +7,8 @@ additional cost of a landing grows with the square of the number of standing box
 (supports of a box beyond its first support). If each box stands on only one other, as in a block of columns, landings
 cost next to nothing.
 
-On a device, the cost of a step of a full stack grows with the square of its boxes, too. But a plan with more boxes is
-at rest in a larger share of its steps, so the cost of a run grows more slowly.
+On a device, too, the cost of a step of a full stack grows with the square of the number of boxes. But a plan with more
+boxes is at rest in a larger share of its steps, so the cost of a run grows more slowly.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ part of the schedule."""
 
 QUIET_STEPS = 220
 """Steps until a pallet is quiet with the adaptive schedule, if boxes are not placed one by one. Static checks of 45 to
-241 boxes took 150 to 890 such steps. After EUMOS's profile, pallets that stand took 216 steps."""
+241 boxes took 150 to 890 steps until the pallet was quiet. After EUMOS's profile, pallets that stand took 216 steps."""
 
 COST_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.36}
 """The cost of a schedule on a device as a share of the fixed schedule's cost. On the same machine, 10,003 plans with
@@ -43,10 +43,10 @@ the adaptive schedule took 17 s, and 4,000 plans with the fixed schedule took 21
 cheap steps, in which all boxes are at rest. In the remaining steps, boxes move and pallets collapse."""
 
 JAX_POWER, WARP_POWER = 2.0, 1.0
-"""Over whole runs, the cost of a step on ``mjx-jax`` and ``mjx-warp`` grows with this power of the number of boxes,
-since plans with more boxes have more steps at rest. While n boxes are placed one by one, the cost on ``mjx-warp`` is
-the mean of k to this power over k = 1…n: about 1 / (power + 1) of the full cost. On ``mjx-jax``, all boxes are in the
-model from the beginning."""
+"""Over whole runs, the cost of a step grows with the number of boxes to the power ``JAX_POWER`` on ``mjx-jax``, and to
+the power ``WARP_POWER`` on ``mjx-warp``, where steps at rest are cheap and plans with more boxes have more of them.
+While n boxes are placed one by one, the cost on ``mjx-warp`` is the mean of k to this power over k = 1…n: about 1 /
+(power + 1) of the full cost. On ``mjx-jax``, all boxes are in the model from the beginning."""
 
 SHAKEN_FACTOR = 2.5
 """Cost of a step of a drive on a device, relative to a step of the same pallet with the fixed schedule. Measured on an
@@ -74,8 +74,8 @@ is begun earlier. Measured on EUMOS's 4,032 drives of 100 plans: strong drives t
 
 FALL_STEPS = 1350
 """Number of steps of a fall while boxes are placed one by one: from the first box that tips over to the drop that ends
-the world. 22 plans of two shelf packers, none of which stands, take 1,730 to 1,910 steps on average. About 450 of these
-steps place boxes."""
+the world. The 22 plans of two shelf packers, which all fall, take 1,730 to 1,910 steps on average. In about 450 of
+these steps, boxes are placed."""
 
 STATIC_FALL_STEPS = 400
 """Number of steps of a static check in which boxes fall, until one has dropped and the world ends. If a static check
@@ -91,8 +91,8 @@ one by one, since all boxes may fall. Static checks of plans of 24 boxes took 1 
 placing the boxes one by one, and those of generated plans of 41 boxes 1.6 to 5 times as long."""
 
 LOST = 0.3
-"""Number of steps of a fall in a placement with errors, relative to a fall without errors. The cost of the fall has the
-same factor. A world with errors ends when a box has tilted too far, before the box drops."""
+"""Number of steps of a fall in a placement with errors, relative to a fall in a placement without errors. The cost of
+the fall decreases by the same factor. A world with errors ends when a box has tilted too far, before the box drops."""
 
 BOARDS_COST = 1.35
 """Cost of a step on a carrier of boards, or between walls, relative to a slab. The measured cost was 1.2 to 1.7 for
@@ -108,13 +108,13 @@ schedule."""
 
 WAY_STEPS = {Way.DROP: 3.1, Way.HAND: 4.0, Way.TINES: 7.0}
 """Number of steps of a placement whose boxes fall or are carried to their places, relative to a placement whose boxes
-appear at their places. Measurements with plans of 14 and of 40 boxes agree within a tenth. Boxes carried by hand take a
-share of 0.285 of the fixed schedule's steps; the share is 0.45 with few boxes, and 0.24 with many."""
+appear at their places. Measurements with plans of 14 and of 40 boxes agree within a tenth. Placements by hand take
+0.285 times as many steps as the fixed schedule: 0.45 times with few boxes, and 0.24 times with many."""
 
 DISPLACED_STEPS, CARRIED_STEPS = 1.1, 5.0
 """Number of steps of a placement with errors of places or sizes, relative to a placement whose boxes appear exactly at
-their places. ``DISPLACED_STEPS`` is for boxes that are moved apart and then appear. ``CARRIED_STEPS`` is for boxes that
-are carried to their places, and get stuck at their neighbours."""
+their places. ``DISPLACED_STEPS`` is for boxes that appear at places with errors; boxes that would overlap are moved
+apart first. ``CARRIED_STEPS`` is for boxes that are carried to their places, and get stuck at their neighbours."""
 
 GIVING_STEPS = 1.4
 """Number of steps of a placement with compliant boxes, relative to the same placement with rigid boxes. A pile of boxes
@@ -124,15 +124,15 @@ so soft that it does not come to rest takes up to fifteen times as many steps.""
 DISPLACED_COST, CARRIED_COST = 2.8, 4.5
 """Cost of a placement with errors on a device, relative to a placement without errors. ``DISPLACED_COST`` is for boxes
 that appear at places with errors, and may slip into gaps between other boxes. ``CARRIED_COST`` is for boxes that are
-carried to their places. 8,000 worlds of 500 plans took 35 s, and 4,000 worlds of 250 plans by hand took 30 s; 10,003
-worlds without errors took 17 s."""
+carried to their places. On one GPU, 8,000 worlds with errors (of 500 plans) took 35 s if boxes appeared, 4,000 worlds
+with errors (of 250 plans) took 30 s if boxes were carried by hand, and 10,003 worlds without errors took 17 s."""
 
 
 LONG_PLACEMENT, LONG_DRIVE = 3.0, 2.5
 """A world is long if its placement takes more than ``LONG_PLACEMENT`` times as many steps as a placement whose boxes
-stand, or its drive more than ``LONG_DRIVE`` times the expected steps, not counting the rest window. With fewer than
-``FALL_STEPS`` steps, no placement is long: a fall of few boxes takes 400 to 650 steps, and these boxes stand after 165
-to 210 steps."""
+stand, or its drive more than ``LONG_DRIVE`` times the expected steps, not counting the rest window. A placement of
+fewer than ``FALL_STEPS`` steps is never long. So worlds of few boxes that fall are not long, although they take 400 to
+650 steps, while worlds of few boxes that stand take only 165 to 210."""
 
 
 def rest_steps(sim: Simulation, rest_s: float) -> int:
@@ -164,7 +164,7 @@ class WayOfPlacing:
 
     @property
     def falls(self) -> float:
-        """Cost of a fall, relative to a placement without errors."""
+        """Cost of a fall with this way of placing, relative to a fall in a placement without errors."""
         return LOST if self.has_errors else 1.0
 
 
@@ -177,12 +177,12 @@ class Work:
         boxes: number of boxes of each plan.
         placements, drives: number of placements and of drives of each plan.
         displaced: number of placements in which boxes appear at places with errors, or with changed sizes.
-        carried: number of placements with such errors in which boxes are carried to their places.
+        carried: number of placements with errors of places or sizes in which boxes are carried to their places.
         drive_steps: steps of one drive, including ``rest_steps``; the mean over profiles.
         filmed: share of the steps of drives in which pallets are wrapped in film, 0 to 1.
         giving: number of compliant boxes of each plan; empty if no plan has compliant boxes.
-        ties: for each plan, the number of supports beyond a box's first, as a mean over its boxes
-            (petmjx.plans.loose_boxes); if empty, ``TYPICAL_TIES`` is used.
+        ties: for each plan, the mean number of supports that a box has in addition to its first support
+            (petmjx.plans.loose_boxes); if ``ties`` is empty, ``TYPICAL_TIES`` is used.
         placed_share: for each plan, the share of its boxes that are placed before the first box that tips over at once
             (petmjx.plans.loose_boxes); 1 without such a box. If ``placed_share`` is empty, the share is unknown, and no
             box is expected to tip over.
@@ -269,8 +269,8 @@ class Work:
 
     @property
     def ways(self) -> tuple[WayOfPlacing, WayOfPlacing, WayOfPlacing]:
-        """The ways of placing: without errors; with errors, where boxes appear; with errors, where boxes are
-        carried.
+        """Three ways of placing: boxes appear or are carried without errors; boxes appear at places with errors; boxes
+        are carried to places with errors.
         """
         name = self.sim.placing.name
         drop = WAY_STEPS[Way.DROP] if name is Way.DROP else 1.0
@@ -324,18 +324,23 @@ class ThreadCosts:
     Attributes:
         rest_s: time of a step of a world at rest, s per box to the power ``REST_POWER``.
         overhead_s: additional time of any step, s.
-        landing_s: additional time until a box has landed, s per box² of the standing boxes, at ``Work.coupling`` 1.
-        static_s: additional time until all boxes of a static check have landed, s per box², at ``Work.coupling`` 1.
-        shaken_s: additional time of each of the first ``SHAKEN_STEPS`` steps of a drive, s per box².
+        landing_s: additional time for one box to land, divided by the square of the number of standing boxes, s, if
+            ``Work.coupling`` is 1.
+        static_s: additional time for all boxes of a static check to land, divided by the square of their number, s, if
+            ``Work.coupling`` is 1.
+        shaken_s: additional time of each of the first ``SHAKEN_STEPS`` steps of a drive, divided by the square of the
+            number of boxes, s.
         fall_s: additional time of a fall while boxes are placed one by one, until a box has dropped, s. The time of a
             fall hardly depends on the number of boxes. The time of a single fall varies from a tenth of this value to
             ten times this value.
-        jammed: cost of a placement by hand with errors, relative to one without errors.
+        jammed: cost of a placement by hand with errors, in which boxes jam, relative to a placement without errors.
         hand_s: additional time of a step of a placement by hand, s.
         film_s: additional time of each of the first ``SHAKEN_STEPS`` steps of a drive in film, s per box.
         give_s: additional time of a step, s per compliant box.
-        driven_s: additional time of a step of a drive, s: forces are summed in each step, and contacts slide.
-        board_s: additional time of a step of a placement on a carrier of boards, s per box: all pairs are checked.
+        driven_s: additional time of a step of a drive, s, because forces on tops are summed in each step and contacts
+            slide.
+        board_s: additional time of a step of a placement on a carrier of boards, s per box, because all pairs of boxes
+            and boards are checked.
     """
 
     rest_s: float
@@ -407,12 +412,13 @@ class Costs:
     Attributes:
         mujoco, kernel: costs of ``mujoco`` and of ``mjx-warp-cpu`` on one CPU thread.
         kernel_start_s: time to start ``mjx-warp-cpu``, including compilation, s.
-        kernel_load_s: as ``kernel_start_s``, with a kernel from an earlier run.
+        kernel_load_s: time to start ``mjx-warp-cpu`` if an earlier run has compiled the kernel, s.
         jax_step_s: time of a step of one world of n boxes on ``mjx-jax`` on a CPU, divided by n², s. On two cores, a
             world of 40 boxes takes 57 steps per second.
         gpu_step_s: time of a step of ``full_worlds`` worlds on a device, s per box to the power ``WARP_POWER``.
         full_worlds: number of worlds that fill the device.
-        tail_worlds: cost of the end of a run, as a number of worlds: the last worlds leave the device nearly idle.
+        tail_worlds: number of worlds that a full device would simulate in the time in which the last worlds of a run
+            leave it nearly idle.
         gpu_start_s: time to start the device engine, including compilation, s.
     """
 
@@ -499,7 +505,7 @@ class Costs:
         """(n,) for each job, the number of steps from which on its world counts as long (``LONG_PLACEMENT``,
         ``LONG_DRIVE``). The number depends neither on the machine nor on the other jobs."""
         steps = np.full(len(jobs), float(seconds_to_steps(sim.rest_window_s, sim.physics.timestep_s)))
-        for settles in (False, True):  # _expected_work takes jobs of one kind at a time
+        for settles in (False, True):  # _expected_work needs jobs that all settle, or none of which settles
             rows = [row for row, job in enumerate(jobs) if job.settles is settles]
             some = [jobs[row] for row in rows]
             work, drive_steps = _expected_work(some, sim)
@@ -519,8 +525,8 @@ class Costs:
 
 def _displaced_cost(coupling: FloatArray) -> FloatArray:
     """(n,) cost of a placement whose boxes appear at places with errors, relative to a placement without errors. With
-    errors, boxes that stand on several others lose some of these supports, and rock. The measured values are 1.6 for
-    generated plans, and 2.6 to 3 for a third-party plan, on both engines."""
+    errors, boxes that stand on several others lose some of these supports, and rock. On ``mujoco`` and on
+    ``mjx-warp-cpu``, the measured values are 1.6 for generated plans, and 2.6 to 3 for a third-party plan."""
     return 1.3 + 1.9 * coupling
 
 
@@ -548,17 +554,18 @@ MEASURED = Costs()
 records are the lines ``estimates`` of benchmarks/results/cpu-0.3.jsonl and h200-0.3.jsonl, and the records of
 tests/unit/test_engine_choice.py. Tests compare the model with all these records.
 
-CPU threads: one thread on a machine of two virtual EPYC cores, which other programs kept busy, so that the thread took
-1.7 to 2.5 times as long as on an idle core (petmjx/engines/machine_speed.py). The records are of generated plans of 5
-to 80 boxes, blocks of up to 120 boxes, and third-party plans of 45 to 140 boxes: scores and static checks on several
-carriers, with all ways of placing, both schedules and both physics, scores with confidence, and ready-made sweeps and
-chains. The cost of film was fitted to drives of 8, 22 and 40 boxes, and the cost of compliant boxes to plans of 16 to
-24 boxes.
+The costs of CPU threads were measured with one thread on a machine of two virtual EPYC cores. Other programs kept these
+cores busy, so the thread took 1.7 to 2.5 times as long as on an idle core (petmjx/engines/machine_speed.py). The plans
+were generated plans of 5 to 80 boxes, blocks of up to 120 boxes, and third-party plans of 45 to 140 boxes. The runs
+were scores and static checks on several carriers, with all ways of placing, both schedules and both physics; scores
+with confidence; and ready-made sweeps and chains. The cost of film was fitted to drives of 8, 22 and 40 boxes, and the
+cost of compliant boxes to plans of 16 to 24 boxes.
 
 On C MuJoCo, the time of a single fall varies from a tenth of the mean to ten times the mean. So estimates for a few
 plans that fall are less exact. The estimates leave out the time for simulating worlds again with smaller timesteps.
 
-Devices: the times were measured on one H100, and do not include start and compilation. The schedule is adaptive unless
-stated otherwise. The runs are 10,003 generated plans, 4,000 with the fixed schedule, 500 and 1,000 plans with
-confidence 16 (placed exactly), 250 by hand, and 128,000 and a million worlds of 12 boxes with errors. ``mjx-warp``
-compiles for 13 to 23 s (0.5 s with a kernel from an earlier run)."""
+The costs of devices were measured on one H100, and do not include start and compilation. The seven runs were: 10,003
+generated plans; 4,000 generated plans with the fixed schedule; 500 and 1,000 plans with ``confidence`` 16, whose boxes
+appear at their places; 250 plans with ``confidence`` 16, whose boxes are carried by hand; and 128,000 and a million
+worlds of 12 boxes with placement errors. All runs except the second had the adaptive schedule. ``mjx-warp`` compiles
+for 13 to 23 s (0.5 s if an earlier run has compiled the kernel)."""

@@ -14,10 +14,10 @@ from petmjx.options.simulation import Simulation
 
 
 def start_gpu() -> None:
-    """Start JAX and Warp, and load the modules of ``mjx-warp``. The call takes a second or two. The call would take a
-    quarter longer if the garbage collector scanned the many new objects. While JAX starts its devices, which is mostly
-    waiting for the driver, modules are loaded. Errors are ignored here: the engine that needs these libraries reports
-    them."""
+    """Start JAX and Warp, and load the modules of ``mjx-warp``. The call takes a second or two. No garbage is collected
+    during the call, which would take a quarter longer if the collector scanned the many new objects. Starting JAX's
+    devices is mostly waiting for the driver, so modules are loaded at the same time. Errors are ignored here: the
+    engine that needs these libraries reports them."""
     with suppress(Exception), no_collection(lasting=True):
         jax_setup = importlib.import_module("petmjx.engines.mjx.jax_setup")
         devices = threading.Thread(target=_without_errors, args=(jax_setup.set_up_jax,), name="petmjx-devices")
@@ -36,8 +36,9 @@ def _without_errors(start: Callable[[], None]) -> None:
 
 
 def begin_builds(sim: Simulation) -> KernelBuilds | None:
-    """Begin to compile the kernels of ``mjx-warp`` that most runs need, in processes; None if they are kept from an
-    earlier run. Errors are ignored here: the engine compiles missing kernels itself, and then reports errors."""
+    """Start processes that compile the kernels of ``mjx-warp`` that most runs need. The result is None if an earlier
+    run has compiled these kernels. Errors are ignored here: the engine compiles missing kernels itself, and then
+    reports errors."""
     with suppress(Exception):
         return builds_if_missing(sim)
     return None

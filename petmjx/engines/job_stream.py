@@ -112,8 +112,8 @@ class JobStream(Generic[Tag]):
             return self._open or not bounded
 
     def put_all(self, entries: Iterable[tuple[Job, Tag]]) -> None:
-        """Add several jobs and their tags at once, as ``put`` adds jobs that follow from outcomes. An engine that waits
-        takes them together."""
+        """Add several jobs, which follow from outcomes, and their tags at once (see ``put``). An engine that waits for
+        jobs takes them together."""
         with self._changed:
             for job, tag in entries:
                 self._following.append((job, tag))
@@ -196,9 +196,9 @@ class JobStream(Generic[Tag]):
         return not self._unfollowed
 
     def wait_for_following(self, in_flight: Collection[int], left: Collection[int] = ()) -> bool:
-        """Wait briefly for a job that follows from an outcome, or for a job of a source that may need an outcome first.
-        An engine without running worlds calls this method. The engine may call it in the thread that takes outcomes
-        only if worlds have left the engine's device.
+        """Wait briefly for a job that follows from an outcome, or for a job that the source may put in only after an
+        outcome. An engine without running worlds calls this method. In the thread that takes outcomes, the engine may
+        call this method only if worlds have left the engine's device.
 
         Args:
             in_flight: stream numbers of the engine's jobs whose outcomes have not been taken. The thread that takes

@@ -18,13 +18,14 @@ CPU_KERNEL: Final = "cpu-kernel"
 
 
 def note_kernels(name: str) -> None:
-    """Note that these kernels are now in Warp's cache. If the cache cannot be written, no note is made."""
+    """Write a note that the kernels called ``name`` are now in Warp's cache. If the cache cannot be written, no note is
+    written."""
     with suppress(OSError, EngineUnavailable):
         _file_of(name).touch()
 
 
 def are_noted(name: str) -> bool:
-    """Whether a note says that these kernels are compiled from the current sources."""
+    """Whether there is a note that the kernels called ``name`` are compiled from the current sources."""
     with suppress(OSError, EngineUnavailable):
         return _file_of(name).exists()
     return False

@@ -17,8 +17,8 @@ from petmjx.engines.verdict import Verdict
 
 KNIFE_EDGE_M: Final = 0.0005
 """A load that is nearer to an edge than this distance, m, sets the flag ``knife-edge``. Plans have whole millimetres,
-and simulated boxes are smaller than planned by a tenth of a millimetre. In all verdicts in which other simulators
-disagreed, the centre of a box was nearer to an edge than this distance (docs/validation.md)."""
+and simulated boxes are smaller than planned by a tenth of a millimetre. In all plans for which other simulators gave
+another verdict, the centre of a box was nearer to an edge than this distance (docs/validation.md)."""
 
 NEAR_M: Final = 0.001
 """If the verdict contradicts statics, a load that is nearer to an edge than this distance, m, also sets the flag. The
@@ -78,7 +78,8 @@ def kept_edges(
 
 
 def edges_when(edge_m: FloatArray, when: str, own_weight: bool = False) -> Iterator[KnifeEdge]:
-    """The distances of the boxes' loads. Boxes with an unknown distance (NaN) are left out."""
+    """A ``KnifeEdge`` for each box, with the distance of the box's load from the edge. Boxes whose distance is unknown
+    (NaN) are left out."""
     for box in np.flatnonzero(~np.isnan(edge_m)).tolist():
         yield KnifeEdge(float(edge_m[box]), box, when, own_weight=own_weight)
 

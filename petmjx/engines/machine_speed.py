@@ -37,14 +37,16 @@ little, so the value is not kept for longer."""
 
 BOX_MM: Final = (400.0, 300.0, 200.0)
 SIDE, LAYERS, ROUNDS = 3, 3, 2
-"""Size of the block of boxes that is simulated to measure the machine: boxes along a side, and layers; and the number
-of rounds. The block stands. Only the fastest round counts, since other work on the machine may slow down a round."""
+"""The block of boxes that is simulated to measure the machine has ``SIDE`` × ``SIDE`` boxes in each of ``LAYERS``
+layers, and stands. It is simulated ``ROUNDS`` times, and only the fastest time counts, since other work on the machine
+may slow down a simulation."""
 
 REFERENCE_S: Final = 0.04
 """CPU time for simulating the test block of boxes on the machine of ``MEASURED``, s."""
 
 SLOWEST, FASTEST = 8.0, 0.125
-"""Bounds of the measured slowness. A value beyond these bounds cannot be the speed of the machine."""
+"""Largest and smallest result of ``slowness``. A measured value beyond these bounds cannot be the speed of a machine;
+the bound is used instead."""
 
 
 def costs_here(work: Work, threads: int) -> Costs:
@@ -53,7 +55,7 @@ def costs_here(work: Work, threads: int) -> Costs:
 
     Args:
         work: the work of the run.
-        threads: number of CPU threads that simulate it.
+        threads: number of CPU threads on which the run simulates worlds.
     """
     costs = MEASURED
     if are_noted(CPU_KERNEL):

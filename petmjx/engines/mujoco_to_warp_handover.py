@@ -163,8 +163,8 @@ class _Shared(Generic[Faster]):
         self.for_mujoco, self.for_faster = deque[_Numbered](), deque[_Numbered]()
 
     def take(self, *, wait: bool = False) -> bool:
-        """Take the jobs that can begin now; returns whether there are any. Jobs that C MuJoCo cannot begin yet stay in
-        the stream. Jobs that follow from outcomes are taken first.
+        """Take the jobs that can begin now from the stream. Returns whether any job waits for an engine. Jobs that C
+        MuJoCo cannot begin yet stay in the stream. Jobs that follow from outcomes are taken first.
 
         Args:
             wait: whether to wait for jobs if there are none.
@@ -179,7 +179,8 @@ class _Shared(Generic[Faster]):
 
     def _is_for_mujoco(self, job: Job) -> bool:
         stays = self._engine._faster is None or self._engine._stays
-        # an engine that must repeat another engine's placement cannot move the boxes to other poses afterwards
+        # A job with ``poses`` moves the boxes of its start state to these poses. The kernels cannot start from a state
+        # of C MuJoCo: they would repeat the placement, and could not move the boxes afterwards.
         starts_from_own_state = (
             job.poses is not None and isinstance(job.start, KeptState) and job.start.engine == self._engine.name
         )

@@ -275,9 +275,9 @@ class OpenWorlds(ABC):
     def try_scenes(
         self, worlds: Sequence[int], scenes: Sequence[Scene], drives: Sequence[Drive | None] | None = None
     ) -> list[Outcome]:
-        """Copy worlds with these scenes, and simulate the copies (*forks*) to their ends as ``finish`` does. A scene
-        may have other friction than its world, and may place its new boxes in another way (carried instead of
-        appearing, for example).
+        """Copy worlds, give these scenes to the copies (*forks*), and simulate the copies to their ends as ``finish``
+        does. A scene may have other friction than its world, and may place its new boxes in another way (carried
+        instead of appearing, for example).
 
         Raises:
             ValueError: a world has ended.

@@ -46,7 +46,8 @@ by one took longer than their simulation on a GPU."""
 def outcome_checks(
     outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation, *, verdicts_only: bool = False
 ) -> list[Outcome]:
-    """The outcomes with all values that follow from an outcome and its job. The checks may change the verdict.
+    """The outcomes, with all values that can be computed from an outcome and its job: margin, distances from edges, and
+    flags. The checks may change the verdict.
 
     Args:
         jobs: the jobs as the engine simulated them, one for each outcome.
@@ -94,8 +95,8 @@ def _leaning(outcomes: Sequence[Outcome]) -> list[NDArray[np.bool_]]:
 def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> None:
     """Compute the distances of the boxes' loads from the edges of their supports: in the plan, at rest and while the
     plan is built. Write the distances of all boxes, the smallest distances of each world, and two flags into the
-    outcomes. ``Flag.KNIFE_EDGE`` is set if any box is too near an edge. ``Flag.SINKING`` is set for worlds that may
-    have tipped over because contacts are soft.
+    outcomes. ``Flag.KNIFE_EDGE`` is set if the load of any box is too near an edge. ``Flag.SINKING`` is set for worlds
+    that may have tipped over because contacts are soft.
 
     Distances at rest are computed for worlds that stand and were not shaken, because their carriers are still at their
     places. Distances while the plan is built are computed for plans whose boxes are placed in order and without errors.
@@ -167,7 +168,8 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation
 
 def edges_again(scene: Scene, outcome: Outcome) -> Iterator[KnifeEdge]:
     """All distances of loads from edges that ``note_edges`` examined. The result includes two kinds of distances that
-    have no column: those of the boxes' own weights, and the smallest distance while the plan is built."""
+    have no column: those of the boxes' own weights and, while the plan is built, the distance of the load that is
+    nearest to an edge on either side. (The column ``build_edge_m`` has the smallest signed distance instead.)"""
     in_order, at_rest = not np.isnan(outcome.build_edge_m), not np.isnan(outcome.rest_edge_m)
     joined = _Joined([(scene, outcome.n_placed, in_order)])
     if at_rest:
@@ -202,8 +204,8 @@ class _Joined:
         return len(self.planned) + len(self.elsewhere) - 1
 
     def edges(self) -> tuple[Bearing, FloatArray, Edges, list[LeastBuildingEdge]]:
-        """Four results: the bearing of all scenes, the loads of their boxes (see ``Bearing.loads``), their edges, and
-        the smallest distances from edges while the planned scenes are built."""
+        """Four results: the bearing of all scenes; the loads of their boxes (see ``Bearing.loads``); the distances of
+        these loads from edges; and the smallest distances from edges while the planned scenes are built."""
         scenes, placed, are_built = zip(*self.planned, strict=True)
         moved, pos, placed_moved, gaps_m = zip(*self.elsewhere, strict=True) if self.elsewhere else ((),) * 4
         bearing = bearings_of(scenes, moved, pos, gaps_m)
@@ -213,7 +215,12 @@ class _Joined:
 
 
 def _least_edge(edge_m: FloatArray, place: int | None, first: int) -> tuple[float, int]:
-    """The smallest distance of a scene, found at ``place`` among all boxes, and the number of its box; NaN and -1 if
-    there is none.
+    """The smallest distance of a load from an edge in one scene, m, and the number of its box. NaN and -1 if the scene
+    has no distance.
+
+    Args:
+        edge_m: distances of the boxes of all scenes, scene after scene, m.
+        place: index of the smallest distance of this scene; None if the scene has no distance.
+        first: index of the first box of this scene.
     """
     return (np.nan, -1) if place is None else (float(edge_m[place]), place - first)

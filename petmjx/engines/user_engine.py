@@ -23,7 +23,8 @@ class UserEngine(Engine):
     since the user owns it.
 
     Args:
-        threads: the option of the run. If the engine does not name its device, the name is made with this number.
+        threads: the option ``threads`` of the run. If the engine does not name its device, ``device_name`` makes the
+            name from the engine's name and this number.
     """
 
     def __init__(self, engine: MinimalEngine, threads: int | None) -> None:

@@ -184,7 +184,7 @@ def judge(
 
     Args:
         sank: whether boxes sank so far into their supports that the world is invalid. ``Flag.SINKING`` alone does not
-            make a world invalid.
+            make a world invalid, because worlds that may have tipped over on soft contacts also have this flag.
         placement: for a world that was shaken, its verdict and reason before the shaking. A world that had failed
             before the shaking stays failed, even if its boxes end at their planned places.
     """

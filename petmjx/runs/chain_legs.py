@@ -27,8 +27,8 @@ from petmjx.world.profiles.profile_registry import resolve
 from petmjx.world.variants import DriveSpec, LegSpec
 
 PLACING: Final = "placing"
-"""Name of the first part of a chain, in which boxes are placed and come to rest. After this part, the first leg
-begins."""
+"""Name of the first part of a chain, in which boxes are placed and come to rest. The first leg begins when the boxes
+are at rest."""
 
 AS_IS: Final = ""
 """Value of the columns ``remedy`` for the unchanged chain. For a changed chain, these columns have the name of the
@@ -37,8 +37,8 @@ remedy."""
 MOST_LEGS: Final = 100
 
 _EDGES: Final = ("plan_edge_m", "plan_edge_box", "build_edge_m", "build_edge_box", "build_edge_step")
-"""Fields of an outcome about the distances of loads from the edges of their supports, in the plan and while it is
-built. A leg does not change these fields."""
+"""Fields of an outcome that hold the smallest distances of loads from the edges of their supports: in the plan, and
+while the pallet is built. A leg does not change these fields."""
 
 Name = Annotated[str, Field(max_length=100)]
 Factor = Annotated[StrictFloat, Field(gt=0), within(0, 100)]
@@ -227,7 +227,7 @@ def after(before: Outcome, leg: Outcome, timestep_s: float) -> Outcome:
     if history is not None and before.history is not None:
         history = before.history.then(replace(history, time_s=history.time_s + since_s))
     edges: dict[str, Any] = {}
-    if leg.verdict is Verdict.STABLE:  # how near to an edge loads act depends on the plan, not on the leg
+    if leg.verdict is Verdict.STABLE:  # distances of loads from edges in the plan are the same after every leg
         largest["plan_edge_m"] = old.plan_edge_m
         edges = {name: getattr(before, name) for name in _EDGES}
     return replace(

@@ -57,8 +57,8 @@ _DESCRIPTIONS: Final = {
     "only with the remedy",
     "only_without": "for the whole journey with a remedy: number of draws with which the pallet arrives only without "
     "the remedy",
-    "gain": "share of arriving worlds with the remedy minus share without the remedy, over the draws with a verdict in "
-    "both cases",
+    "gain": "share of arriving worlds with the remedy minus share without the remedy, over the draws that have a "
+    "verdict both with and without the remedy",
     "gain_low": "lower end of Newcombe's 95 % interval of the gain, for pairs; null if nothing is drawn at random",
     "gain_high": "upper end of Newcombe's 95 % interval of the gain, for pairs; null if nothing is drawn at random",
 }

@@ -1,9 +1,9 @@
 """Scores with confidence: the share of worlds in which a pallet stands, given the errors of a robot and of its cartons
 (docs/confidence.md).
 
-A score with confidence is a sweep in which each axis (varied quantity) has a single error, such as a normal
-distribution of places. Each plan is simulated once without errors (the nominal world) and many times with random errors
-(the replicates). The summary has other columns than the summary of a sweep.
+A score with confidence is a sweep. Each axis (varied quantity) of this sweep is one random error, such as a normal
+distribution of the errors of boxes' places. Each plan is simulated once without errors (the nominal world) and many
+times with random errors (the replicates). The summary has other columns than the summary of other sweeps.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def confidence_sweep(
         carried = error_sweep.simulation.placing.for_errors
         if not (error_sweep.simulation.may_carry and carried.carries):
             raise InputError(
-                "exact_too needs placing auto, hand or tines, because it compares with boxes that are carried"
+                "exact_too needs placing auto, hand or tines, because it compares carried boxes with boxes that appear"
             )
         axes = {**axes, PLACING: Axis(PLACING, (carried.name.value, Way.EXACT.value))}
     return error_sweep.model_copy(update={"nominal": True, "replicates": n_worlds, "axes": axes})

@@ -26,13 +26,14 @@ class Batching:
     time. The results of a sweep do not depend on the limits.
 
     Attributes:
-        undriven: largest number of simulations without a drive, whose states are not stored, in one call of the engine.
+        undriven: for plans that are placed and not shaken, largest number of simulations in one call of the engine. The
+            states of these simulations are not stored.
         placements: largest number of stored settled states. A state with 43 boxes takes 10 to 20 KB.
         worlds: largest number of variants that start from stored states at the same time. If a single placement has
             more variants than this, all of them start together.
         drives: for searches and chains, largest number of simulations that start from stored states in one call of the
-            engine. For this limit, a search counts the first tests for all its profiles and directions, and a chain
-            counts all worlds.
+            engine. In a search, only the first tests of each profile and direction are counted; in a chain, all worlds
+            are counted.
         histories: largest number of settled states that are stored with their histories. A history with 43 boxes takes
             1 MB.
     """

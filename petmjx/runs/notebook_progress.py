@@ -20,8 +20,8 @@ LINE_S: Final = 5.0
 """Time between two lines that a script prints, s."""
 
 REFRESH_S: Final = 0.25
-"""Shortest time between two drawings of the progress bar, s. The time limits the traffic, since each drawing is sent to
-the browser."""
+"""Shortest time between two drawings of the progress bar, s. Each drawing is sent to the browser, so more frequent
+drawings would cause much traffic."""
 
 
 class NotebookBar:

@@ -21,17 +21,18 @@ from petmjx.world.edge_distances import edge_risks
 from petmjx.world.scene import build_scenes
 
 MOST_EXAMINED: Final = 4096
-"""Largest number of plans whose loads a process examines before the run gets the plans. Examining so many plans takes
-about a second. A run with more plans examines the other plans while it simulates."""
+"""Largest number of plans whose ``EdgeRisk`` a process computes before it sends the plans to the run. For this number
+of plans, the computation takes about a second. If there are more plans, the run itself computes the ``EdgeRisk`` of the
+other plans while it simulates."""
 
 
 class ReadingAnswer(NamedTuple):
     """What the process has read.
 
     Attributes:
-        columns: the plans.
-        rest: the other attributes of the set of plans.
-        unread: counts of fields that petmjx ignores, if the process has read a segment.
+        columns: all plans, joined into a few arrays and lists, which are sent faster than thousands of plan objects.
+        rest: the set of plans with an empty list of plans, for its skipped entries, warnings and other attributes.
+        unread: how often fields occur that petmjx ignores. Only counted if the process has read a segment of a file.
         records: plan id → record of the plan.
         edge_risks: plan id → ``EdgeRisk`` of the plan's scene, for the first ``MOST_EXAMINED`` plans.
     """
@@ -54,9 +55,9 @@ def main() -> None:
 
 
 def answer_to(source: PlanSource | Segment | None, sim: Simulation, options: RunOptions) -> ReadingAnswer | None:
-    """The plans of a source, or of a segment of a file. None after an error or a warning, or if a file cannot be read:
-    the process of the run then reads the plans itself. Only in the process of the run do errors and warnings appear,
-    can the user be asked how to read a file, and can pipes be read."""
+    """The plans of a source, or of a segment of a file. The result is None after an error or a warning, or if a file
+    cannot be read. The process of the run then reads the plans itself, because only that process can show errors and
+    warnings to the user, ask the user how to read a file, and read pipes."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
@@ -75,7 +76,8 @@ def answer_to(source: PlanSource | Segment | None, sim: Simulation, options: Run
 
 
 def _risks(plans: Sequence[Plan], sim: Simulation) -> dict[str, int]:
-    """Plan id → ``EdgeRisk`` of the plan's scene; empty after an error, since the run does not need them."""
+    """Plan id → ``EdgeRisk`` of the plan's scene. The dict is empty after an error, since the run can begin without
+    these values."""
     try:
         risks = edge_risks(list(build_scenes(plans, sim))).tolist()
     except Exception:

@@ -123,9 +123,9 @@ def _answers(tasks: Sequence[bytes]) -> list[ReadingAnswer] | None:
 
 
 def _segments(plans: PlanSource | None, options: RunOptions) -> list[Segment]:
-    """Segments of the plans' file that processes can read at the same time; empty if one process should read all
-    plans. Only files with the suffix ``.json`` have segments. But with an option that concerns all plans of a file, or
-    files of other tools, no file has segments."""
+    """Segments of the plans' file that processes can read at the same time. The list is empty if one process should
+    read all plans. This is so if there are few CPU threads, if the file is small or lacks the suffix ``.json``, and
+    with options that concern all plans of a file together (such as ``limit``) or files of other tools."""
     count = min(MOST_PROCESSES, cpu_threads() // THREADS_EACH, bytes_of_plans(plans) // WORTH_A_PROCESS)
     names = ["limit", "articles", *(name for name, _ in OPTIONS_OF_OTHERS)]
     if count < 2 or any(getattr(options, name) is not None for name in names):

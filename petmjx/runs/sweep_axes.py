@@ -323,14 +323,16 @@ AXIS_KINDS: Final = {
             "friction_tolerance_rel",
             "1",
             RelativeErrors,
-            "error of the friction of boxes and carrier as a share, one for a whole world",
+            "error of the friction of boxes and carrier, as a share of the friction; one error for a whole world",
             ("friction_rel",),
         ),
         AxisKind("mass_factor", "1", Masses, "factor on the mass of boxes", ("mass_factor",)),
-        AxisKind("mass_tolerance_rel", "1", RelativeErrors, "error of each box's mass as a share", ("mass_rel",)),
+        AxisKind(
+            "mass_tolerance_rel", "1", RelativeErrors, "error of each box's mass, as a share of the mass", ("mass_rel",)
+        ),
         AxisKind("size_tolerance_mm", "mm", SizeErrors, "error of each dimension of each box", ("size_mm",)),
         AxisKind(
-            "size_tolerance_rel", "1", RelativeErrors, "error of each dimension of each box as a share", ("size_rel",)
+            "size_tolerance_rel", "1", RelativeErrors, "error of each dimension of each box, as a share", ("size_rel",)
         ),
         AxisKind("placement_error_mm", "mm", Errors, "error of each box's place in x and in y", ("x_mm", "y_mm")),
         AxisKind("placement_error_x_mm", "mm", Errors, "error of each box's place in x alone", ("x_mm",)),

@@ -185,7 +185,7 @@ class SweepRun:
     def _chunks(self) -> Iterator[list[PlacementGroup]]:
         """Placements with drives, in groups as large as ``Batching`` allows."""
         search = self.plan.sweep.search
-        # the limit for chains is lower, since in a leg each world may have other samples
+        # the limit for chains is lower: in a leg, each world may have a drive of its own, whose samples take memory
         most = self.batching.worlds if search is None and not self.plan.sweep.legs else self.batching.drives
         per_search = 0 if search is None else len(self.plan.search_items()) * search.sections
         chunk: list[PlacementGroup] = []

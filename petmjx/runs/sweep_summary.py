@@ -171,8 +171,8 @@ def summarise_shares(parts: Parts, columns: ShareColumns) -> pd.DataFrame:
     and per plan.
 
     Continuous ranges are divided into ``RANGE_BINS`` equal intervals. For the profile of EUMOS 40509, the summary also
-    has the share of worlds within the limits of the standard, and the largest deformations. With ``tilt``, the summary
-    has the smallest angle at which a world failed.
+    has the share of worlds within the limits of the standard, and the largest deformations. For profiles that tilt the
+    carrier, the summary also has the smallest angle at which a world failed.
 
     Args:
         parts: files of the run's tables, all complete.

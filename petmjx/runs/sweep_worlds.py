@@ -115,7 +115,9 @@ class SweepPlan(Design):
             if sim.total_time_factor is not None:
                 raise InputError(f"{file}: legs contradict total_time_factor, which would end a world before its legs")
             if sim.has_soft:
-                raise InputError(f"{file}: legs contradict soft boxes: no leg can begin where another one left them")
+                raise InputError(
+                    f"{file}: legs contradict soft boxes: the state of soft boxes cannot be kept for the next leg"
+                )
             sides = walls_of(sim.carrier, sim.walls).sides or ()
             for place, leg in enumerate(self.sweep.legs):
                 if missing := [side.value for side in leg.open_walls if side not in sides]:

@@ -225,7 +225,7 @@ def test_workers_start_before_plans_are_read(
 
 @pytest.mark.parametrize(
     ("workers", "name", "reason"),
-    [(2, "mjx-warp", "about"), (5, "mujoco", "mjx-warp would be faster but cannot run: at most 4 share a GPU")],
+    [(2, "mjx-warp", "about"), (5, "mujoco", "mjx-warp would be faster but cannot run: at most 4 workers share a GPU")],
 )
 def test_auto_lets_workers_share_a_gpu(
     workers: int, name: str, reason: str, said: queue.SimpleQueue[str], monkeypatch: pytest.MonkeyPatch

@@ -349,8 +349,8 @@ def test_a_device_engine_without_gpus() -> None:
         ("mujoco", 13, None, "workers: no room for 13 workers of 1 CPU; there are 12 CPUs and 2 GPUs on 3 nodes"),
         ("mujoco", 2, 5, "workers: no room for 2 workers of 5 CPUs; there are"),
         ("mujoco", "auto", 9, "workers: no room for a worker of 9 CPUs; there are"),
-        ("mjx-warp", 5, None, "workers: 5 cannot share 2 GPUs evenly, 4 can; there are"),
-        ("mjx-warp", 9, None, "workers: at most 4 share a GPU, so 9 have no room; there are"),
+        ("mjx-warp", 5, None, "workers: 5 workers cannot share 2 GPUs evenly, 4 can; there are"),
+        ("mjx-warp", 9, None, "workers: at most 4 workers share a GPU, so there is no room for 9; there are"),
     ],
 )
 def test_more_workers_than_there_is_room_for(engine: str, workers: int | str, threads: int | None, line: str) -> None:

@@ -54,7 +54,7 @@ class PaddedModel:
     Args:
         capacity: largest number of boxes of a world.
         boards: number of shapes of each carrier.
-        held: whether the carrier is held at the pose in its world's data (acceleration profiles).
+        held: whether the carrier cannot move, as in profiles of accelerations. Its pose is in the data of its world.
     """
 
     def __init__(self, capacity: int, boards: int, sim: Simulation, *, held: bool) -> None:
@@ -113,8 +113,8 @@ class PaddedModel:
     def _ready(
         self, fields: dict[str, jax.Array], inputs: dict[str, jax.Array], faces: Faces | None, landing: Landing | None
     ) -> tuple[Any, Float[Array, " geom"], Bodies, Problem, Float[Array, "contact 3"], Landing | None]:
-        """What the solver needs to know about one world: contacts, heights of geoms, bodies, the problem, and the
-        reference accelerations of contacts."""
+        """What the solver needs to know about one world: contacts, heights of geoms, bodies, the ``Problem``, the
+        reference accelerations of contacts, and the landing boxes."""
         model, links = self.model.tree_replace(fields), self._links
         bodies = Bodies.of(model, inputs)
         data = mjx.collision(model, self._data.replace(**links.geom_places(bodies, model, inputs)))

@@ -107,8 +107,8 @@ class Links:
 
     Attributes:
         geoms: (contact, 2) geoms in contact.
-        sides: (pair, 2) moving bodies of each pair of geoms; for a body that does not move, the number of all moving
-            bodies.
+        sides: (pair, 2) indices of the moving bodies of each pair of geoms. For a body that does not move, the index is
+            ``bodies``, which is beyond the last moving body.
         bodies: number of moving bodies.
     """
 

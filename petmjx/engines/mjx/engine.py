@@ -55,7 +55,7 @@ class ProgramKey:
         boards: number of shapes of each carrier.
         drive: kind of the excitation; None: the program is for the placement.
         profiles: shape of the table of profiles.
-        carries: whether there are boxes that do not just appear at their places.
+        carries: whether boxes fall to their places or are carried to them, instead of appearing there.
         gives: whether there are compliant boxes.
         wraps: whether film holds boxes.
     """
@@ -84,8 +84,8 @@ class Group:
     """Jobs that can share a program.
 
     Attributes:
-        indices: the jobs that are not in a batch yet.
-        capacity: number of boxes for which there is room.
+        indices: indices of the group's jobs that are not in a batch yet.
+        capacity: number of boxes for which each world of a batch has room.
         profile_steps: number of steps of the longest profile.
     """
 
@@ -95,7 +95,7 @@ class Group:
 
     @classmethod
     def of(cls, jobs: Sequence[Job], indices: list[int]) -> Group:
-        """A group of stackable jobs."""
+        """A group of jobs that may share a batch (``stackable_jobs``). ``indices``: the indices of these jobs."""
         alike = [jobs[index] for index in indices]
         steps = max(len(job.drive.excitation.samples) if job.drive else 0 for job in alike)
         return cls(indices, round_up(max(job.scene.n_boxes for job in alike)), steps)
@@ -120,8 +120,8 @@ class MjxJaxEngine(Engine):
     Boxes that are not yet placed hang in the air. So a batch keeps one model from its first step to its last.
 
     Boxes have no skin (contact margin). MJX's collider always prefers a face to an edge that is almost parallel to it,
-    and it measures depths along the face's normal (3.17: ``collision_convex.py``). With a skin, contacts of edges and
-    corners would be deeper than they should be.
+    and it measures depths along the face's normal (MuJoCo 3.17: ``collision_convex.py``). With a skin, contacts of
+    edges and corners would be deeper than they should be.
 
     Args:
         lanes: largest number of worlds in a batch. A batch has fewer worlds if there are not enough jobs, or if memory
@@ -229,7 +229,8 @@ class MjxJaxEngine(Engine):
         return phases
 
     def _simulate(self, batch: Batch, phases: list[Phase], progress: Progress, stop: threading.Event) -> None:
-        """Step the batch until no world is left in the placement or, with a drive, in the drive."""
+        """Step the batch through its phases. The phase of the placement ends when no world is in its placement any
+        more, and the phase of the drive ends when no world is in its drive any more."""
         worlds, capacity, _ = batch.worlds.half.shape
         for program, drive, profiles in phases:
             forces = program.model.no_forces(worlds)
@@ -278,7 +279,7 @@ def without_skin(sim: Simulation) -> Simulation:
 
 
 def stackable_jobs(jobs: Sequence[Job]) -> list[list[int]]:
-    """Groups of jobs that may share a batch, as indices. Groups with the largest plans come first.
+    """Groups of jobs that may share a batch, as lists of the jobs' indices. Groups with the largest plans come first.
 
     All jobs of a group have the same kind of drive, and carriers with the same number of boards. Either all jobs begin
     with a placement, or all begin from a settled state. Appearing boxes, compliant boxes and film each occur in all

@@ -62,7 +62,7 @@ class FacePressure(NamedTuple):
         normal: unit normal from the first box to the second.
         points, depth: contact points and their depths, m.
         area: pressed area, m².
-        least: smallest area that counts for the stiffness, m².
+        least: if ``area`` is smaller than this area, m², the stiffness is computed from this area.
     """
 
     flat: Bool[Array, ""]
@@ -82,7 +82,8 @@ class Beds:
         pairs = contact_geoms(model)
         boxes = (np.asarray(model.geom_type)[pairs] == mujoco.mjtGeom.mjGEOM_BOX).all(axis=1)
         self._geom = pairs[boxes]
-        self._rows = np.arange(len(pairs) * POINTS_PER_BED).reshape(-1, POINTS_PER_BED)[boxes]  # of each pair
+        # for each pair of boxes, the numbers of its contacts in MJX's data
+        self._rows = np.arange(len(pairs) * POINTS_PER_BED).reshape(-1, POINTS_PER_BED)[boxes]
         assert POINTS_PER_BED == CONTACTS_PER_PAIR
 
     def pressed(self, data: Any, faces: Faces) -> Any:

@@ -28,8 +28,8 @@ def carried_worlds(state: State) -> Bool[Array, " world"]:
 
 
 def take_up(state: State, worlds: Worlds, where: Bool[Array, " world"], timestep_s: float) -> State:
-    """Move the last box from its release pose to the start of its path. If the path takes steps, a hand carries the
-    box."""
+    """Move the last box from its release pose to the start of its path. If the path has at least one step, a hand
+    carries the box. A box whose path has no steps falls from the start of the path."""
     box = jnp.maximum(state.placed - 1, 0)
     where = where & ~worlds.appears
     pose, offset, steps = (_values_of_box(values, box) for values in (state.qpos, worlds.way_offset, worlds.way_steps))
@@ -124,8 +124,8 @@ def _free_begin(
     stands: Bool[Array, "world box"],
     most_aside: Float[Array, "world 2 2"],
 ) -> Vector:
-    """Where boxes start so that they overlap no standing box, m: at the original place if it is free, else at the
-    nearest free place beside it, else above it."""
+    """The place at which the carried box of each world starts so that it overlaps no standing box, m: ``begin`` if this
+    place is free, else a free place beside ``begin``, else a place above ``begin``."""
 
     def overlap(place: Vector) -> tuple[Float[Array, "world box 3"], Bool[Array, "world box"]]:
         shared = reaches + reach[:, None] - jnp.abs(middles - place[:, None])

@@ -34,7 +34,7 @@ PROFILE_GRANULE = 512
 compiled programs, although the legs differ in length."""
 
 MOST_KEPT = 16
-"""Largest number of kept programs that let paused placements continue, and of kept shapes of states."""
+"""Number of results that ``_going_on`` (compiled programs) and ``_state_shapes`` each keep for later calls."""
 
 _fresh_state = jit_between_slices(fresh_state, static_argnames=("all_placed", "rest_steps"))
 
@@ -62,7 +62,7 @@ class Batch:
         return int(self.worlds.shape_half.shape[1] - self.worlds.half.shape[1])
 
     def give_up(self, rows: NDArray[np.int64], flag: Flag) -> None:
-        """End worlds that cannot be simulated on this device, with this flag."""
+        """End worlds that cannot be simulated on this device, and give them this flag."""
         flags = self.table.flags.at[rows].set(self.table.flags[rows] | int(flag))
         self.table = self.table._replace(flags=flags, status=self.table.status.at[rows].set(Status.FINISHED))
 
@@ -80,7 +80,7 @@ def load(
     Args:
         rows: number of rows of the tables, at least one per job.
         width: number of box columns, at least the number of boxes of the largest plan.
-        profile_room: smallest number of rows for profiles, and smallest number of their steps.
+        profile_room: smallest number of rows for profiles, and smallest number of steps for each profile.
     """
     excitations = {id(job.drive.excitation): job.drive.excitation for job in jobs if job.drive}
     least_rows, least_steps = profile_room
@@ -172,7 +172,8 @@ def let_go(bodies: FreeBodies, sim: Simulation, rows: int, width: int) -> tuple[
 
 @functools.lru_cache(MOST_KEPT)
 def _going_on(sim: Simulation, timetable: Timetable, width: int) -> Callable[[State, Worlds], State]:
-    """The program that lets paused placements continue. Timetables are compared by identity."""
+    """The program that lets paused placements continue. The program is kept for later calls with the same options,
+    width and timetable object."""
     return jit_between_slices(Rules(sim, timetable, width, driven=False).go_on_in_kernels)
 
 

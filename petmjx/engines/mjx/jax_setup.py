@@ -1,5 +1,5 @@
-"""Sets up JAX for petmjx. As petmjx sets up JAX, JAX leaves device memory for Warp, and keeps the programs that it
-compiles in a cache on disk (JAX's persistent compilation cache).
+"""Sets up JAX for petmjx. After this set-up, JAX leaves device memory for Warp, and keeps the programs that it compiles
+in a cache on disk (JAX's persistent compilation cache).
 
 The folder of this cache is a setting of the whole process. The first engine that is built sets the folder. The setting
 remains, and also applies to the caller's own JAX programs. A folder that the caller has already set is not changed.
@@ -58,8 +58,8 @@ def set_up_jax() -> None:
 def jit_between_slices(function: Callable[P, T], **options: Any) -> Callable[P, T]:
     """``jax.jit`` for a small program that is called between time slices, while a GPU computes the next slice.
 
-    Only the outermost jitted function may be jitted in this way: JAX accepts compiler options for no other. JAX's
-    devices are started by the first call of the program, and not yet by this function.
+    Do not call such a program within another jitted function: JAX accepts compiler options only for the outermost
+    jitted function. The first call of the program starts JAX's devices; this function does not start them.
 
     Args:
         options: options of ``jax.jit``.

@@ -45,7 +45,8 @@ def act(
     links: Links,
     sim: Simulation,
 ) -> tuple[ContactRows, Landing]:
-    """Change the rows of landing boxes in one world. Call this function between collision detection and solver.
+    """Change the constraint rows at the contacts of landing boxes in one world. Call this function between collision
+    detection and solver.
 
     Args:
         velocity: velocities of all bodies (MuJoCo's qvel).

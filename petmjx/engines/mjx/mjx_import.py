@@ -1,7 +1,7 @@
 """Imports ``mujoco.mjx`` without its message and, in the command ``petmjx``, without Warp.
 
-If Warp is not installed, MJX prints a message to standard output (3.17: in ``mujoco/mjx/warp/__init__.py``). The engine
-mjx-jax does not need Warp, and a program may read standard output as JSON.
+If Warp is not installed, MJX prints a message to standard output (MuJoCo 3.17: in ``mujoco/mjx/warp/__init__.py``). The
+engine mjx-jax does not need Warp, and a program may read standard output as JSON.
 
 If Warp is installed, MJX imports Warp with all its kernels. Importing Warp with its kernels takes 1.7 s of the 2.7 s
 that the import of MJX takes. A process that runs only the command ``petmjx`` does not need these kernels. In other

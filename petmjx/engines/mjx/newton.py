@@ -82,8 +82,9 @@ class Cones(NamedTuple):
     Attributes:
         sticks: whether the force is within the cone, so that the contact is a spring with three components.
         slides: whether the force is on the cone's surface. Contacts that neither stick nor slide have no force.
-        slip: unit vector of the tangential residual times friction, times friction.
-        speed: length of the tangential residual times friction.
+        slip: derivative of ``speed`` by the two tangential residuals: friction × t / ``speed``, where t is the vector
+            (friction × tangential residual).
+        speed: length of this vector t.
         gap: mu times the normal residual minus mu times ``speed``; negative for contacts that slide.
         surface: stiffness of the cone's surface: the cost of sliding is ½ · surface · gap².
     """

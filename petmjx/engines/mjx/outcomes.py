@@ -99,7 +99,7 @@ def is_paused(job: Job) -> bool:
 
 
 def _put_at_rest(jobs: Sequence[Job], host: State) -> None:
-    """In states on the host, put the boxes of jobs that have ``poses`` at these poses, at rest."""
+    """In states on the host, move the boxes of each job with ``Job.poses`` to these poses, at rest."""
     for row, job in enumerate(jobs):
         if job.poses is None:
             continue

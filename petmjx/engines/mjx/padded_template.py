@@ -57,8 +57,8 @@ def padded_template(capacity: int, boards: int, sim: Simulation, *, held: bool) 
 
     Args:
         boards: number of shapes of the carrier; with 0, nothing touches the carrier.
-        held: whether the carrier has no joint instead of a free one (for profiles with a prescribed acceleration). A
-            held carrier has the pose in its world's data.
+        held: whether the carrier is clamped, for profiles with a prescribed acceleration. A clamped carrier has no
+            joint, and its pose is in the data of its world.
     """
     scene = _nominal_scene(capacity, boards, sim.physics)
     at = HeldCarrier(scene.carrier.pos, np.array(IDENTITY_QUAT), mocap=True) if held else None
@@ -73,7 +73,7 @@ def padded_template(capacity: int, boards: int, sim: Simulation, *, held: bool) 
 
 def contact_geoms(model: Any) -> Int[np.ndarray, "pair 2"]:
     """The geoms of each pair of an MJX model, in the order of MJX's contacts: pairs with the same types of geoms are
-    side by side (3.17: collision_driver.py). Each pair has ``CONTACTS_PER_PAIR`` contacts."""
+    side by side (MuJoCo 3.17: collision_driver.py). Each pair has ``CONTACTS_PER_PAIR`` contacts."""
     from mujoco.mjx._src.collision_driver import geom_pairs
 
     pairs_by_types: dict[tuple[int, int], list[tuple[int, int]]] = {}

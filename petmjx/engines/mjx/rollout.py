@@ -162,9 +162,9 @@ class BatchRollout:
         return after, stepped.forces, stepped.top_force
 
     def _presses(self, before: State, worlds: Worlds, rising: Float[Array, " world"]) -> Bool[Array, " world"]:
-        """Whether the largest forces include the step that follows the state ``before``, although no sample is due.
-        While a drive acts, the largest forces include every step. Without a drive, two conditions must hold: a box is
-        fast, and either a box rises or a check whether the pallet is quiet is due. ``rising``: the largest upward
+        """Whether the largest forces on tops include the step that follows the state ``before``, although no sample is
+        due. While a drive acts, the largest forces include every step. Without a drive, two conditions must hold: a box
+        is fast, and either a box rises or a check whether the pallet is quiet is due. ``rising``: the largest upward
         acceleration, m/s²."""
         rules, step = self.rules, before.step + 1
         if not rules.sim.waits_for_rest:

@@ -86,8 +86,8 @@ class Rules:
         )
 
     def place_next(self, state: State, worlds: Worlds, where: Bool[Array, " world"]) -> State:
-        """Release the next box of each world with ``where``. The box is at rest, at its release pose or at the start of
-        its fall or path."""
+        """Release the next box of each world for which ``where`` is True. The box is at rest, at its release pose or at
+        the start of its fall or path."""
         chosen = ((jnp.arange(self.capacity)[None] == state.placed[:, None]) & where[:, None])[..., None]
         release = worlds.start.at[..., 2].add(self._come_down(state, worlds))
         placed = state._replace(
@@ -319,13 +319,13 @@ class Rules:
     def count_quiet(
         self, state: State, worlds: Worlds, poll: Bool[Array, " world"], adapts: Bool[Array, " world"]
     ) -> tuple[State, Bool[Array, " world"]]:
-        """In worlds with ``poll``, count the steps for which all boxes were quiet. The count starts again if a box
-        creeps (moves slowly without slowing down).
+        """In worlds for which ``poll`` is True, count the steps for which all boxes were quiet. The count starts again
+        if a box creeps (moves slowly without slowing down).
 
         A pallet is quiet if all boxes were quiet for ``quiet.steps`` steps and no box creeps. Trembling boxes count as
         quiet. If a pallet is quiet although a box trembles, the stored count becomes 0. Because of this 0, the world is
-        later recognised as still moving. Boxes are examined for trembling only in worlds with ``adapts``, whose waits
-        end as soon as the pallet is quiet.
+        later recognised as still moving. Boxes are examined for trembling only in worlds for which ``adapts`` is True,
+        whose waits end as soon as the pallet is quiet.
 
         Returns:
             The states, and for each world whether its pallet is quiet.

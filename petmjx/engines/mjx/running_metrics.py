@@ -28,6 +28,7 @@ class Sample(NamedTuple):
         tilts: whether the largest tilt of the box includes this step, at a sample or at a check during a drive.
         looked: whether the box is checked. Boxes are also checked at the end of their world.
         rested: whether the mean force on the box's top at rest includes this step.
+        rests: whether the step is in the rest window of the world.
     """
 
     step: Int[Array, " world"]

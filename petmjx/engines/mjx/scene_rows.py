@@ -1,5 +1,5 @@
-"""Makes rows of tables from scenes. Similar scenes are filled in together: filled in one by one, they would take longer
-than a GPU's simulation of small worlds."""
+"""Makes rows of tables from scenes. Similar scenes are written into their rows together: one scene after another, this
+would take longer than a GPU's simulation of small worlds."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def rows_of(scenes: Sequence[Scene], width: int, sim: Simulation, boards: int = 
     """The rows of scenes: all fields of ``world_constants.Worlds`` that do not depend on the job.
 
     Args:
-        scenes: a scene that occurs several times is filled in only once.
+        scenes: one scene per row. If a scene occurs several times, its values are computed only once.
         width: number of box columns.
         boards: number of columns for the shapes of a carrier; increased if a carrier has more shapes.
         padding: number of padding rows, which repeat the first scene's row.
@@ -92,7 +92,7 @@ def more_shapes(scene: Scene) -> int:
 
 
 def _empty(n: int, width: int, boards: int) -> Rows:
-    """Rows that are not filled in yet, without boxes."""
+    """Rows without boxes, into which the values of scenes are written later."""
     start = np.zeros((n, width, 7), np.float32)
     start[:, :, 3:] = IDENTITY_QUAT
     shapes = boards + width
@@ -141,7 +141,7 @@ def _scene_values(scenes: Sequence[Scene]) -> Rows:
 def _put_plain(
     rows: Rows, at: NDArray[np.intp], scenes: Sequence[Scene], release: Release, path: ApproachPath | None
 ) -> None:
-    """Fill in stackable scenes (``petmjx.world.stackable_scenes``), all at once."""
+    """Write the values of stackable scenes (``petmjx.world.stackable_scenes``) into their rows, all at once."""
     k, s = scenes[0].n_boxes, len(scenes[0].carrier.half_size)
     half = stacked_values(scenes, "half_size")
     quat, place = stacked_values(scenes, "start_quat"), release.pos
@@ -171,7 +171,7 @@ def _put_plain(
 
 
 def _put(rows: Rows, row: int, scene: Scene, sim: Simulation) -> None:
-    """Fill in a scene of any kind."""
+    """Write the values of a scene of any kind into its row."""
     k, release, shapes = scene.n_boxes, release_of(scene, sim), scene.shapes
     rows["half"][row, :k], rows["middle"][row, :k] = scene.half_size, scene.middle
     rows["target"][row, :k] = scene.target

@@ -87,5 +87,6 @@ class SlipLaw:
 
 
 def _tangent(rows: Rows) -> Float[Array, " contact"]:
-    """Lengths of the tangential parts of values per row, such as forces."""
+    """Length of the tangential part of a quantity at each contact, such as the force. The quantity is given by its
+    components in the contact's rows."""
     return jnp.hypot(rows[:, 1], rows[:, 2])

@@ -39,8 +39,8 @@ def pressed_box(
     geom_z: Float[Array, "*batch 2"],
     normal_z: Float[Array, "*batch"],
 ) -> tuple[Int[Array, "*batch"], Float[Array, "*batch"], Bool[Array, "*batch"]]:
-    """The box on which a contact presses: the partner whose centre is lower. ``body``: numbers of boxes, or negative
-    numbers.
+    """The box on which a contact presses: the partner whose centre is lower. ``body``: the two partners of each
+    contact, as numbers of boxes, or as negative numbers for carrier and floor.
 
     Returns:
         Three values: the number of the box (negative for carrier and floor); the sign that turns the force on the

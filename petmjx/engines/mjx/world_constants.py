@@ -128,7 +128,7 @@ def device_arrays(arrays: Iterable[NDArray[Any]]) -> list[jax.Array]:
 
 
 MANY_PADDING_ROWS: Final = 4096
-"""Smallest number of padding rows that the device makes, by repeating the first row. To fill in and upload 10,000
+"""If at least this number of padding rows is needed, the device makes them by repeating the first row. To upload 10,000
 padding rows of 24 kB each would delay a run's first step."""
 
 

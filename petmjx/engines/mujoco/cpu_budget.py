@@ -60,7 +60,7 @@ class Budget:
         self.slow, self._last_s = now_s - self._last_s >= SLOW_S, now_s
         if now_s - self._begin_s <= self._most_s:
             return False
-        if not self._is_exact:  # most worlds end within ``LEAST_S``; only for the others is the exact limit computed
+        if not self._is_exact:  # most worlds end within ``LEAST_S``, so the exact limit is computed only now
             self._is_exact = True
             soft = self._job.scene.soft is not None
             expected_s = float(MEASURED.of_jobs([self._job], self._sim)[0])

@@ -47,7 +47,8 @@ _EAST: Final = np.array([1.0, 0.0, 0.0])
 _NEXT: Final = [1, 2, 0]
 _LAST: Final = [2, 0, 1]
 _FACES: Final = np.array([(0, 1, 2), (1, 2, 0), (2, 0, 1)])
-"""For each axis of a box, as the normal of a face: the number of this axis, and of the two axes along the edges."""
+"""For each axis of a box, which is the normal of a face: the number of this axis, followed by the numbers of the two
+axes along the face's edges."""
 _SIGNS: Final = np.array([(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)])
 _ASIDE: Final = np.array([1.0, -1.0])
 _WAYS: Final = np.array([-1.0, 1.0])
@@ -188,7 +189,7 @@ def face_pressure(
 
     Returns:
         Six arrays: (p,) whether two faces meet; (p, 3) unit normals; (p, 4, 3) contact points, m; (p, 4) their depths,
-        m; (p,) pressed area, m²; (p,) smallest area with which the stiffness is computed, m².
+        m; (p,) pressed area, m²; (p,) area from which the stiffness is computed if the pressed area is smaller, m².
     """
     count = len(one)
     boxes, toward = np.concatenate([one, two]), np.concatenate([normal, -normal])
@@ -273,9 +274,9 @@ def _sides(edges: FloatArray, at: FloatArray, lines: FloatArray) -> None:
 
 
 def _moments(lines: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Properties of the region that is inside all lines. Returns five arrays: (p,) its area; (p,) its area without the
-    last line; (p,) the largest distance of a point of the region from the last line; (p, 2) its centroid; and (p, 2, 2)
-    a square root (Cholesky factor) of its second moments per area.
+    """Properties of the region that is inside all lines. Returns five arrays: (p,) area of the region; (p,) area that
+    the region would have without the last line; (p,) largest distance of a point of the region from the last line; (p,
+    2) centroid of the region; and (p, 2, 2) square root (Cholesky factor) of the region's second moments per area.
 
     An edge of the region is the part of a line that is inside all other lines. The area and the moments are sums over
     the edges, by Green's theorem.

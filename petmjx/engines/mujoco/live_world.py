@@ -69,8 +69,8 @@ class LiveWorld:
     order.
 
     Args:
-        templates: compiled models of open worlds, which are filled in instead of compiling a model. If ``templates`` is
-            None, models are compiled.
+        templates: compiled models for open worlds. The values of this world are written into such a model, so that no
+            model need be compiled. If ``templates`` is None, models are compiled.
         held: pose in which the carrier is clamped from the beginning. If ``held`` is None, the carrier is free.
 
     Attributes:
@@ -405,7 +405,7 @@ class LiveWorld:
         self._held = HeldCarrier(pos=state.pose[0, :3], quat=state.pose[0, 3:])
         self._has_waiting = False
         self._shaken = True
-        self._templates = None  # each world has its own place for a clamped carrier
+        self._templates = None  # the place of a clamped carrier differs between worlds, and templates lack this place
         self._build(self.capacity)
         self._restore(state, time_s)
 

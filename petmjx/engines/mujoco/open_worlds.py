@@ -28,7 +28,7 @@ from petmjx.world.scene import Scene
 class OpenWorld(WorldRun):
     """A world that pauses when all its boxes are placed and at rest. While the world pauses, more boxes can be added.
 
-    A new ``OpenWorld`` is at the end of its soft start. No box is placed yet; in a static check, all boxes are placed.
+    A new ``OpenWorld`` is at the end of its soft start, with no box placed (in a static check, with all boxes placed).
 
     Attributes:
         paused: whether boxes can be put into the world.

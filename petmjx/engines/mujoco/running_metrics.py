@@ -25,7 +25,7 @@ _STEPS_TOGETHER = 64
 
 
 class OracleMetrics:
-    """Largest values so far, first sign of failure, and forces at rest of one world."""
+    """Largest values of the metrics so far, first sign of failure, and forces at rest of one world."""
 
     def __init__(self, scene: Scene, thresholds: Thresholds, gravity_m_s2: float = STANDARD_GRAVITY) -> None:
         n = scene.n_boxes
@@ -103,9 +103,9 @@ class OracleMetrics:
 
     def tells_all(self, job: Job, pos: FloatArray, quat: FloatArray, culprit: int) -> bool:
         """Whether the pallet falls for certain, so that the simulation of its world can end. The pallet falls for
-        certain if a box has dropped. In worlds with errors, it also falls if one of the k placed boxes is tilted too
-        far in these poses. In a drive (motion of the carrier), it also falls if the culprit is tilted too far and has
-        moved too far.
+        certain if a box has dropped. In worlds with errors, the pallet also falls for certain if one of the k placed
+        boxes is tilted too far in these poses. In a drive (motion of the carrier), the pallet also falls for certain if
+        the culprit is tilted too far and has moved too far.
 
         Args:
             culprit: number of the box that crossed a threshold first, at an earlier check. The number is -1 if no box
@@ -122,8 +122,8 @@ class OracleMetrics:
         return bool(lost[culprit] and sway[culprit] >= job.drive.allowed_sway_m)
 
     def any_gone(self, pos: FloatArray, quat: FloatArray) -> bool:
-        """Whether one of the k placed boxes is tilted or has descended so far that a pallet under trial will not
-        stand."""
+        """Whether one of the k placed boxes is *gone*: it is tilted so much, or has descended so far, that the pallet
+        will certainly not stand (``petmjx.engines.metrics.GONE_TILT``)."""
         k = len(pos)
         descent = self._scene.target[:k, 2] - pos[:, 2] - (0.0 if self._sinks_m is None else self._sinks_m[:k])
         limits = self._thresholds
@@ -188,7 +188,7 @@ class OracleMetrics:
         self._rest_steps += 1
 
     def restart_rest(self) -> None:
-        """Start a new rest window, since the world continues after the last one."""
+        """Start a new rest window, since the world has continued after the end of its previous rest window."""
         self._rest_sum_n[:] = 0.0
         self._rest_steps = 0
 

@@ -89,8 +89,8 @@ class SlipLaw:
         mujoco.mj_Euler(model, data)
 
     def _kinetic(self, data: mujoco.MjData, active: NDArray[np.integer]) -> FloatArray | float:
-        """Kinetic friction divided by static friction. If pairs of surfaces have their own values, it is an array (k,),
-        with one value per contact."""
+        """Kinetic friction divided by static friction. If pairs of surfaces have their own values, the result is an
+        array (k,) with one value per contact."""
         if self._of_pairs is None or self._surfaces is None:
             return self._share
         of_pair: FloatArray = self._of_pairs[tuple(self._surfaces[np.asarray(data.contact.geom)[active]].T)]
@@ -137,4 +137,4 @@ class SlipLaw:
             excess += share * change
             last = change
             data.qacc_warmstart[:] = data.qacc
-        data.solver_niter[0] = iterations  # of all rounds
+        data.solver_niter[0] = iterations  # the iterations of all rounds together

@@ -1,6 +1,7 @@
 """How long a world on C MuJoCo waits for its next event (docs/rules.md, sections 4 and 5).
 
-The class ``Timetable`` in petmjx/engines/mjx/timetable.py does the same in JAX.
+For the MJX engines, the tables in petmjx/engines/mjx/timetable.py and the rules in petmjx/engines/mjx/rules.py do the
+same.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ def add_waiting(spec: mujoco.MjSpec, physics: Physics) -> None:
 
 
 def press_waiting(model: mujoco.MjModel, data: mujoco.MjData, waiting_kg: float, gravity_m_s2: float) -> None:
-    """Press on the stop with the force that makes its cost equal to the cost of the waiting boxes on the floor.
+    """Press on the stop with a force that gives the stop the same cost as the waiting boxes on the floor would have.
 
     A mass m under the gravity g rests on constraints with the total weight D. The cost of the mass in free fall exceeds
     its cost at rest by (D + m)·g²/2. For the stop and for the boxes, D is proportional to m.

@@ -119,7 +119,8 @@ class WorldRun:
         return self._outcome(came_to_end=begun and self._loop())
 
     def _start(self) -> bool:
-        """Simulate the soft start. Returns False if the world's time or iterations are used up before its end."""
+        """Simulate the soft start. Returns False if the world's time or iterations are used up before the soft start
+        ends."""
         kind = LiveWorld if self._scene.soft is None else SoftWorld
         self._live = kind(self._scene, self._sim, self._scene.n_boxes * self._static, templates=self._templates)
         self._metrics = OracleMetrics(self._scene, self._sim.thresholds, self._sim.physics.gravity_m_s2)
@@ -287,8 +288,8 @@ class WorldRun:
         quiet = self._look_for_quiet() and self._waits.adapts
         enough = self._sim.waits_for_rest or self._step - self._waits.since >= self._sim.quiet.landing_steps
         if self._waits.in_drive and self._step > self._end - 2 * self._rest_steps:
-            # It is too late for another rest window, which would end after the step at which the last possible rest
-            # window must start.
+            # The drive ends at its planned end: a rest window that began now would end only after the beginning of the
+            # rest window at this planned end.
             self._waiting = False
         elif (quiet and enough) or self._step >= self._waits.deadline(self._sign):
             self.paused = self._pauses and self._live.n_placed == self._scene.n_boxes

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 PIECES: Final = 4
-"""A limit for engines that simulate job after job: the jobs that a thread may hold take at most the expected time of
-all waiting jobs, divided by ``PIECES`` and by the number of threads. So all threads end at about the same time,
-although expected times are estimates."""
+"""Limits the jobs of a thread, for engines that simulate job after job. The expected time of the jobs that one thread
+holds is at most the expected time of all waiting jobs, divided by ``PIECES`` and by the number of threads. So all
+threads end at about the same time, although expected times are estimates."""
 
 MOST_JOBS: Final = 64
 """Largest number of jobs per thread of a worker whose engine simulates job after job, so that little work is lost if
@@ -24,8 +24,8 @@ PLENTY: Final = 4
 job in reserve might wait behind a long job while another thread is idle."""
 
 MOST_ON_DEVICE: Final = 8192
-"""Largest number of jobs of a worker whose engine simulates worlds side by side. The longest worlds of a device begin
-first, so a worker holds many more worlds than its device simulates at once."""
+"""Largest number of jobs of a worker whose engine simulates worlds side by side. This is many more than the device
+simulates at once, so that the device can begin with the longest of them."""
 
 
 @dataclass(eq=False)
@@ -73,7 +73,7 @@ class JobDealer:
 
     If the engine simulates job after job, a worker holds fewer jobs towards the end, down to one per thread. If the
     engine simulates worlds side by side, all jobs are divided among the workers at once, so that all workers have the
-    same expected time to go. While the other workers are busy, the share of a starting worker is kept for this worker.
+    same expected remaining time. If a worker is still starting, its share of the jobs is kept until it can take them.
     A worker begins with at least ``begin_with`` jobs, unless no more jobs come.
 
     The first death of a worker may have an outside cause, so its jobs are given out again like other jobs. Jobs whose
@@ -96,7 +96,8 @@ class JobDealer:
         """Heap of the waiting jobs."""
         self._pending_cost = 0.0
         self._jobs: dict[int, _Waiting] = {}
-        """Number of a job → the job as it waits, for all jobs that have no outcome and are not given up."""
+        """Number of a job → the entry with which the job waits in the heap, now or when it is given out again. The dict
+        has all jobs that have no outcome and are not given up."""
 
     @property
     def unanswered(self) -> int:
@@ -122,8 +123,8 @@ class JobDealer:
         """Give waiting jobs to the workers that have room, each job to the worker with the shortest expected time.
 
         Args:
-            hands: the jobs of all workers, also of those that are starting. The new jobs are added.
-            more_come: whether further jobs come without new outcomes.
+            hands: the jobs of each worker, also of workers that are starting. This method adds the new jobs.
+            more_come: whether further jobs may be added before the next outcome arrives.
 
         Returns:
             Index of a worker → numbers of its new jobs.

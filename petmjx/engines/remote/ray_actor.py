@@ -129,8 +129,8 @@ class Worker:
         return pickle.dumps(WorkerReady(os.getpid(), platform.node(), device, package_versions(), error))
 
     def _build(self) -> None:
-        """Create the engine, and start the other libraries for a GPU. If the engine cannot be created, the worker has
-        no fallback engine.
+        """Create the engine, and for ``mjx-warp`` start JAX and Warp before. If the engine cannot be created, the error
+        is kept for the worker pool, because a worker has no fallback engine.
         """
         name = self._recipe.name
         try:
@@ -235,8 +235,8 @@ class _RunJobs:
         self.stream.put_all([(job, (number, job)) for number, job in shared])
 
     def _known(self, excitation: Excitation) -> Excitation:
-        """The equal excitation of an earlier packet, if there is one. Engines recognise excitations as objects, and
-        have room for a number of them that is known in advance (``JobBounds``)."""
+        """The equal excitation of an earlier packet, if there is one; otherwise this excitation. For engines, only the
+        same object is the same excitation, and they have room for a limited number of excitations (``JobBounds``)."""
         digest = hashlib.blake2b(excitation.samples.tobytes()).digest()
         return self._excitations.setdefault((excitation.name, excitation.kind, digest), excitation)
 

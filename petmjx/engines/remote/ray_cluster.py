@@ -35,7 +35,7 @@ REACH_S = 10.0
 """Longest time for reaching the head (the main machine) of a cluster, s."""
 
 END_S = 5.0
-"""Longest time that this process waits for Ray when it ends, s. Ray may take a minute to end, if a signal ended Ray's
+"""Longest time that this process, when it ends, waits for Ray, s. Ray may take a minute to end, if a signal ended Ray's
 processes while they were starting."""
 
 _OF_RAY = ("RAY_", "PYTHONBREAKPOINT")

@@ -106,8 +106,8 @@ class WorkerStartup:
 def resolve_workers(
     options: RunOptions, work: Work, costs: Costs, startup: WorkerStartup | None = None
 ) -> tuple[WorkerPool, Choice]:
-    """The pool of workers for a run, and the reason for the choice of its engine. The engine ``auto`` is chosen by the
-    CPUs and GPUs of the cluster.
+    """The pool of workers for a run, and the reason for the choice of its engine. ``auto`` chooses the engine that
+    suits the CPUs and GPUs of the cluster.
 
     Args:
         startup: workers that have already been started for these options.
@@ -157,7 +157,7 @@ def _pool_choice(options: RunOptions, nodes: list[Node], work: Work, costs: Cost
             threads,
             used,
             why_no_gpu=lambda: why_no_gpus(nodes, workers),
-            why_no_kernel=lambda: "not chosen for workers",  # since each worker would have to compile the kernels
+            why_no_kernel=lambda: "each worker would have to compile the kernels",
         )
     return Choice(name, reason, seconds.get(name))
 

@@ -35,9 +35,9 @@ FEED_S = 0.05
 """Longest wait for messages, s, while a worker has no jobs and further jobs are being made."""
 
 START_S = 30.0
-"""Longest wait for the first worker when a worker pool is created, s. So an engine that cannot run in a worker is
-reported before a run begins. A busy cluster may need longer. If no worker is ready after this time, the run begins
-without a worker, and waits for the first."""
+"""Longest wait for the first worker when a worker pool is created, s. Because of this wait, an engine that cannot run
+in a worker is usually reported before a run begins. A busy cluster may need longer. If no worker is ready after this
+time, the run begins without a worker, and waits for the first."""
 
 FALSE_STARTS = 3
 """If this number of workers in a row fail to start, the run ends, or dead workers are no longer replaced."""
@@ -341,8 +341,8 @@ class WorkerPool(Engine):
     # Jobs.
 
     def _take_jobs(self, run: _PoolRun) -> bool:
-        """Take jobs from the stream. If all jobs so far have outcomes, wait for further jobs. Returns whether there
-        were any."""
+        """Take jobs from the stream. If all jobs so far have outcomes, wait for further jobs. Returns whether the
+        method has taken any job."""
         on_devices = self.name in LEAST
         most = MOST_TAKEN * self.devices - len(run.jobs)
         least = run.stream.begin_with if on_devices and not run.stream.taken else 1

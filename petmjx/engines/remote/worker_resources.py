@@ -58,8 +58,8 @@ def places(engine: str, nodes: Sequence[Node], workers: int | str, threads: int 
         if fault := why_no_gpus(nodes, workers):
             raise InputError(f"workers: {fault}")
         number = gpus if workers == AUTO else int(workers)
-        # Shares are whole parts, rounded down, so that exactly this number of workers fits on a GPU. So all GPUs become
-        # full, whichever GPU Ray fills first.
+        # A share is a whole number of the ``PARTS`` parts of a GPU, rounded down, so that exactly as many workers fit
+        # on a GPU as should share it. So all GPUs become full, whichever GPU Ray fills first.
         share = PARTS // _sharing(gpus, number) / PARTS
         return [Place(cpus=1, gpus=share)] * number
     if workers == AUTO:
@@ -92,9 +92,9 @@ def why_no_gpus(nodes: Sequence[Node], workers: int | str) -> str | None:
     number = int(workers)
     per_gpu = _sharing(gpus, number)
     if per_gpu > MOST_SHARING:
-        return f"at most {MOST_SHARING} share a GPU, so {number} have no room; {_has(nodes)}"
+        return f"at most {MOST_SHARING} workers share a GPU, so there is no room for {number}; {_has(nodes)}"
     if number > gpus and number % gpus:
-        return f"{number} cannot share {gpus} GPUs evenly, {number - number % gpus} can; {_has(nodes)}"
+        return f"{number} workers cannot share {gpus} GPUs evenly, {number - number % gpus} can; {_has(nodes)}"
     if sum(min(node.cpus, per_gpu * node.gpus) for node in nodes) < number:
         return f"no room for {count_text(number, 'worker')} of 1 CPU beside the GPUs; {_has(nodes)}"
     return None

@@ -87,7 +87,7 @@ class AttemptProcess:
     processes are kept for the next user, since a new process has to load JAX, Warp and the kernel.
 
     Args:
-        module: the module whose function ``main`` the process runs. It calls ``serve_attempts``.
+        module: the module whose function ``main`` the process runs. The function ``main`` calls ``serve_attempts``.
     """
 
     def __init__(self, module: str) -> None:

@@ -26,7 +26,8 @@ LARGE: Final = 1000
 """Smallest number of worlds of a run for which check processes save time."""
 
 MOST: Final = 3
-"""Largest number of check processes. With three check processes, the run's own process is busier than each of them."""
+"""Largest number of check processes. With three check processes, the run's own process is busier than each of them, so
+a fourth would not make the run faster."""
 
 THREADS_EACH: Final = 4
 """A machine with k times this number of CPU threads gets up to k check processes."""

@@ -58,7 +58,8 @@ def usual_builds(sim: Simulation, gpu: GpuLimits) -> list[KernelBuild]:
 
 
 def all_builds(gpus: Sequence[GpuLimits]) -> list[KernelBuild]:
-    """The kernels for exact placing and placing by hand, for plans of all sizes: on these GPUs, and on this CPU."""
+    """The kernels for boxes that appear at their places and for boxes that are carried by hand, in plans of all sizes:
+    on these GPUs, and on this CPU."""
     lands = Simulation().physics.has_landings
     on_gpus = [
         KernelBuild(gpu, size, hands, lands)
@@ -114,8 +115,8 @@ class KernelBuilds:
 
 
 def builds_if_missing(sim: Simulation) -> KernelBuilds | None:
-    """Begin to compile the usual kernels for this machine's GPU. The result is None if there is no GPU, or if an
-    earlier run left a note that these kernels are in the cache."""
+    """Begin to compile the kernels that most runs with these options need (``usual_builds``) for this machine's GPU.
+    The result is None if there is no GPU, or if an earlier run left a note that these kernels are in the cache."""
     gpu = gpu_here()
     if gpu is None or are_noted(_name_of(sim, gpu)):
         return None
@@ -123,12 +124,12 @@ def builds_if_missing(sim: Simulation) -> KernelBuilds | None:
 
 
 def note_kept(sim: Simulation, gpu: GpuLimits | None = None) -> None:
-    """Leave a note that the usual kernels are in the cache."""
+    """Leave a note that the kernels ``usual_builds`` of these options are in the cache."""
     gpu = gpu or gpu_here()
     if gpu is not None:
         note_kernels(_name_of(sim, gpu))
 
 
 def _name_of(sim: Simulation, gpu: GpuLimits) -> str:
-    """The name under which the usual kernels of these options and of a GPU are noted."""
+    """The name of the note about the kernels ``usual_builds`` of these options and of a GPU."""
     return "usual-kernels-" + hashlib.sha256(repr(usual_builds(sim, gpu)).encode()).hexdigest()[:16]

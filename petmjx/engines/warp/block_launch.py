@@ -149,8 +149,8 @@ def load_kernels(launches: Sequence[Launch]) -> None:
 
 HEAD_START_NS = 50_000
 """Delay between the starts of two kernels, ns. A GPU assigns thread blocks to its multiprocessors in the order in which
-they are launched, and runs them to their end. With the delay, blocks of the first kernel find the room that they
-need."""
+they are launched, and runs them to their end. Because of the delay, the blocks of the first kernel get their places on
+the multiprocessors before the blocks of the second kernel."""
 
 
 @functools.cache
@@ -218,8 +218,8 @@ SIZES = (Size(96, 128, 2, 80 << 10), Size(MAX_BOXES, 256, 1, 64 << 10))
 of box columns of tables. Measurements: benchmarks/notebook/performance.md."""
 
 FEW_BOXES = Size(15, 512, 1, 96 << 10, worlds=16, pause_after=4)
-"""Blocks for worlds that have at most 15 boxes so far. With a moving carrier, 15 boxes fill six panels of the
-matrix."""
+"""Blocks for worlds in which at most 15 boxes are placed so far. With a moving carrier, the Hessian of such a world has
+at most 96 rows, which are six panels of 16 rows."""
 
 LAST = Size(SIZES[0].most_boxes, 256, 1, 144 << 10)
 """Blocks for the last worlds of a run, if these worlds fit into the smaller of the two usual sizes. Each of these

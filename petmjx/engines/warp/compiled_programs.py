@@ -224,5 +224,6 @@ The largest of these objects takes 16 MB."""
 
 @functools.lru_cache(MOST_KEPT)
 def programs(sim: Simulation, timetable: Timetable, pools: tuple[BlockPool, ...], slice_ns: int) -> Programs:
-    """The programs of a run. Timetables are compared by identity, and are kept as long as the programs."""
+    """The programs of a run. They are kept for later calls with the same options, block pools, slice length and
+    timetable object."""
     return Programs(sim, timetable, pools, slice_ns)

@@ -22,13 +22,13 @@ are still too small becomes invalid."""
 
 
 def pairs_and_contacts(shapes: int) -> tuple[int, int]:
-    """The numbers of pairs and of contacts for which buffers with room for this number of shapes have memory."""
+    """The numbers of pairs and of contacts for which a world of ``shapes`` shapes (boxes and boards) gets memory."""
     return PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes
 
 
 def most_room(size: int) -> int:
-    """Upper limit for the growth of buffers: the buffers of a world of this size get room for the contacts and pairs of
-    at most this number of boxes.
+    """Upper limit for the growth of buffers, as a number of boxes. The buffers of a world of the block size ``size``
+    never get room for the contacts and pairs of more boxes.
 
     The limit is the same in all runs, so the largest plan of a run has no influence on whether a world is given up."""
     return MAX_GROWTH * (size + MORE_BOXES)

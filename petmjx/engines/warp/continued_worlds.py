@@ -64,7 +64,8 @@ class ContinuedWorlds:
     def __init__(self, simulator: AttemptSimulator, sim: Simulation, progress: Progress) -> None:
         self._simulator, self._sim, self._progress = simulator, sim, progress
         self._many, self._prepared = False, set[bool]()
-        """Whether there are many jobs; and whether the worlds for which the process is ready have drives."""
+        """Two values: whether there are many jobs; and the kinds of worlds for which the process has been made ready,
+        True for worlds with a drive and False for worlds without."""
         self._left: dict[int, tuple[Job, Outcome]] = {}
         """Stream number → job of each world that a CPU thread continues, and outcome with which the world left the
         GPU."""

@@ -143,7 +143,7 @@ class MjxWarpEngine(Engine):
                 for outcome in outcomes_of(slices, sim, progress, waits=waits, continued=continued):
                     stream_number = outcome.job if outcome is not None else None  # None means that the engine pauses
                     yield outcome
-                    if stream_number is not None:  # the caller has now put the jobs that follow from this outcome
+                    if stream_number is not None:  # by now, the jobs that follow from this outcome are in the stream
                         source.answered(stream_number)
             except Exception as error:
                 if not is_out_of_memory(error):

@@ -1,4 +1,4 @@
-"""Keys by which worlds are recognised that are the same until a box is placed (``beginnings``)."""
+"""Keys that show which worlds are the same until a certain box is placed (``beginnings``)."""
 
 from __future__ import annotations
 

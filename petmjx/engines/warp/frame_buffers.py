@@ -32,8 +32,8 @@ may be about to write a frame."""
 
 FEWEST: Final = 1024
 """Smallest number of frames that are transferred together. If a slice has more frames, eight times this number is
-transferred. If that is not enough, 64 times this number is transferred, and so on. Only these numbers are used, since
-each number of frames needs its own compiled program."""
+transferred. If that is not enough, 64 times this number is transferred, and so on. No other numbers of frames are
+transferred, since each number needs its own compiled program."""
 
 _KINDS: Final = {name: wp.dtype_to_numpy(kind.dtype) for name, kind in world_arrays.array_types(FrameBuffer).items()}
 
@@ -69,8 +69,8 @@ def room_for_frames(
 
 
 def pick_frames(frames: dict[str, jax.Array]) -> PickedFrames:
-    """The frames of an ended slice, still on the device, and their number. Call this method before the next slice
-    begins: after that, the device would finish the next slice first."""
+    """The frames of an ended slice, still on the device, and their number. Call this function before the next slice
+    begins: otherwise, the device would compute the whole next slice before it picks the frames."""
     used, room = int(np.asarray(frames["used"])[0]), len(frames["of"])
     some = FEWEST
     while some < used:

@@ -38,8 +38,8 @@ class KernelFeatures:
     """The features and block sizes of the kernels that some jobs need.
 
     Attributes:
-        widths: block size, named by its largest number of boxes (``block_launch.Size``) → number of boxes for which the
-            blocks of this size have room.
+        widths: block size, named by its largest number of boxes (``block_launch.Size``) → number of boxes for which
+            buffers are made in this run. The latter is smaller if all plans of the run are smaller.
         hands: whether kernels need hands, which carry or drop boxes.
         gives: whether kernels need compliant boxes.
         wraps: whether kernels need stretch film that holds boxes.
@@ -57,7 +57,7 @@ class KernelFeatures:
         """The features and block sizes that these jobs need.
 
         Args:
-            granule: the widths are multiples of this number.
+            granule: the numbers of boxes in ``widths`` are multiples of this number.
 
         Raises:
             InputError: a job has more boxes than the largest block has room for.

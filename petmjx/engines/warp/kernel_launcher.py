@@ -47,7 +47,7 @@ class KernelLauncher:
         pools: block pools, in the order of the queues from which they take worlds. The device starts the blocks of the
             first block pools first.
         slice_ns: length of a time slice, ns. With 0, each block takes one step.
-        of_stiff: ``BlockPool.stiff`` → the constants that block pools with this value have instead.
+        of_stiff: ``BlockPool.stiff`` → the constants that differ from ``constants`` for block pools with this value.
     """
 
     def __init__(

@@ -26,7 +26,8 @@ class KeptRollouts:
     def __init__(self, pools: BlockPools) -> None:
         self._pools = pools
         self._kept: dict[tuple[Launch, ...], tuple[object, Rollout]] = {}
-        """For each set of launches, the ``Rollout`` that was used last, with a key."""
+        """Launches of block pools → the ``Rollout`` that was last used with these launches, and its key. A later table
+        uses the ``Rollout`` again if the table's options, timetable and block pools equal the key."""
 
     def drop(self) -> None:
         """Free the memory of all kept rollouts."""
@@ -35,8 +36,8 @@ class KeptRollouts:
             rollout.close()
 
     def of(self, table: WorldTable, slice_ns: int) -> Rollout | None:
-        """The buffers for the simulation of a table, with fewer blocks if memory is short; None if not even
-        ``MIN_BLOCKS`` blocks fit in memory. If the table has blocks of two sizes, the memory error is raised
+        """The buffers for the simulation of a table, with fewer blocks if memory is short. If not even ``MIN_BLOCKS``
+        blocks fit in memory, the result is None; if the table has several block pools, the memory error is raised
         instead.
 
         Args:

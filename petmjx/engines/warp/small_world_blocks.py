@@ -16,10 +16,9 @@ from petmjx.engines.warp.block_launch import FEW_BOXES, Launch, size_for
 from petmjx.engines.warp.block_pool import BlockPool
 
 ENOUGH_SHARE, LEAST_SHARE = 0.75, 0.25
-"""Limits for the use of blocks for small worlds, as shares of their lanes (places for a world). The blocks come into
-use if small worlds fill at least the first share of the lanes. The blocks go out of use if small worlds fill less than
-the second share of the lanes. If small worlds fill less than the second share, blocks that simulate one world each are
-faster."""
+"""Limits for the use of blocks for small worlds, as shares of the lanes (places for a world) of these blocks. The
+blocks come into use when small worlds fill at least ``ENOUGH_SHARE`` of the lanes. They go out of use when small worlds
+fill less than ``LEAST_SHARE`` of the lanes, because blocks that simulate one world each are then faster."""
 
 
 def small_world_pool(pool: BlockPool, worlds: int, lanes: int | None = None) -> BlockPool | None:

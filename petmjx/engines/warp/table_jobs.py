@@ -184,8 +184,8 @@ class TableJobs:
         return self._stream.wait_for_following(self.in_flight, self.left)
 
     def answered(self, stream_number: int) -> None:
-        """Note that the outcome of a job has been taken, and that the jobs that follow from this outcome have been
-        put."""
+        """Note that the caller has taken the outcome of a job, and has put the jobs that follow from this outcome into
+        the stream."""
         del self.in_flight[stream_number]
         self.left.discard(stream_number)
         self._stream.wake()

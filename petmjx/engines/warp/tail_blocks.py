@@ -31,7 +31,7 @@ GOES_ON: Final = 8.0
 
 
 def tail_pool(pool: BlockPool, lanes: int | None = None) -> BlockPool | None:
-    """The block pool for the last worlds; None if this pool would be the same as the usual pool, as on a CPU.
+    """The block pool for the last worlds; None if it would be the same as ``pool``, as on a CPU.
 
     Args:
         pool: the block pool from which these worlds come.
@@ -69,7 +69,7 @@ def tail_queues(
     the old queues. Worlds keep their order. Jitted programs can call this function.
 
     Args:
-        order: the queues. Each row lists the numbers of worlds, followed by negative numbers.
+        order: the queues. Each row lists the numbers of worlds, padded with negative numbers.
         steps, running, lanes: see ``expected_tail``.
     """
     # rows of a table that belong to no queue may have any state
@@ -88,7 +88,7 @@ def expected_tail(
     programs can call this function.
 
     Args:
-        order: the queues. Each row lists the numbers of worlds, followed by negative numbers.
+        order: the queues. Each row lists the numbers of worlds, padded with negative numbers.
         steps: number of steps of each world so far. The number is 0 before a block takes the world from a queue.
         running: whether each world can continue.
         lanes: number of worlds that run at the same time.

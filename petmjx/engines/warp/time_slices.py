@@ -36,8 +36,8 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 
 UNDER_WAY = 2
-"""Number of slices that have been started and not yet read, so that the device is never idle. While a slice runs, the
-CPU reads the worlds that ended in earlier slices."""
+"""Number of slices that the CPU starts ahead of the slice that it reads, so that the device is never idle. While a
+slice runs, the CPU reads the worlds that ended in earlier slices."""
 
 MOST_AHEAD: Final = 40
 """Largest number of slices whose ended worlds may wait for the CPU: 4 s of a GPU's work. Each slice holds copies of the
@@ -215,8 +215,8 @@ class TableSlices:
         return not self._waits or bool(self._source.left)
 
     def _keep_under_way(self, rollout: Rollout) -> None:
-        """Start slices until ``UNDER_WAY`` are started and not yet read, or only one if the CPU must read it before the
-        next.
+        """Start slices until ``UNDER_WAY`` slices are started and not yet read. Only one is started if the CPU must
+        read each slice before the next one begins.
         """
         # A job that follows from an outcome joins only after the started slices. So while blocks are idle, slices are
         # started one by one, so that jobs can join soon.

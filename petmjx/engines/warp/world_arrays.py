@@ -5,8 +5,9 @@ The kernels and their C++ functions take whole records. Each array is declared o
 running_metrics.py. JAX passes these arrays, and the kernels change ``State`` in place. All other arrays are declared in
 this file. The workspace is one buffer, which is divided into arrays of the shapes that are declared here.
 
-Axes. ``world``: row of a table of worlds. ``block``: thread block, which steps one world at a time. ``queue``: queue of
-worlds of one size. ``body``: the carrier, followed by the boxes in packing order. ``free_body``: body that can move.
+Axes. ``world``: row of a table of worlds. ``block``: lane, which steps one world at a time; a lane is a thread block or
+one of its warps. ``queue``: queue of worlds of one size. ``body``: the carrier, followed by the boxes in packing order.
+``free_body``: body that can move.
 ``dof``: degree of freedom; each free body has six. ``geom``: the floor, followed by the shapes of the bodies. ``pair``:
 two geoms that are near each other. ``contact``: point in which the geoms of a pair touch. Units are SI.
 """
@@ -150,7 +151,7 @@ class Worlds:
     """Constants of worlds: the table ``world_constants.Worlds``, the samples of the excitations, and the queues."""
 
     profiles: Annotated[wp.array3d[float], "profile step 3"]
-    order: Annotated[wp.array2d[int], "queue world"]  # numbers of worlds in their order, followed by negative numbers
+    order: Annotated[wp.array2d[int], "queue world"]  # numbers of worlds in their order, padded with negative numbers
 
     if TYPE_CHECKING:
 
@@ -183,12 +184,13 @@ class Workspace:
     curvature: Annotated[wp.array3d[float], "block contact 6"]
     qM: Annotated[wp.array2d[float], "block dof"]  # Diagonal of the inertia matrix.
     qacc_smooth: Annotated[wp.array2d[float], "block dof"]  # Accelerations without contacts.
-    drag: Annotated[wp.array3d[float], "block contact 2"]  # Friction as a share of the largest (contact.cuh).
+    drag: Annotated[wp.array3d[float], "block contact 2"]  # Friction force / largest friction force (contact.cuh).
     excess: Annotated[wp.array2d[float], "block contact"]  # Slip excess (contact_laws.py); negative: not corrected.
     geom_xpos: Annotated[wp.array2d[wp.vec3], "block geom"]  # Centres of geoms.
     geom_xmat: Annotated[wp.array2d[wp.mat33], "block geom"]
     geom_reach: Annotated[wp.array2d[wp.vec3], "block geom"]  # Half extents of a geom's bounding box, along x, y, z.
-    listed_xpos: Annotated[wp.array2d[wp.vec3], "block geom"]  # Both at the last search for near pairs.
+    # The values of geom_xpos and geom_reach at the last search for near pairs.
+    listed_xpos: Annotated[wp.array2d[wp.vec3], "block geom"]
     listed_reach: Annotated[wp.array2d[wp.vec3], "block geom"]
     qpos_before: Annotated[wp.array3d[float], "block box 7"]  # poses at the beginning of a step
     top_force: Annotated[wp.array2d[float], "block box"]
@@ -209,7 +211,7 @@ class Workspace:
     # contacts of each body, grouped by body: 2 × number of the contact, + 1 for the contact's second body
     body_contact: Annotated[wp.array2d[int], "block link"]
     body_conadr: Annotated[wp.array2d[int], "block free_body_end"]
-    body_component: Annotated[wp.array2d[int], "block body"]  # First of the bodies that contacts join with a body.
+    body_component: Annotated[wp.array2d[int], "block body"]  # The first body of the component (joined by contacts).
     body_root: Annotated[wp.array2d[int], "block body"]  # The body from which distances in a component are counted.
     body_level: Annotated[wp.array2d[int], "block body"]  # Distance from the root, in contacts.
     position: Annotated[wp.array2d[int], "block free_body"]  # Position of a body in the solver's system.

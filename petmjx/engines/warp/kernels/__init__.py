@@ -1,8 +1,8 @@
 """The kernel of mjx-warp: Warp functions for a step of a block's world, and the loop over steps and worlds.
 
 Warp compiles these modules for the device, together with the C++ of petmjx/engines/warp/solver/newton.cu. Type checkers
-understand them only in part. ``float(…)``, ``int(…)`` and ``bool(…)`` declare variables that loops change. Arrays can
-only be indexed. All threads of a block must reach each barrier.
+understand these modules only in part. ``float(…)``, ``int(…)`` and ``bool(…)`` declare variables that loops change. The
+only operation on arrays is indexing. All threads of a block must reach each barrier.
 
 Arguments come in the order of mujoco_warp's kernels: constants (``# Model:``), records that are only read (``# Data
 in:``), other values (``# In:``), and records that change (``# Data out:``), which may also be read. A function without

@@ -1,8 +1,8 @@
 """Functions of mujoco_warp, in the copy inside MJX, loaded without the packages around them.
 
-``import mujoco.mjx`` takes 2 to 3 s, and the kernel needs only three of its files. So these files are executed under
-other module names, and import each other under these names. Under these names, Warp keeps the files apart from the
-modules of a later ``import mujoco.mjx``.
+``import mujoco.mjx`` takes 2 to 3 s, and the kernel needs only three files of mujoco_warp. So these three files are
+executed under other module names, and import each other under the other names. Because the names differ, Warp keeps
+these files apart from the modules of a later ``import mujoco.mjx``.
 """
 
 from __future__ import annotations
