@@ -287,7 +287,7 @@ def _n_points(axes: Iterable[Axis]) -> int:
     return math.prod(len(axis.values) for axis in axes)
 
 
-_BESIDE = {"name", "description", "plans", "simulation", "axes", "own_profiles"}
+_NOT_IDENTIFYING = {"name", "description", "plans", "simulation", "axes", "own_profiles"}
 """Fields of ``Sweep`` that do not identify a sweep: fields that do not change worlds, and fields that are compared
 separately when a run is resumed."""
 
@@ -295,7 +295,7 @@ separately when a run is resumed."""
 def sweep_identity(sweep: Sweep) -> dict[str, Any]:
     """The settings that identify a sweep, as plain JSON values. The options of the simulation are left out, and each
     profile is represented by a digest of its samples."""
-    settings = sweep.model_dump(mode="json", exclude=_BESIDE)
+    settings = sweep.model_dump(mode="json", exclude=_NOT_IDENTIFYING)
     if sweep.search is not None:
         settings["search"]["levels"] = len(sweep.search_levels)
     if not sweep.legs:  # runs of earlier versions of petmjx lack these entries

@@ -13,7 +13,7 @@ from support.fake_stepper import fake_scene
 from petmjx.common.errors import EngineUnavailable, InputError
 from petmjx.common.units import FloatArray
 from petmjx.engines.cost_model import CREEPING, DISPLACED_COST, MEASURED
-from petmjx.engines.remote.job_dealer import MOST_JOBS, MOST_ON_DEVICE, Hand, JobDealer
+from petmjx.engines.remote.job_dealer import MOST_JOBS, MOST_ON_DEVICE, JobDealer, WorkerJobs
 from petmjx.engines.remote.worker_resources import Node, Place, places, threads_beside
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import Drive, Excitation, Job
@@ -28,46 +28,46 @@ def dealer_of(costs: Iterable[float], least: int | None = None, begin_with: int 
     return dealer
 
 
-def ready(*threads: int) -> list[Hand]:
-    return [Hand(count, ready=True) for count in threads]
+def ready(*threads: int) -> list[WorkerJobs]:
+    return [WorkerJobs(count, ready=True) for count in threads]
 
 
-def finish(dealer: JobDealer, hand: Hand, jobs: Iterable[int] | None = None) -> None:
-    for job in [*hand.costs] if jobs is None else [*jobs]:
-        dealer.answered(hand, job)
+def finish(dealer: JobDealer, worker: WorkerJobs, jobs: Iterable[int] | None = None) -> None:
+    for job in [*worker.costs] if jobs is None else [*jobs]:
+        dealer.answered(worker, job)
 
 
-def dead(dealer: JobDealer, hand: Hand) -> list[int]:
+def dead(dealer: JobDealer, worker: WorkerJobs) -> list[int]:
     """The jobs that are given up after the death of a worker. The place of the dead worker gets another worker."""
-    given_up = dealer.died(hand)
-    vars(hand).update(vars(Hand(hand.threads, ready=True)))
+    given_up = dealer.died(worker)
+    vars(worker).update(vars(WorkerJobs(worker.threads, ready=True)))
     return given_up
 
 
 def simulated_s(costs: FloatArray, workers: int) -> float:
     """Time until the last of the workers has finished, s. Each has one thread and takes its jobs in the order in which
     it got them."""
-    dealer, hands = dealer_of(costs), ready(*[1] * workers)
+    dealer, workers = dealer_of(costs), ready(*[1] * workers)
     now, ends = 0.0, list[tuple[float, int]]()
     while dealer.unanswered:
-        dealer.deal(hands, more_come=False)
+        dealer.deal(workers, more_come=False)
         busy = {index for _, index in ends}
-        for index, hand in enumerate(hands):
-            if index not in busy and hand.costs:
-                heapq.heappush(ends, (now + next(iter(hand.costs.values())), index))
+        for index, worker in enumerate(workers):
+            if index not in busy and worker.costs:
+                heapq.heappush(ends, (now + next(iter(worker.costs.values())), index))
         now, index = heapq.heappop(ends)
-        finish(dealer, hands[index], [next(iter(hands[index].costs))])
+        finish(dealer, workers[index], [next(iter(workers[index].costs))])
     return now
 
 
 def test_threads_get_the_longest_jobs_first_and_hold_fewer_towards_the_end() -> None:
     costs = np.random.default_rng(33359).lognormal(size=1000)
-    dealer, (hand,) = dealer_of(costs), ready(2)
+    dealer, (worker,) = dealer_of(costs), ready(2)
     order, held = [], []
     while dealer.unanswered:
-        order += dealer.deal([hand], more_come=False).get(0, [])
-        held.append(len(hand.costs))
-        finish(dealer, hand, [next(iter(hand.costs))])
+        order += dealer.deal([worker], more_come=False).get(0, [])
+        held.append(len(worker.costs))
+        finish(dealer, worker, [next(iter(worker.costs))])
     assert order == np.argsort(-costs, kind="stable").tolist()
     assert 2 * MOST_JOBS < max(held) <= 4 * MOST_JOBS
     assert held[-2:] == [2, 1]
@@ -82,9 +82,9 @@ def test_all_workers_end_together(workers: int) -> None:
 
 def test_threads_hold_a_reserve_only_while_there_is_plenty() -> None:
     for jobs, held in ((100, [25, 25]), (8, [1, 1])):
-        hands = ready(1, 1)
-        dealer_of(np.ones(jobs)).deal(hands, more_come=False)
-        assert [len(hand.costs) for hand in hands] == held
+        workers = ready(1, 1)
+        dealer_of(np.ones(jobs)).deal(workers, more_come=False)
+        assert [len(worker.costs) for worker in workers] == held
 
 
 @pytest.mark.parametrize(
@@ -97,51 +97,51 @@ def test_threads_hold_a_reserve_only_while_there_is_plenty() -> None:
     ],
 )
 def test_devices_share_all_jobs(jobs: int, workers: int, held: list[int]) -> None:
-    costs, hands = np.random.default_rng(33361).permutation(np.linspace(1.0, 1.5, jobs)), ready(*[1] * workers)
-    dealt = dealer_of(costs, LEAST, BEGIN).deal(hands, more_come=False)
-    assert [len(hand.costs) for hand in hands] == pytest.approx(held, abs=1)
+    costs, workers = np.random.default_rng(33361).permutation(np.linspace(1.0, 1.5, jobs)), ready(*[1] * workers)
+    dealt = dealer_of(costs, LEAST, BEGIN).deal(workers, more_come=False)
+    assert [len(worker.costs) for worker in workers] == pytest.approx(held, abs=1)
     for numbers in dealt.values():
         assert np.all(np.diff(costs[numbers]) <= 0)
-    busy = [hand for hand in hands if hand.costs]
-    times = [sum(hand.costs.values()) for hand in busy]
+    busy = [worker for worker in workers if worker.costs]
+    times = [sum(worker.costs.values()) for worker in busy]
     assert np.ptp(times) <= 1.5
     # each device has the same mix of short and long jobs
-    assert np.ptp([np.median([*hand.costs.values()]) for hand in busy]) < 0.01
+    assert np.ptp([np.median([*worker.costs.values()]) for worker in busy]) < 0.01
 
 
 def test_devices_begin_one_after_another_while_jobs_come() -> None:
-    dealer, hands = dealer_of(np.ones(BEGIN - 1), LEAST, BEGIN), ready(1, 1)
-    assert dealer.deal(hands, more_come=True) == {}
+    dealer, workers = dealer_of(np.ones(BEGIN - 1), LEAST, BEGIN), ready(1, 1)
+    assert dealer.deal(workers, more_come=True) == {}
     n_dealt = []
     for added in (1, BEGIN - 1, 1, 100):
         for job in range(added):
             dealer.add(10_000 + 10_000 * len(n_dealt) + job, 1.0)
-        n_dealt.append({index: len(jobs) for index, jobs in dealer.deal(hands, more_come=True).items()})
+        n_dealt.append({index: len(jobs) for index, jobs in dealer.deal(workers, more_come=True).items()})
     assert n_dealt == [{0: BEGIN}, {}, {1: BEGIN}, {0: 50, 1: 50}]
 
 
 def test_jobs_are_kept_for_a_device_that_is_starting_but_not_for_ever() -> None:
-    dealer, hands = dealer_of(np.ones(8000), LEAST, BEGIN), ready(1, 1)
-    hands[1].ready = False
-    dealer.deal(hands, more_come=False)
-    assert len(hands[0].costs) == 4000
-    finish(dealer, hands[0], range(2000))
-    dealer.deal(hands, more_come=False)
-    assert len(hands[0].costs) == 3000  # and as many wait
+    dealer, workers = dealer_of(np.ones(8000), LEAST, BEGIN), ready(1, 1)
+    workers[1].ready = False
+    dealer.deal(workers, more_come=False)
+    assert len(workers[0].costs) == 4000
+    finish(dealer, workers[0], range(2000))
+    dealer.deal(workers, more_come=False)
+    assert len(workers[0].costs) == 3000  # and as many wait
     while dealer.unanswered:
-        finish(dealer, hands[0])
-        dealer.deal(hands, more_come=False)
-        assert hands[0].costs or not dealer.unanswered
-    assert not hands[1].begun
+        finish(dealer, workers[0])
+        dealer.deal(workers, more_come=False)
+        assert workers[0].costs or not dealer.unanswered
+    assert not workers[1].begun
 
 
 def test_further_jobs_go_to_the_device_that_has_less_to_do() -> None:
-    dealer, hands = dealer_of(np.ones(6000), LEAST, BEGIN), ready(1, 1)
-    dealer.deal(hands, more_come=False)
-    finish(dealer, hands[0], [*hands[0].costs][:1000])
+    dealer, workers = dealer_of(np.ones(6000), LEAST, BEGIN), ready(1, 1)
+    dealer.deal(workers, more_come=False)
+    finish(dealer, workers[0], [*workers[0].costs][:1000])
     for job in range(6000, 6500):
         dealer.add(job, 1.0)
-    assert {index: len(jobs) for index, jobs in dealer.deal(hands, more_come=False).items()} == {0: 500}
+    assert {index: len(jobs) for index, jobs in dealer.deal(workers, more_come=False).items()} == {0: 500}
 
 
 def test_jobs_that_start_from_a_state_come_first() -> None:
@@ -151,46 +151,46 @@ def test_jobs_that_start_from_a_state_come_first() -> None:
 
 
 def test_only_unanswered_jobs_of_a_dead_worker_are_dealt_again() -> None:
-    dealer, (hand,) = dealer_of([3.0, 1.0, 2.0], least=1), ready(1)
-    assert dealer.deal([hand], more_come=False) == {0: [0, 2, 1]}
-    dealer.answered(hand, 2)
-    assert dead(dealer, hand) == []
-    assert dealer.deal([hand], more_come=False) == {0: [0, 1]}
+    dealer, (worker,) = dealer_of([3.0, 1.0, 2.0], least=1), ready(1)
+    assert dealer.deal([worker], more_come=False) == {0: [0, 2, 1]}
+    dealer.answered(worker, 2)
+    assert dead(dealer, worker) == []
+    assert dealer.deal([worker], more_come=False) == {0: [0, 1]}
     with pytest.raises(KeyError):
-        dealer.answered(hand, 2)
+        dealer.answered(worker, 2)
 
 
 def test_jobs_of_a_worker_that_dies_as_it_starts_are_not_to_blame() -> None:
-    dealer, (hand,) = dealer_of(np.ones(5), least=1), ready(1)
+    dealer, (worker,) = dealer_of(np.ones(5), least=1), ready(1)
     dealer.add(5, 1.0, deadly=True)
     for _ in range(4):
-        assert dealer.deal([hand], more_come=False) == {0: [0, 1, 2, 3, 4]}
-        dealer.put_back(hand)
-        hand.costs = {}
-    dealer.deal([hand], more_come=False)
-    finish(dealer, hand)
+        assert dealer.deal([worker], more_come=False) == {0: [0, 1, 2, 3, 4]}
+        dealer.put_back(worker)
+        worker.costs = {}
+    dealer.deal([worker], more_come=False)
+    finish(dealer, worker)
     for _ in range(2):
-        assert dealer.deal([hand], more_come=False) == {0: [5]}
-        assert hand.suspects == 1
-        dealer.put_back(hand)
-        vars(hand).update(vars(Hand(ready=True)))
+        assert dealer.deal([worker], more_come=False) == {0: [5]}
+        assert worker.suspects == 1
+        dealer.put_back(worker)
+        vars(worker).update(vars(WorkerJobs(ready=True)))
 
 
 @pytest.mark.parametrize("least", [None, 1])
 def test_a_job_that_workers_die_of_is_given_up_and_no_other(least: int | None) -> None:
-    dealer, hands, deadly = dealer_of(np.ones(100), least), ready(1, 1), 37
+    dealer, workers, deadly = dealer_of(np.ones(100), least), ready(1, 1), 37
     deaths, given_up = 0, list[int]()
     while dealer.unanswered:
-        dealer.deal(hands, more_come=False)
-        for hand in hands:
-            if deadly in hand.costs:
+        dealer.deal(workers, more_come=False)
+        for worker in workers:
+            if deadly in worker.costs:
                 deaths += 1
                 assert not given_up
-                alone = hand.suspects == 1
-                given_up += dead(dealer, hand)
+                alone = worker.suspects == 1
+                given_up += dead(dealer, worker)
                 assert bool(given_up) == alone
             else:
-                finish(dealer, hand)
+                finish(dealer, worker)
     assert given_up == [deadly]
     assert 3 <= deaths <= 4
 
@@ -203,7 +203,7 @@ def test_whatever_happens_each_job_has_one_outcome_or_was_alone_in_a_worker_that
     """While jobs come, workers start, simulate some of their jobs, and die: at random, or because of one of three
     deadly jobs."""
     rng = np.random.default_rng(seed)
-    dealer, hands = JobDealer(least, begin_with=20), [Hand(threads) for threads in (1, 2, 3)]
+    dealer, workers = JobDealer(least, begin_with=20), [WorkerJobs(threads) for threads in (1, 2, 3)]
     deadly, coming, n_jobs = {int(job) for job in rng.integers(0, 300, 3)}, True, 0
     outcomes, given_up, turns = list[int](), list[int](), 0
     while coming or dealer.unanswered:
@@ -213,51 +213,51 @@ def test_whatever_happens_each_job_has_one_outcome_or_was_alone_in_a_worker_that
             dealer.add(n_jobs, rng.lognormal(), starts=bool(rng.random() < 0.3))
             n_jobs += 1
         coming = n_jobs < 300
-        for index, jobs in dealer.deal(hands, more_come=coming).items():
-            assert hands[index].ready
-            assert set(jobs) <= set(hands[index].costs)
-        held = [job for hand in hands for job in hand.costs]
+        for index, jobs in dealer.deal(workers, more_come=coming).items():
+            assert workers[index].ready
+            assert set(jobs) <= set(workers[index].costs)
+        held = [job for worker in workers for job in worker.costs]
         assert len(held) == len(set(held))
-        for hand in hands:
-            if not hand.ready:
-                hand.ready = bool(rng.random() < 0.3)
-            elif (deadly & hand.costs.keys() and rng.random() < 0.3) or rng.random() < 0.01:
-                alone = len(hand.costs) == hand.suspects == 1
-                lost = dead(dealer, hand)
+        for worker in workers:
+            if not worker.ready:
+                worker.ready = bool(rng.random() < 0.3)
+            elif (deadly & worker.costs.keys() and rng.random() < 0.3) or rng.random() < 0.01:
+                alone = len(worker.costs) == worker.suspects == 1
+                lost = dead(dealer, worker)
                 assert len(lost) <= alone
                 given_up += lost
-                hand.ready = False
+                worker.ready = False
             else:
-                ended = [job for job in hand.costs if job not in deadly and rng.random() < 0.2]
+                ended = [job for job in worker.costs if job not in deadly and rng.random() < 0.2]
                 outcomes += ended
-                finish(dealer, hand, ended)
+                finish(dealer, worker, ended)
     assert sorted([*outcomes, *given_up]) == list(range(n_jobs))
     assert deadly <= set(given_up)
 
 
 def test_suspects_wait_for_a_worker_of_their_own() -> None:
-    dealer, hands = dealer_of(np.ones(6), least=1), ready(1, 1)
-    dealer.deal(hands, more_come=False)
-    first = [*hands[0].costs]
-    finish(dealer, hands[1], [*hands[1].costs][:2])
-    dead(dealer, hands[0])
-    assert dealer.deal(hands[:1], more_come=False) == {0: first}
-    dead(dealer, hands[0])
-    assert dealer.deal(hands[1:], more_come=False) == {}  # the other worker holds a job
-    assert dealer.deal(hands[:1], more_come=True) == {}
-    finish(dealer, hands[1])
-    pieces = dealer.deal(hands, more_come=False)
+    dealer, workers = dealer_of(np.ones(6), least=1), ready(1, 1)
+    dealer.deal(workers, more_come=False)
+    first = [*workers[0].costs]
+    finish(dealer, workers[1], [*workers[1].costs][:2])
+    dead(dealer, workers[0])
+    assert dealer.deal(workers[:1], more_come=False) == {0: first}
+    dead(dealer, workers[0])
+    assert dealer.deal(workers[1:], more_come=False) == {}  # the other worker holds a job
+    assert dealer.deal(workers[:1], more_come=True) == {}
+    finish(dealer, workers[1])
+    pieces = dealer.deal(workers, more_come=False)
     assert [len(jobs) for jobs in pieces.values()] == [2, 1]
     assert sorted(job for jobs in pieces.values() for job in jobs) == sorted(first)
     dealer.add(6, 1.0)
-    assert dealer.deal(hands, more_come=False) == {}
+    assert dealer.deal(workers, more_come=False) == {}
     # one of two suspects has an outcome: the other one was not alone, so it gets another chance
-    finish(dealer, hands[0], [pieces[0][0]])
-    assert dead(dealer, hands[0]) == []
-    assert dealer.deal(hands[:1], more_come=False) == {0: [6]}
-    finish(dealer, hands[0])
-    assert dealer.deal(hands[:1], more_come=False) == {0: [pieces[0][1]]}
-    assert dead(dealer, hands[0]) == [pieces[0][1]]
+    finish(dealer, workers[0], [pieces[0][0]])
+    assert dead(dealer, workers[0]) == []
+    assert dealer.deal(workers[:1], more_come=False) == {0: [6]}
+    finish(dealer, workers[0])
+    assert dealer.deal(workers[:1], more_come=False) == {0: [pieces[0][1]]}
+    assert dead(dealer, workers[0]) == [pieces[0][1]]
 
 
 @pytest.mark.parametrize("costs", [MEASURED.of_jobs, MEASURED.of_jobs_on_device])

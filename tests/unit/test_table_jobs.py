@@ -16,7 +16,7 @@ from petmjx.common.errors import InputError
 from petmjx.engines.job_stream import JobBounds, JobStream
 from petmjx.engines.mjx.timetable import build_timetable
 from petmjx.engines.warp.kernel_features import KernelFeatures
-from petmjx.engines.warp.table_jobs import MOST_FOLLOWING_ROWS, MOST_PROFILE_BYTES, TableJobs
+from petmjx.engines.warp.table_jobs import LEAST_FOLLOWING_ROWS, MOST_PROFILE_BYTES, TableJobs
 from petmjx.engines.warp.world_arrays import MAX_BOXES
 from petmjx.engines.warp.world_table import WorldTable
 from petmjx.options.placing import Placing
@@ -164,7 +164,7 @@ def test_a_table_has_room_for_what_will_follow() -> None:
         jobs, _, rows = source.begin()
         assert (rows, source.needs) == (8, KernelFeatures({96: 12})), "one that is refused waits for its turn"
         assert source.profile_room(jobs, rows) == (room, drive_steps)
-    for n_jobs, rows in ((40, 64), (10**6, MOST_FOLLOWING_ROWS)):
+    for n_jobs, rows in ((40, 64), (10**6, LEAST_FOLLOWING_ROWS)):
         stream = JobStream[Any](feedback=True, bounds=JobBounds(n_jobs, {2}, 700, 3))
         put(stream, SMALL)
         assert jobs_of(stream, 32_768).begin()[2] == rows, "many drives follow one placement"

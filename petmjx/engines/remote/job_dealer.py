@@ -29,7 +29,7 @@ simulates at once, so that the device can begin with the longest of them."""
 
 
 @dataclass(eq=False)
-class Hand:
+class WorkerJobs:
     """The jobs that a worker holds.
 
     Attributes:
@@ -119,30 +119,30 @@ class JobDealer:
         else:
             self._wait(job)
 
-    def deal(self, hands: Sequence[Hand], *, more_come: bool) -> dict[int, list[int]]:
+    def deal(self, workers: Sequence[WorkerJobs], *, more_come: bool) -> dict[int, list[int]]:
         """Give waiting jobs to the workers that have room, each job to the worker with the shortest expected time.
 
         Args:
-            hands: the jobs of each worker, also of workers that are starting. This method adds the new jobs.
+            workers: the jobs of each worker, also of workers that are starting. This method adds the new jobs.
             more_come: whether further jobs may be added before the next outcome arrives.
 
         Returns:
             Index of a worker → numbers of its new jobs.
         """
-        dealt = self._deal_pending(hands, more_come) if self._pending else {}
+        dealt = self._deal_pending(workers, more_come) if self._pending else {}
         if not self._pending and not more_come:
-            for index, hand in enumerate(hands):
-                if self._suspects and hand.ready and not hand.costs:
+            for index, worker in enumerate(workers):
+                if self._suspects and worker.ready and not worker.costs:
                     dealt[index] = [*self._suspects.popleft()]
-                    hand.costs = {job: -self._jobs[job].negated_cost for job in dealt[index]}
-                    hand.suspects, hand.begun = len(hand.costs), True
+                    worker.costs = {job: -self._jobs[job].negated_cost for job in dealt[index]}
+                    worker.suspects, worker.begun = len(worker.costs), True
         return dealt
 
-    def _deal_pending(self, hands: Sequence[Hand], more_come: bool) -> dict[int, list[int]]:
-        limits = self._limits_on_devices(hands, more_come) if self._least else self._limits_of_threads(hands)
+    def _deal_pending(self, workers: Sequence[WorkerJobs], more_come: bool) -> dict[int, list[int]]:
+        limits = self._limits_on_devices(workers, more_come) if self._least else self._limits_of_threads(workers)
         dealt: dict[int, list[int]] = {}
         # with equal times, the worker with fewer jobs gets the job
-        queue = [(sum(hands[index].costs.values()), len(hands[index].costs), index) for index in limits]
+        queue = [(sum(workers[index].costs.values()), len(workers[index].costs), index) for index in limits]
         heapq.heapify(queue)
         while self._pending and queue:
             cost, n_jobs, index = queue[0]
@@ -152,72 +152,72 @@ class JobDealer:
                 continue
             _, negated_cost, job = heapq.heappop(self._pending)
             self._pending_cost = self._pending_cost + negated_cost if self._pending else 0.0
-            hands[index].costs[job] = -negated_cost
-            hands[index].begun = True
+            workers[index].costs[job] = -negated_cost
+            workers[index].begun = True
             dealt.setdefault(index, []).append(job)
             heapq.heapreplace(queue, (cost - negated_cost, n_jobs + 1, index))
         return dealt
 
-    def _limits_of_threads(self, hands: Sequence[Hand]) -> dict[int, _Limit]:
-        threads = max(sum(hand.threads for hand in hands), 1)
+    def _limits_of_threads(self, workers: Sequence[WorkerJobs]) -> dict[int, _Limit]:
+        threads = max(sum(worker.threads for worker in workers), 1)
         times = 2 if len(self._pending) > PLENTY * threads else 1
         share = self._pending_cost / (PIECES * threads)
         return {
-            index: _Limit(times * hand.threads, times * hand.threads * MOST_JOBS, times * hand.threads * share)
-            for index, hand in enumerate(hands)
-            if hand.ready and not hand.suspects
+            index: _Limit(times * worker.threads, times * worker.threads * MOST_JOBS, times * worker.threads * share)
+            for index, worker in enumerate(workers)
+            if worker.ready and not worker.suspects
         }
 
-    def _limits_on_devices(self, hands: Sequence[Hand], more_come: bool) -> dict[int, _Limit]:
+    def _limits_on_devices(self, workers: Sequence[WorkerJobs], more_come: bool) -> dict[int, _Limit]:
         assert self._least is not None
-        n_jobs = len(self._pending) + sum(len(hand.costs) for hand in hands)
-        cost = self._pending_cost + sum(sum(hand.costs.values()) for hand in hands)
-        begun = sum(hand.begun for hand in hands)
+        n_jobs = len(self._pending) + sum(len(worker.costs) for worker in workers)
+        cost = self._pending_cost + sum(sum(worker.costs.values()) for worker in workers)
+        begun = sum(worker.begun for worker in workers)
         if more_come:
-            n_workers, n_begin, fewest = len(hands), len(self._pending) // self._begin_with, self._begin_with
+            n_workers, n_begin, fewest = len(workers), len(self._pending) // self._begin_with, self._begin_with
         else:
-            n_workers = min(len(hands), max(begun, math.ceil(n_jobs / self._least)))
+            n_workers = min(len(workers), max(begun, math.ceil(n_jobs / self._least)))
             n_begin, fewest = n_workers - begun, 1
-        idle = [index for index, hand in enumerate(hands) if hand.ready and not hand.begun][: max(n_begin, 0)]
+        idle = [index for index, worker in enumerate(workers) if worker.ready and not worker.begun][: max(n_begin, 0)]
         return {
-            index: _Limit(1 if hand.begun else fewest, MOST_ON_DEVICE, cost / max(n_workers, 1))
-            for index, hand in enumerate(hands)
-            if hand.ready and not hand.suspects and (hand.begun or index in idle)
+            index: _Limit(1 if worker.begun else fewest, MOST_ON_DEVICE, cost / max(n_workers, 1))
+            for index, worker in enumerate(workers)
+            if worker.ready and not worker.suspects and (worker.begun or index in idle)
         }
 
-    def answered(self, hand: Hand, job: int) -> None:
+    def answered(self, worker: WorkerJobs, job: int) -> None:
         """Record that a job of a worker has its outcome.
 
         Raises:
             KeyError: the worker does not hold the job.
         """
-        del hand.costs[job]
+        del worker.costs[job]
         del self._jobs[job]
-        hand.suspects = hand.suspects if hand.costs else 0
+        worker.suspects = worker.suspects if worker.costs else 0
 
-    def died(self, hand: Hand) -> list[int]:
+    def died(self, worker: WorkerJobs) -> list[int]:
         """Record that a worker died. The worker's jobs wait again, except for jobs that are given up. Returns the
         numbers of the jobs that are given up."""
-        jobs = [*hand.costs]
+        jobs = [*worker.costs]
         self._deaths.update(jobs)
-        if hand.suspects == 1:
+        if worker.suspects == 1:
             for job in jobs:
                 del self._jobs[job]
             return jobs
-        once = [] if hand.suspects else [job for job in jobs if self._deaths[job] < 2]
+        once = [] if worker.suspects else [job for job in jobs if self._deaths[job] < 2]
         for job in once:
             self._wait(job)
         more = [job for job in jobs if self._deaths[job] >= 2]
-        size = 1 if hand.suspects else math.isqrt(max(len(more) - 1, 0)) + 1
+        size = 1 if worker.suspects else math.isqrt(max(len(more) - 1, 0)) + 1
         self._suspects += [tuple(more[first : first + size]) for first in range(0, len(more), size)]
         return []
 
-    def put_back(self, hand: Hand) -> None:
+    def put_back(self, worker: WorkerJobs) -> None:
         """Record that a worker died before it started the jobs that it holds. The jobs of the worker wait again."""
-        if hand.suspects:
-            self._suspects.appendleft(tuple(hand.costs))
+        if worker.suspects:
+            self._suspects.appendleft(tuple(worker.costs))
             return
-        for job in hand.costs:
+        for job in worker.costs:
             self._wait(job)
 
     def _wait(self, job: int) -> None:

@@ -19,7 +19,7 @@ from petmjx.engines.cost_model import MEASURED
 from petmjx.engines.failed_world import failed_outcome
 from petmjx.engines.job_stream import JobStream
 from petmjx.engines.protocol import GPU_WORLDS, Capability, Engine, Progress, RunLock, says_at_hand, takes_stream
-from petmjx.engines.remote.job_dealer import MOST_ON_DEVICE, Hand, JobDealer
+from petmjx.engines.remote.job_dealer import MOST_ON_DEVICE, JobDealer, WorkerJobs
 from petmjx.engines.remote.ray_actor import Packet, Recipe, Report, Worker, WorkerReady, WorkerRun
 from petmjx.engines.remote.ray_cluster import Cluster
 from petmjx.engines.remote.worker_resources import Place
@@ -71,7 +71,7 @@ class _WorkerRecord:
     place: Place
     actor: Any
     hello: Any
-    hand: Hand
+    jobs: WorkerJobs
     pid: int = 0
     working: bool = False
     reports: Any = None
@@ -79,7 +79,7 @@ class _WorkerRecord:
 
     @property
     def ready(self) -> bool:
-        return self.hand.ready
+        return self.jobs.ready
 
 
 @dataclass(eq=False)
@@ -208,7 +208,7 @@ class WorkerPool(Engine):
         progress = run.progress
         before, began = progress.message, time.monotonic()
         for worker in self._workers:
-            worker.counted, worker.hand.begun = Progress(), False
+            worker.counted, worker.jobs.begun = Progress(), False
         try:
             while self._take_jobs(run) or run.jobs:
                 self._hand_out(run)
@@ -234,7 +234,7 @@ class WorkerPool(Engine):
 
     def _reported(self, run: _PoolRun) -> Iterator[Outcome]:
         """Handle what workers have sent. Yields the outcomes."""
-        hungry = not run.stream.closed and not all(worker.hand.costs for worker in self._workers)
+        hungry = not run.stream.closed and not all(worker.jobs.costs for worker in self._workers)
         for worker, ref in self._news(FEED_S if hungry else MESSAGE_WAIT_S):
             if not worker.ready:
                 self._greet(worker, ref)
@@ -259,7 +259,7 @@ class WorkerPool(Engine):
         thorough = self.name != "mjx-warp" or self._deaths > 0
         options = {"check_pool": self._check_pool, "thorough": thorough}
         actor = remote.remote(self._recipe, os.environ.get("PETMJX_CACHE_DIR"), threads, **options)
-        return _WorkerRecord(place, actor, actor.hello.remote(), Hand(place.cpus), working=thorough)
+        return _WorkerRecord(place, actor, actor.hello.remote(), WorkerJobs(place.cpus), working=thorough)
 
     def _kill(self, worker: _WorkerRecord) -> None:
         worker.reports = None
@@ -298,7 +298,7 @@ class WorkerPool(Engine):
                     f"{own_versions[package]}: install the same versions"
                 )
         self._false_starts = 0
-        worker.hello, worker.pid, worker.hand.ready = None, hello.pid, True
+        worker.hello, worker.pid, worker.jobs.ready = None, hello.pid, True
         self._devices[hello.device] = None
 
     def _start_again(self, worker: _WorkerRecord, error: BaseException, most: int) -> None:
@@ -328,9 +328,9 @@ class WorkerPool(Engine):
         self._kill(worker)
         self._workers[self._workers.index(worker)] = self._start(worker.place)
         if not worker.working:
-            run.dealer.put_back(worker.hand)
+            run.dealer.put_back(worker.jobs)
             return
-        for number in run.dealer.died(worker.hand):
+        for number in run.dealer.died(worker.jobs):
             job = run.jobs.pop(number)
             self._deadly[id(job.scene)] = job.scene
             run.progress.worlds_done += 1
@@ -356,8 +356,8 @@ class WorkerPool(Engine):
 
     def _hand_out(self, run: _PoolRun) -> None:
         """Give jobs to the workers that have room."""
-        hands = [worker.hand for worker in self._workers]
-        for index, numbers in run.dealer.deal(hands, more_come=not run.stream.ended).items():
+        jobs_of_workers = [worker.jobs for worker in self._workers]
+        for index, numbers in run.dealer.deal(jobs_of_workers, more_come=not run.stream.ended).items():
             self._send(self._workers[index], [(number, run.jobs[number]) for number in numbers], run)
 
     def _send(self, worker: _WorkerRecord, packet: Packet, run: _PoolRun) -> None:
@@ -399,7 +399,7 @@ class WorkerPool(Engine):
         progress.compile_s = run.compiled_s + max(worker.counted.compile_s for worker in self._workers)
         for count, outcome in enumerate(report.outcomes, start=1):
             progress.at_hand = len(report.outcomes) - count
-            run.dealer.answered(worker.hand, outcome.job)
+            run.dealer.answered(worker.jobs, outcome.job)
             del run.jobs[outcome.job]
             progress.worlds_done += 1
             yield outcome
@@ -413,5 +413,5 @@ class WorkerPool(Engine):
         if waiting:
             of = f"{len(waiting)} of {count_text(len(self._workers), 'worker')}"
             parts += [f"starting {of}" if seconds < START_S else f"waiting until the cluster has room for {of}"]
-        messages = {worker.counted.message for worker in self._workers if worker.hand.costs} - {""}
+        messages = {worker.counted.message for worker in self._workers if worker.jobs.costs} - {""}
         return "; ".join(parts + sorted(messages))

@@ -24,7 +24,7 @@ outcomes. Thread blocks begin with the longest worlds of the table. So the more 
 are the worlds with which the run ends. A GPU begins with 1,600 worlds, so all worlds of a run of 10,000 plans are in
 the table after some slices."""
 
-MOST_FOLLOWING_ROWS: Final = 2048
+LEAST_FOLLOWING_ROWS: Final = 2048
 """Smallest number of rows of a table that further jobs may join later, such as the many drives that follow a single
 placement. (A drive is a motion of the carrier.) If the stream has fewer jobs in all, the table has only as many rows as
 jobs. A GPU has fewer than 1,024 thread blocks."""
@@ -128,7 +128,7 @@ class TableJobs:
         taken = self._take(further)
         rows = (SPARE_ROWS if self.feedback else WAITING_ROWS) * len(every) if grows else 0
         if grows and (bounds := self._stream.bounds) is not None:
-            rows = min(max(rows, MOST_FOLLOWING_ROWS), bounds.jobs)
+            rows = min(max(rows, LEAST_FOLLOWING_ROWS), bounds.jobs)
         rows = min(max(rows, self._least_rows), self._size)
         return every, [*stream_numbers, *taken], padded_rows(max(len(every), rows))
 
