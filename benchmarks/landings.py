@@ -25,7 +25,7 @@ ASKED = (0.0, 0.1, 0.3)
 NEAR = 0.03
 """Largest accepted difference between measured and set restitution."""
 CARDBOARD = (0.1, 0.3)
-"""Restitution of cardboard boxes: TU/e, T-RO 2023 (four cartons on a conveyor; 0 to 0.6 over all identifications)."""
+"""Usual range of the restitution of cardboard (petmjx.options.physics.RESTITUTION)."""
 
 
 class Landed(NamedTuple):
@@ -82,7 +82,7 @@ def rows(engine: str) -> list[dict[str, Any]]:
     for height_mm, most_mm in zip(HEIGHTS_MM, MOST_DEPTH_MM, strict=True):
         usual = landed(engine, height_mm, step_s, LANDING_S, RESTITUTION)
         made.append(
-            row(f"restitution in falls from {height_mm:g} mm, by default", "T-RO 2023", *CARDBOARD, usual.restitution)
+            row(f"restitution in falls from {height_mm:g} mm, by default", "usual range of cardboard", *CARDBOARD, usual.restitution)
         )
         made.append(row(f"depth in falls from {height_mm:g} mm, by default, mm", given, 0, most_mm, usual.depth_mm))
         for restitution in ASKED:

@@ -82,8 +82,8 @@ RESTITUTION_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {
     ("cardboard", "wood"): RESTITUTION,
 }
 """Pair of materials in alphabetical order → restitution (speed after a bounce as a share of the speed before). The
-value is the middle of the range that was measured for cartons, 0.1 to 0.3 (TU/e, T-RO 2023). When a carton falls on a
-hard surface, the carton itself absorbs the energy, so its restitution is the same on all hard surfaces."""
+value is the middle of the usual range of cardboard (petmjx.options.physics.RESTITUTION). When a carton falls on a hard
+surface, the carton itself absorbs the energy, so its restitution is the same on all hard surfaces."""
 
 _MOST_NAMED: Final = 5
 
