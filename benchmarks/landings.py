@@ -81,9 +81,8 @@ def rows(engine: str) -> list[dict[str, Any]]:
     given, wanted = "petmjx's own limit of the depth", "restitution that was set"
     for height_mm, most_mm in zip(HEIGHTS_MM, MOST_DEPTH_MM, strict=True):
         usual = landed(engine, height_mm, step_s, LANDING_S, RESTITUTION)
-        made.append(
-            row(f"restitution in falls from {height_mm:g} mm, by default", "usual range of cardboard", *CARDBOARD, usual.restitution)
-        )
+        title = f"restitution in falls from {height_mm:g} mm, by default"
+        made.append(row(title, "usual range of cardboard", *CARDBOARD, usual.restitution))
         made.append(row(f"depth in falls from {height_mm:g} mm, by default, mm", given, 0, most_mm, usual.depth_mm))
         for restitution in ASKED:
             landing = landed(engine, height_mm, step_s, LANDING_S, restitution)
