@@ -113,8 +113,8 @@ def _criteria_vs_physics_table(judged: pd.DataFrame) -> FittedTable:
         TableColumn("same\nfirst box", count_of("same_first_box"), spare=3),
         *(chances if accepted in judged else ()),
         title=f"judged by physics on {plan_count}{alike}",
-        caption="precision: share of the accepted that stand; recall: share of the standing that are accepted; "
-        "95 % intervals",
+        caption="precision: share of the accepted plans that stand; recall: share of the standing plans that are "
+        "accepted; 95 % intervals",
     )
 
 

@@ -1,9 +1,9 @@
-"""A linear programme that finds loads with which vertical forces balance a stack of boxes.
+"""A linear programme that distributes loads among supports so that vertical forces balance a stack of boxes.
 
 The load of a box is its own weight plus the weight that rests on it. The box is in balance if its load acts inside the
-edges of its supports, that is, within their convex hull. Statics does not determine how several supports share a load.
-So a load may be beyond an edge if supports share loads in one way, and inside if they share loads in another way. Rigid
-boxes stand if their supports can share the loads so that all loads act inside the edges.
+edges of its supports, that is, within the convex hull of the supports. Statics does not determine how several supports
+share a load. So a load may be beyond an edge if supports share loads in one way, and inside if they share loads in
+another way. Rigid boxes stand if their supports can share the loads so that all loads act inside the edges.
 
 The unknowns of the programme are forces at the corners of all contact areas of boxes with several supports. The forces
 must push, and must balance every box. The programme chooses the forces with which the load nearest to an edge is as far
@@ -35,8 +35,9 @@ BEYOND_M: Final = 1e-6
 solver's tolerance is a tenth of this distance."""
 
 _OUTSIDE: Final = 10.0
-"""Cost, in the programme's objective, of each metre by which a load is beyond an edge. An unbalanced moment costs
-``_OUTSIDE``² per metre (moment / load). Each metre by which the load nearest to an edge is inside the edges gains 1."""
+"""Cost, in the programme's objective, of each metre by which a load is beyond an edge. An unbalanced moment, divided by
+the load, is a length, and costs ``_OUTSIDE``² per metre. Each metre by which the load nearest to an edge is inside the
+edges reduces the cost by 1."""
 
 _ALONG: Final = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 """Inward normals of a rectangle's edges: of the two edges at the lowest corner, then of the two at the highest."""

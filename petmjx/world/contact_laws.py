@@ -26,7 +26,8 @@ Nonsmooth Dynamical Systems", 2008, section 3.9):
     aref_n ← aref_n − μ · e,    e = max(|j_t| − R_t · |f_t| − slack, 0)
 
 The *slip excess* e depends on accelerations and forces, which in turn depend on e. So e is found by iteration. Without
-the iteration, the pressure in contacts of landing boxes was too low, and these boxes slid two to three times as far.
+the iteration, the pressure in contacts of landing boxes was too low, and these boxes slid two to three times as far as
+with the iteration.
 
 **Landing.** With the law of contacts at rest, a landing box would sink centimetres into its support and would not
 bounce. MuJoCo's contacts have reference accelerations: the relative accelerations that the two bodies would have if the
@@ -169,8 +170,8 @@ def next_share(share: FloatArray, change: FloatArray, last: FloatArray) -> Float
 
     Args:
         share: (k,) share of the change that the last iteration applied.
-        change: (k,) change of the slip excess that the last iteration has left to be made, m/s².
-        last: (k,) change of the slip excess before the last iteration, m/s²; 0 before the first iteration.
+        change: (k,) change of the slip excess that remains to be made after the last iteration, m/s².
+        last: (k,) change that remained to be made before the last iteration, m/s²; 0 before the first iteration.
     """
     left = np.divide(change, last, out=np.zeros_like(change), where=np.abs(last) > LEAST_M_S2)
     return share / (1.0 - np.clip(left, -1.0, MOST_LEFT))

@@ -2,8 +2,8 @@
 docs/metrics.md, section "Edges", explains the distances.
 
 A box that would hold down another box may be placed too late, when the other box has already fallen. So a plan may fall
-while it is built, although all loads of the complete plan are inside. Therefore, the load of every box is checked after
-each placement that changes this load.
+while it is built, although all loads of the complete plan are inside the edges. Therefore, the load of every box is
+checked after each placement that changes this load.
 
 As long as no support would have to pull, the part of one box's weight that another box carries does not depend on any
 third box. So the weight of each box is distributed to the boxes below only once. The load of a box after a placement is
@@ -54,7 +54,7 @@ class EdgeRisk(IntEnum):
     """Each load acts inside the edges, at least ``NEAR_EDGE_M`` from them."""
 
     BEYOND = 1
-    """Some load acts beyond an edge, and no load inside an edge by less than ``NEAR_EDGE_M``."""
+    """Some load acts beyond an edge, and no load is inside an edge by less than ``NEAR_EDGE_M``."""
 
     NEAR = 2
     """Some load acts inside an edge by less than ``NEAR_EDGE_M``, or the scene is too large to be examined."""
@@ -399,7 +399,7 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
 
     Args:
         bearing: the contacts between boxes and their supports.
-        begins: (n + 1,) first pair of each box.
+        begins: (n + 1,) index of the first pair of each box; the last entry is the number of pairs.
         step: (p,) number of the box after whose placement each load acts.
         load: (p, 3) loads as in ``BuildingLoads``, if supports share loads like springs.
     """

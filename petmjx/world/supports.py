@@ -191,7 +191,8 @@ class Bearing:
 
         Args:
             load: (n, 3 or 4) loads of all boxes, as in ``loads``.
-            together: (k,) numbers of all contacts below some of the boxes that have several supports, in order.
+            together: (k,) numbers of contacts, rising. The box above each of these contacts has several supports, and
+                all contacts below this box are included.
         """
         upper, low, high = self.upper[together], self.low.take(together, axis=0), self.high.take(together, axis=0)
         under = load.take(upper, axis=0)[:, :3]
@@ -401,8 +402,8 @@ class Bearing:
 
     @cached_property
     def borne_together(self) -> list[IntArray]:
-        """For each group of ``levels``, the numbers of all contacts below those of the group's upper boxes that have
-        several supports. Contacts with the carrier are included."""
+        """For each group of ``levels``, the numbers of all contacts that carry a box with several supports, for the
+        upper boxes of the group. Contacts with the carrier are included."""
         groups = []
         upper = self.upper[self.together]
         for between in self.levels:
@@ -413,7 +414,7 @@ class Bearing:
 
     @cached_property
     def together(self) -> IntArray:
-        """(k,) numbers of all contacts below boxes that have several supports, in order."""
+        """(k,) numbers of the contacts whose upper box has several supports, rising."""
         return np.flatnonzero((self.n_supports > 1)[self.upper])
 
     @cached_property

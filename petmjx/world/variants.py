@@ -1,7 +1,7 @@
 """Variants: how a world differs from its plan's nominal (unchanged) world.
 
-A variant has two halves. The *placement* of a variant is the changes that act while boxes are placed, or before
-(friction, mass, sizes, placement errors). The *drive* of a variant is what shakes the finished pallet (profile,
+A variant has two halves. The *placement* of a variant consists of the changes that act while boxes are placed, or
+before (friction, mass, sizes, placement errors). The *drive* of a variant is what shakes the finished pallet (profile,
 strength, direction). Worlds of a plan with the same ``placement_key`` have the same placement. The placement that
 several worlds have in common is simulated once, and each of these worlds starts from the settled state.
 

@@ -147,7 +147,7 @@ def _rated_board(
     entries: Sequence[Entry], folder: Path, orders: Path | None, options: Mapping[str, Any], stories: int, replays: int
 ) -> Board:
     """Check each entry by simulating some of its plans again (samples and stories), and rate the entries that these
-    simulations do not contradict. The board has no digests yet."""
+    simulations do not contradict. In the returned board, ``digests`` is still empty."""
     runs_by_packer({entry.name: entry.run for entry in entries})
     of_simulation, of_run, _ = sorted_options(options, Confidence)
     sim, run_options = _options_of(of_simulation, entries), RunOptions(**of_run)

@@ -101,7 +101,7 @@ def _svg(
 
     Args:
         placed: centres, axes and half sizes, as in ``drawing_order``, of the boxes that are drawn.
-        carrier: the same of the carrier's boards and walls.
+        carrier: the same three arrays for the carrier's boards and walls.
         shown: number in the plan of each box that is drawn.
         numbers: the number that the picture shows for each of these boxes.
         marked: numbers in the plan of the boxes that are outlined.
