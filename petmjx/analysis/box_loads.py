@@ -365,6 +365,4 @@ def _film_notes(results: RunResults) -> list[str]:
     turns = results.worlds.get("wrap_turns", pd.Series([wrap.get("turns") or 0]))
     if not (turns > 0).any() or "profile" not in results.worlds:
         return []
-    return [
-        "film presses boxes together, and friction between them moves forces at rest from layer to layer after a drive"
-    ]
+    return ["film presses boxes together: after a drive, friction between layers changes the forces at rest"]

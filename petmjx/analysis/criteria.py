@@ -450,8 +450,8 @@ CRITERIA: Final = (
     ),
     Criterion(
         "strength",
-        "neither the box nor a box that bears part of it carries more than its strength, if loads are passed down in "
-        "balance",
+        "neither the box nor a box that bears part of its weight carries more than its strength, if loads are passed "
+        "down in balance",
         "1 - load / strength: the smallest value of these boxes; 1 without a known strength",
         DIMENSIONLESS,
         "McKee, Gander, Wachuta 1963, or strengths of the user's",
@@ -515,7 +515,7 @@ class CriteriaOptions(CheckedRecord):
         0.0, description="coefficient of friction where boxes touch side by side, for force balance with leaning"
     )
     tolerance_mm: Annotated[float, within(0, 100), CliFlag("--tolerance-mm", "MM")] = Field(
-        DEFAULT_TOLERANCE_MM, description="gaps and overlaps up to this count as touching, mm"
+        DEFAULT_TOLERANCE_MM, description="largest gap or overlap of two boxes that count as touching, mm"
     )
     carrier: Annotated[
         AnyCarrier,
@@ -527,7 +527,9 @@ class CriteriaOptions(CheckedRecord):
     )
     walls: Walls = Field(Walls(), description="walls around the carrier's top, by default those of the run")
     only: tuple[str, ...] | None = Field(None, description="names of criteria; by default all")
-    processes: Annotated[int, within(1, 1024)] = Field(1, description="processes that share the plans")
+    processes: Annotated[int, within(1, 1024)] = Field(
+        1, description="number of processes among which the plans are divided"
+    )
     p_arrives: Annotated[float, within(0, 1), CliFlag("--p-arrives", "P")] = Field(
         0.5,
         description="share of a plan's worlds that must arrive so that the plan counts as standing, if the run is that "

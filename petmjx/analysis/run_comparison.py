@@ -295,7 +295,7 @@ def _notes(run_a: RunResults, run_b: RunResults, common_worlds: pd.DataFrame, ot
     if common_worlds.empty:
         notes.append("no world is in both runs")
     if thresholds_of(run_a.info) != thresholds_of(run_b.info):
-        notes.append("the runs have different thresholds; margins refer to each run's own")
+        notes.append("the runs have different thresholds; the margins of a run refer to its own thresholds")
     if other:
         of, verb = count_text(common_worlds["plan_id"].nunique(), "plan"), "is" if len(other) == 1 else "are"
         notes.append(
@@ -308,5 +308,5 @@ def _notes(run_a: RunResults, run_b: RunResults, common_worlds: pd.DataFrame, ot
     for name in sorted(names[run_a] & names[run_b]):
         left, right = common_worlds.get(f"{name}_a"), common_worlds.get(f"{name}_b")
         if left is not None and right is not None and not ((left == right) | (left.isna() & right.isna())).all():
-            notes.append(f"variants of one number differ in {name}")
+            notes.append(f"variants with the same number differ in {name}")
     return notes

@@ -119,8 +119,8 @@ def tell(
         interval_s: time between two frames, s. The default is 0.05 s. There is also a frame at each placement of a box
             and at the end.
         details: whether frames of a new simulation also have accelerations, penetrations and contacts. By default,
-            frames have these details. Only the engine ``mujoco`` can record details. If the run has a recording of the
-            world, the recording is used, unless ``interval_s`` or ``details`` is given.
+            frames have these details if the engine is ``mujoco``; no other engine can record them. If the run has a
+            recording of the world, the recording is used, unless ``interval_s`` or ``details`` is given.
         options: fields of ``petmjx.Simulation`` and of ``petmjx.RunOptions``; they are allowed only if the source is
             not a run.
 

@@ -36,7 +36,7 @@ In each pair of rows, the same size is vertical, and the two rows differ by a tu
 
 @dataclass(eq=False)
 class Table:
-    """The actions of n episodes, with a actions each. All values of an illegal action are 0.
+    """The actions of n episodes. Each episode has ``a`` actions. All values of an illegal action are 0.
 
     Attributes:
         legal: (n, a) mask of legal actions.

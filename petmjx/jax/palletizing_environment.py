@@ -188,7 +188,8 @@ class Palletizing:
         read.check_sizes(sim.size_reduction_mm)
         of_orders = self._usable(read)
         self._counts = jnp.array([len(boxes) for boxes in of_orders], jnp.int32)
-        # the added rows are zeros, which are visible after the last box of an order
+        # each order gets rows of zeros after its last box: observations show these rows in place of boxes that do not
+        # exist
         longest = int(self._counts.max()) + self._seen
         rows = [np.column_stack([boxes.size_mm, boxes.mass_kg]) for boxes in of_orders]
         # computed here, because ``observation_spec`` needs this number and may be called in a jitted program

@@ -29,8 +29,8 @@ PLANE: Final = "plane"
 """Name of the ground that is an infinite plane."""
 
 MANY_WORLDS: Final = 1_000
-"""Smallest number of worlds for which the engine ``auto`` means an available GPU. A GPU simulates about this number of
-worlds at the same time, but each world more slowly than a CPU thread does."""
+"""Smallest number of worlds for which the engine ``auto`` means ``mjx-warp``, if there is a GPU. A GPU simulates about
+this number of worlds at the same time, but each world more slowly than a CPU thread does."""
 
 FASTEST_M_S: Final = 100.0
 FASTEST_RAD_S: Final = 1_000.0

@@ -60,8 +60,8 @@ is, the more soft contacts let it lean."""
 
 HANGING_SHARE: Final = 0.05
 """The weight of a falling box must act outside the box's bearing (the hull of its contacts), at a distance of at least
-this share of the box's shorter side. At this distance, the box turns within a second, so the simulation does not take
-it for a box at rest."""
+this share of the box's shorter side. A box whose weight acts so far outside turns within a second, so the simulation
+does not take it for a box at rest."""
 
 HANGING_MM: Final = 10.0
 """The weight of a falling box must act outside the box's bearing (the hull of its contacts), at a distance of at least
@@ -79,8 +79,8 @@ NEAR_MM: Final = 2.0
 their planned places."""
 
 CALM_DEG: Final = 0.5
-"""Largest tilt of a box that counts as resting at its planned place, degrees. At this tilt, two sides of a box of 350
-mm differ by 3 mm in height."""
+"""Largest tilt of a box that counts as resting at its planned place, degrees. At a tilt of 0.5°, the two sides of a box
+that is 350 mm wide differ by 3 mm in height."""
 
 HOLDING: Final = 1.1
 """Largest friction with which boxes on one side may hold a turning box, as a multiple of μ² times the weight of the

@@ -144,7 +144,7 @@ class Labeller:
     Args:
         orders: source of the orders (lists of boxes to pack).
         pallets: number of pallets that are packed at the same time. Labels do not depend on the number of pallets. The
-            default is ``PALLETS_ON_GPU`` or ``PALLETS_ON_CPU``.
+            default is ``PALLETS_ON_GPU`` on a GPU, else ``PALLETS_ON_CPU``.
         groups: number of groups into which the pallets are divided. Each group has a thread of its own. The default is
             ``GROUPS_ON_GPU`` on a GPU, else 1.
         explore: share of boxes that are tried at a random place first.

@@ -33,8 +33,8 @@ rest and columns without values are compressed to a hundredth. For larger tables
 disk."""
 
 MOST_TABLE_BYTES: Final = 1 << 40
-"""Upper limit for the memory of a table, bytes. This upper limit is high, because the real limit of large runs is the
-memory of the machine."""
+"""Upper limit for the memory of a table, bytes. The limit is so high because the memory of the machine is the real
+limit for the tables of large runs."""
 
 
 @dataclass(frozen=True, eq=False)

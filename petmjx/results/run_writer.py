@@ -58,7 +58,7 @@ SECONDS_PER_PART: Final = 60.0
 """Longest time for which a finished world waits until its part is written, s, even if no other world finishes."""
 
 MOST_WAITING_BYTES: Final = 4 * BYTES_PER_PART
-"""Memory that waiting worlds may take, bytes. ``add`` waits while the waiting worlds take more memory."""
+"""Memory that the worlds that wait to be written may take, bytes. ``add`` waits while these worlds take more memory."""
 
 RETRY_S: Final = 10.0
 """Time between an error of writing and the next try, s. On a full disk, at most one part is prepared for writing in
@@ -117,7 +117,7 @@ class RunWriter(RunInfo):
 
     Attributes:
         recorded: completed worlds of the run that is resumed.
-        counts: numbers of the written worlds.
+        counts: numbers of written worlds, by verdict and reason.
         out_dir: folder of the run.
 
     Raises InputError if the folder is not writable, or already has a run and neither ``overwrite`` nor ``resume`` is
@@ -275,7 +275,7 @@ class RunWriter(RunInfo):
             raise trouble
 
     def results(self, held: Mapping[str, Plan] | None = None) -> RunResults:
-        """The results of the run. Call this when the run has ended.
+        """The results of the run. Call this method only when the run has ended.
 
         Args:
             held: plan id → plan, for plans of the run that are in no file.

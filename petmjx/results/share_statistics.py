@@ -169,8 +169,8 @@ def paired_outcomes(a: ArrayLike, b: ArrayLike) -> dict[str, NDArray[np.bool_]]:
 
 
 def newcombe_interval(counts: PairedCounts, confidence: float = DEFAULT_CONFIDENCE) -> tuple[float, float]:
-    """Newcombe's square-and-add confidence interval of the difference share of b − share of a; (−1, 1) if there are no
-    trials.
+    """Newcombe's square-and-add confidence interval of the difference (share of b − share of a); (−1, 1) if there are
+    no trials.
 
     Source: Newcombe (1998), "Improved confidence intervals for the difference between binomial proportions based on
     paired data", Statistics in Medicine 17, 2635–2650, method 10. The method combines the Wilson intervals of both

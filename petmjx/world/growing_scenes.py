@@ -19,7 +19,7 @@ from petmjx.plans.plan import Plan
 from petmjx.world.scene import OF_BOXES, Scene, build_scene, half_size_and_target
 
 FIRST_COLUMNS: Final = 16
-"""Number of boxes for which tables have columns at the start."""
+"""Number of boxes for which a table has columns when it is made."""
 
 
 class OpenScenes:

@@ -31,8 +31,8 @@ a millimetre, so a box might never come nearer to the end of its path than a ten
 
 MISSED_M: Final = 0.01
 """If the hand releases a box farther from its place than this distance, m, the box counts as not placed. If there is
-room, boxes are released within 5 mm of their places. A box that comes to stand on the edge of a neighbour is too high
-by the neighbour's height, or by half of this height."""
+room, boxes are released within 5 mm of their places. If a box comes to stand on the edge of a neighbour, its middle is
+too high by the neighbour's height, or, if the box tilts, by half of this height."""
 
 LOWERING_RATE_1_S: Final = 400.0
 MOST_LOWERING_PER_STEP: Final = 0.8

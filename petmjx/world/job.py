@@ -127,9 +127,9 @@ class Job:
         confirms: whether an earlier attempt found that the pallet falls, and this simulation only has to confirm the
             fall (``petmjx.engines.metrics.CONFIRM_S``).
         stiff: time constant of this world's contacts, as a share of the time constant in the run's options; the world
-            has the options of ``petmjx.engines.contact_penetration.stiffened``. None: the world has the run's options.
-            ``stiff`` is set only on engines with ``Capability.STIFF_JOBS``, for a world that is simulated again
-            together with other worlds.
+            has the options of ``petmjx.engines.contact_penetration.stiffened``. If ``stiff`` is None, the world has the
+            run's options. ``stiff`` is set only on engines with ``Capability.STIFF_JOBS``, for a world that is
+            simulated again together with other worlds.
         edge_risk: what statics says about the loads of the scene (``petmjx.world.edge_distances.EdgeRisk``), for the
             order in which an engine simulates worlds; None if it is not known.
     """

@@ -98,7 +98,7 @@ def _projected_planes(to_cone: FloatArray, owner: IntArray, begins: IntArray, un
     """(c, 3) forces at contacts in the coordinates z of this module's docstring.
 
     For each box, this function searches for the pressure plane with which the projections onto the cones of the box's
-    contacts balance the box's load. The forces are these projections.
+    contacts balance the box's load. The projections are the forces at the contacts.
     """
 
     def energy(plane: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -290,7 +290,7 @@ def plain_scenes(
 
     Args:
         size, corner: (n, 3) extents and corners of the boxes of all plans, plan after plan, mm.
-        mass: (n,) their masses, kg.
+        mass: (n,) masses of these boxes, kg.
         counts: number of boxes of each plan.
     """
     ends = np.cumsum(counts)

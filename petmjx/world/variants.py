@@ -241,8 +241,9 @@ MIN_FRICTION_FRACTION = 0.1
 positive."""
 
 STEP_TOLERANCE_M = 0.01
-"""Box B is set down on box A, if the two overlap seen from above, even if A's planned top is above B's planned bottom
-by up to this length, m. If A's planned top is higher, A counts as standing beside B."""
+"""In the plan, the top of a box A may be above the bottom of a box B by up to this length, m, and A still counts as
+below B. So if A and B overlap seen from above, B is set down on A. If the top of A is still higher, A counts as
+standing beside B."""
 
 MOST_SPREADS: Final = 5.0
 """Largest distance of a random error from its mean that is considered, in standard deviations. One normal error in 2

@@ -29,8 +29,8 @@ class PackedArray:
     """An array as stored in a block.
 
     The original numbers are ``values`` × ``scale`` + ``offset``. If ``steps`` is True, each row along axis 0 is the
-    difference from the row before, modulo the range of the type. Differences deflate better.
-    """
+    difference from the row before, modulo the range of the type. If values change slowly along axis 0, their
+    differences deflate better than the values themselves."""
 
     values: NDArray[Any]
     scale: float | None = None

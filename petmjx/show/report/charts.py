@@ -17,7 +17,7 @@ from petmjx.show.report.chart_frame import WIDTH, Frame, Scale, drawing
 from petmjx.show.report.markup import Content, Markup, element
 
 BINS: Final = 24
-"""Number of bins of a histogram. With this number, bars are 12 pixels wide."""
+"""Number of bins of a histogram. With 24 bins, bars are 12 pixels wide."""
 
 GROUPS: Final = 8
 FEWEST: Final = 12
