@@ -218,8 +218,8 @@ LEAST_TOLERABLE_G: Final = 0.5
 
 
 def tolerable_acceleration_g(contacts: PlanContacts, hulls: Hulls, friction: float) -> FloatArray:
-    """(n,) for each box, the smallest horizontal acceleration, in g, at which this box or the whole load so far begins
-    to slide or tip, just after the box has been placed.
+    """(n,) for each box, the smallest horizontal acceleration, in g, at which this box, or the whole load placed so
+    far, begins to slide or tip.
 
     The box and the load count as rigid bodies. A body slides when the acceleration in g reaches the coefficient of
     friction. A body tips when the acceleration in g reaches a / h. a is the horizontal distance between the body's
@@ -491,8 +491,7 @@ _UNNAMED: Final = tuple(criterion.name for criterion in CRITERIA if criterion.us
 
 
 def chosen_criteria(names: Iterable[str] | None = None) -> tuple[Criterion, ...]:
-    """The criteria with these names, in the order of ``CRITERIA``. If no names are given, these are the default
-    criteria.
+    """The criteria with the given names, in the order of ``CRITERIA``; without names, the default criteria.
 
     Raises:
         InputError: there is no criterion with one of the names.

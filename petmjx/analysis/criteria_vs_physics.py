@@ -157,8 +157,8 @@ def best_thresholds(
 
 
 def in_first_half(plan_ids: Sequence[str], seed: int) -> NDArray[np.bool_]:
-    """(n,) whether each plan belongs to the first half. A hash of the plan's id and the seed decides this like a fair
-    coin."""
+    """(n,) whether each plan belongs to the first half. The half of a plan follows from a hash of its id and the seed,
+    which acts like a fair coin."""
     key = seed.to_bytes(8, "little")
     coins = [hashlib.blake2b(name.encode(), digest_size=1, key=key).digest()[0] & 1 for name in plan_ids]
     return np.array(coins, dtype=bool)

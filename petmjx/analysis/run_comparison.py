@@ -72,8 +72,8 @@ class Comparison:
         confusion: (3, 3) numbers of worlds, by their verdict in run a (rows) and in run b (columns).
         flips: one row for each world with different verdicts in the two runs. For each run, a row has the verdict, its
             reason, the first box that failed (``culprit``), and the amounts by which the world exceeds the thresholds
-            of shift, tilt and acceleration. These amounts are negative below a threshold; the column ``margin`` of the
-            table ``worlds`` has the opposite sign.
+            of shift, tilt and acceleration. The amount is negative for a world below the threshold; the column
+            ``margin`` of the table ``worlds`` has the opposite sign.
         worlds, boxes: differences of the metrics of worlds and of boxes, one row for each metric and group of worlds.
             Columns: ``metric``, ``unit``, ``group``, ``n``; ``mean`` of b - a (null for ``SIGNLESS`` metrics);
             ``median``, ``p95`` and ``largest`` of |b - a|; and the ``plan_id``, ``variant`` (and ``box``) of the
@@ -82,8 +82,9 @@ class Comparison:
         other_plans: ids of plans that are in both runs but have different contents.
         only_a, only_b: ``plan_id`` and ``variant`` of each world that is only in run a, or only in run b.
         n_not_stable: number of worlds that are stable in neither run.
-        same_reason: number of these worlds with the same reason in both runs.
-        same_culprit: number of these worlds in which the same box failed first in both runs.
+        same_reason: number of worlds that are stable in neither run and have the same reason in both runs.
+        same_culprit: number of worlds that are stable in neither run and in which the same box failed first in both
+            runs.
         notes: reasons to doubt the comparison, one line each.
     """
 

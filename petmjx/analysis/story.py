@@ -201,8 +201,8 @@ def _recorded_story(run: RunResults, worlds: SweepPlan, index: int) -> Story | N
 
 def _engine_of(config: Mapping[str, Any]) -> tuple[Engine, str]:
     """The engine with which a world of a run is simulated again, and a note. If the run's engine works on this machine,
-    the result is this engine and an empty note. Otherwise, the result is C MuJoCo, and the note tells why it is not the
-    run's engine."""
+    the result is this engine and an empty note. If the run's engine does not work here, the result is C MuJoCo, and the
+    note states the reason."""
     name = config.get("engine")
     if name not in ENGINES:
         return make_engine(

@@ -362,8 +362,8 @@ class RunWriter(RunInfo):
         return len(self._rows) >= self._worlds_per_part or self._row_bytes >= BYTES_PER_PART
 
     def _try_to_write(self) -> None:
-        """Write all worlds and tables that wait. If this fails, the error is stored, and the thread tries again after a
-        while."""
+        """Write all worlds and tables that wait. If writing fails, the error is stored, and the thread tries again
+        after ``RETRY_S`` seconds."""
         try:
             self._write_waiting()
         except Exception as error:

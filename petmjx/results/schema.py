@@ -238,10 +238,10 @@ def schemas(
 
     Args:
         params: parameters of the variants of a sweep, which become the last columns of ``worlds``.
-        dynamic: whether the run has profiles (motions of the carrier). If it has, ``boxes`` has additional metrics.
+        dynamic: whether the run has profiles (motions of the carrier). With profiles, ``boxes`` has additional metrics.
         force_intervals: whether ``boxes`` has the smallest and largest possible forces at rest.
-        legs: whether the run is a chain of several legs (parts of a journey). If it is, ``boxes`` has the largest force
-            at rest after any leg.
+        legs: whether the run is a chain of several legs (parts of a journey). In the run of a chain, ``boxes`` has the
+            largest force at rest after any leg.
 
     Raises:
         ValueError: two columns have the same name.

@@ -34,8 +34,8 @@ bounce. MuJoCo's contacts have reference accelerations: the relative acceleratio
 contact were hard. With the physics ``pallet``, contacts are nearly hard. So the law of landing sets the reference
 acceleration, whatever the masses of the bodies: a constant deceleration to the velocity of the rebound (Newton's law of
 impact). During a landing, all contacts of the world have the stiffness that they have at depths beyond ``solimp``'s
-width. With their lower stiffness at small depths, boxes below the landing box would be pressed in before their contacts
-became stiff.
+width. With the lower stiffness that contacts have at small depths, boxes below the landing box would be pressed in
+before their contacts became stiff.
 """
 
 from __future__ import annotations
@@ -105,15 +105,15 @@ def cone_factor(physics: Physics, one: FloatArray | float, two: FloatArray | flo
 
 SLACK_M_S2: Final = 5.0
 """Part of the slip excess of a sliding contact (see the module's docstring) that is not corrected, m/s². A slip of 1
-cm/s has this slip excess if the time constant of friction is 4 ms. Without a correction, a slip excess of
+cm/s has a slip excess of 5 m/s² if the time constant of friction is 4 ms. Without a correction, a slip excess of
 ``SLACK_M_S2`` raises a contact by less than a hundredth of a millimetre, a depth at which contacts are soft. So pallets
 at rest are bit-identical with and without the correction. Stiff contacts are not soft at any depth, so their whole slip
 excess is corrected."""
 
 STICKS_M_S: Final = 0.01
 """Slip speed up to which a contact has its static friction, m/s. At twice this speed and above, the contact has its
-kinetic friction. Between the two speeds, friction falls linearly, so that it does not jump if boxes move slowly. Boxes
-at rest are far slower (``petmjx.Quiet``)."""
+kinetic friction. From ``STICKS_M_S`` to twice this speed, friction falls linearly, so that it does not jump if boxes
+move slowly. Boxes at rest are far slower (``petmjx.Quiet``)."""
 
 RELAXATION: Final = 0.8
 """Relaxation factor: the share of the computed change of a slip excess (see the module's docstring) that one iteration

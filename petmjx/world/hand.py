@@ -23,7 +23,7 @@ simulated motion differs from the continuous motion by at most a tenth."""
 
 MOST_STUCK_S: Final = 0.5
 """Longest time for which the hand holds a box at the end of its path, waiting for the box to come to rest, s. Setting
-the box down may then take as long again."""
+the box down may then take another ``MOST_STUCK_S``."""
 
 AT_PLACE_M: Final = 0.0002
 """A box that is nearer to the end of its path than this distance, m, counts as arrived. Contacts give way by a tenth of

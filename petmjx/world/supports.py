@@ -224,7 +224,7 @@ class Bearing:
         Args:
             load: (p, 3) load of each box in ``boxes``.
             boxes: (p,) numbers of boxes that have several supports.
-            owner: (k,) index in ``boxes`` of the box above each contact. Contacts are sorted by this index.
+            owner: (k,) index in ``boxes`` of the box above each contact. Contacts are sorted by ``owner``.
             low, high: (k, 2) lowest and highest corner (x, y) of each contact's rectangle, m.
         """
         force, hull = np.zeros((len(owner), 3)), self.number_of_hull[boxes]

@@ -163,8 +163,8 @@ class Bar:
 
 
 def bars(title: str, rows: Sequence[Bar], *, width: int = WIDTH, names: int = 130) -> Markup:
-    """A bar chart with the names on the left. A long name is shortened; the whole name appears when the mouse is over
-    the bar.
+    """A bar chart with the name of each bar on its left. A long name is shortened; the whole name appears when the
+    mouse is over the bar.
 
     Args:
         width: width of the chart, pixels.

@@ -72,8 +72,9 @@ def _rates(runs: Sequence[ReportRun], common: pd.DataFrame) -> Markup:
 
 
 def _won_and_lost(runs: Sequence[ReportRun], common: pd.DataFrame) -> tuple[Markup, Markup]:
-    """A chart of the numbers of worlds that stand in both, one or neither run of each pair of runs, and a table of the
-    differences of the shares that stand. Only worlds with a valid verdict in both runs are compared."""
+    """A chart and a table about each pair of runs. The chart has the numbers of worlds that stand in both runs, in one
+    run, or in neither. The table has the differences between the shares of worlds that stand. Only worlds with a valid
+    verdict in both runs are compared."""
     rows, differences = [], []
     pairs = list(itertools.combinations(range(len(runs)), 2))
     for a, b in pairs[:MOST_PAIRS]:
