@@ -106,7 +106,7 @@ def confusion(accepted: NDArray[np.bool_], stands: NDArray[np.bool_]) -> NDArray
 
 
 def scores(cells: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Precision, recall and MCC for counts of shape (…, 4).
+    """Precision, recall and MCC for the counts of confusion matrices, an array (…, 4).
 
     Precision is NaN if no plan is accepted, and recall is NaN if no plan stands. MCC is 0 if the criterion gives the
     same answer for all plans, because such a criterion is useless. MCC is NaN if the simulation gives the same verdict

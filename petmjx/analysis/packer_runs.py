@@ -23,7 +23,7 @@ from petmjx.results.run_reader import RunResults, RunSource, is_chain, load_run
 from petmjx.runs.chain_summary import arrivals
 
 LONGEST_NAME: Final = 200
-"""Largest number of bytes in a packer's name. File systems allow 255 for the name of a folder."""
+"""Largest number of bytes in a packer's name. File systems allow 255 bytes for the name of a folder."""
 
 MISSING: Final = "missing"
 """The text in the column ``verdict`` if a packer has no plan for an order."""

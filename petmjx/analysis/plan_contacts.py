@@ -140,8 +140,8 @@ class PlanContacts:
     """The contacts of one plan: c rectangles on which boxes lie, sorted by the upper box.
 
     A box lies on the carrier if its bottom is not above the carrier's top. The carrier is assumed to extend under all
-    boxes, so the whole base of a box on the carrier lies on the carrier. If the carrier is made of boards, the box lies
-    on the deck boards that it overlaps along x and y, and each board is a separate contact.
+    boxes, so even a box that extends beyond the carrier lies on it with its whole base. If the carrier is made of
+    boards, the box lies on the deck boards that it overlaps along x and y, and each board is a separate contact.
 
     A box lies on another box if the other box was placed earlier, the bottom of the box is at the height of the other
     box's top, and the two boxes overlap along x and y. If the lower of two boxes is placed after the upper box, it

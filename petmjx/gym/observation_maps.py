@@ -62,7 +62,7 @@ class Maps:
             self._code.raise_heights(rows, self._spans[rows, number], tops, self.heights)
             return
         over_x, over_y = self._over(box_spans)
-        # contiguous factors and results in place take a half to a quarter of the time
+        # contiguous factors, and an output array that exists already, reduce the time to a half or a quarter
         heights = np.ascontiguousarray((tops * over_x).T)[:, :, None] * np.ascontiguousarray(over_y.T)[:, None]
         self.heights[rows] = np.maximum(heights, self.heights[rows], out=heights)
 

@@ -179,7 +179,7 @@ class RunWriter(RunInfo):
         self._ended = False
 
     # Calls from other threads.
-    # Other threads use only the methods below, ``warnings`` and similar attributes.
+    # Other threads use only the methods below, and attributes such as ``warnings``.
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -552,8 +552,8 @@ class RunWriter(RunInfo):
         else:
             self.status, self.error = "failed", one_line(cause)
         if error is not None and trouble is not None:
-            # The error of the run itself is raised. The error of writing is only noted in run.json, until the run is
-            # resumed.
+            # The error of the run itself is raised. The error of writing is only noted in run.json, where it stays
+            # until the run is resumed.
             also = f"the last part could not be written: {one_line(trouble)}"
             self.error = f"{self.error}; {also}" if self.error else also
         try:

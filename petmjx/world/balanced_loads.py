@@ -7,9 +7,9 @@ another way. Rigid boxes stand if their supports can share the loads so that all
 
 The unknowns of the programme are forces at the corners of all contact areas of boxes with several supports. The forces
 must push, and must balance every box. The programme chooses the forces with which the load nearest to an edge is as far
-inside as possible. If no forces keep all loads inside, the programme minimises the distances of loads beyond edges.
-(Livesley 1978, "Limit analysis of structures formed from rigid blocks", International Journal for Numerical Methods in
-Engineering 12(12), uses forces of this kind.)
+inside the edges as possible. If no forces keep all loads inside, the programme minimises the distances of loads beyond
+edges. (Livesley 1978, "Limit analysis of structures formed from rigid blocks", International Journal for Numerical
+Methods in Engineering 12(12), uses forces of this kind.)
 
 A box with one support passes its whole load to this support. For a box with one support, the programme contains the
 support's edges, but the support's force is not an unknown.

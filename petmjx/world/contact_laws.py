@@ -19,9 +19,9 @@ n and t the indices of the normal and the tangent. At the minimum, a sliding con
     j_n + R_n · f_n = μ · (|j_t| − R_t · |f_t|)
 
 In Coulomb's law, the right-hand side is 0. In MuJoCo, slip raises the normal force, and sliding boxes hop. De Saxcé's
-correction lowers the reference acceleration along the normal by the right-hand side (G. de Saxcé and Z.-Q. Feng, "The
-bipotential method", Mathematical and Computer Modelling 28, 1998; V. Acary and B. Brogliato, "Numerical Methods for
-Nonsmooth Dynamical Systems", 2008, section 3.9):
+correction lowers the reference acceleration along the normal by the right-hand side of this equation (G. de Saxcé and
+Z.-Q. Feng, "The bipotential method", Mathematical and Computer Modelling 28, 1998; V. Acary and B. Brogliato,
+"Numerical Methods for Nonsmooth Dynamical Systems", 2008, section 3.9):
 
     aref_n ← aref_n − μ · e,    e = max(|j_t| − R_t · |f_t| − slack, 0)
 

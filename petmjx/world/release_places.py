@@ -3,8 +3,8 @@ docs/rules.md, section 4, states the places.
 
 If places and sizes have errors, boxes may overlap when they appear. Contacts would throw overlapping boxes apart, the
 faster the stiffer the contacts and the shorter the timestep are. Whether the pallet stands would then depend on the
-stiffness of contacts and on the timestep, which are no properties of boxes. So overlapping boxes are first moved apart
-horizontally, by the smallest possible translations.
+stiffness of contacts and on the timestep, which are no properties of boxes. So, before boxes are released, overlapping
+boxes are moved apart horizontally, by the smallest possible translations.
 """
 
 from __future__ import annotations

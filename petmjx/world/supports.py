@@ -121,8 +121,8 @@ def _held_by_walls(scene: Scene, target: FloatArray) -> FloatArray:
     If the load W of a box acts at a distance e beyond an edge of the supports, the box tips until it touches the wall
     on that side. The box touches the wall at its own top or at the wall's top, whichever is lower. The point at which
     the box touches the wall is a height h above the box's bottom. The wall then presses on the box with the force
-    W·e/h, which friction at the edge must balance. So the wall holds the box up to e = µ·h. The formula e = µ·h assumes
-    a smooth wall and a support that does not move.
+    W·e/h, which friction at the edge must balance. So the wall holds the box as long as e is at most µ·h. This limit
+    assumes a smooth wall and a support that does not move.
     """
     room, half = scene.carrier.room, scene.half_size
     bottom, top = (target - half)[:, 2], (target + half)[:, 2]
@@ -497,8 +497,8 @@ def bearings_of(
 
 
 _SORTED_M: Final = 1e-4
-"""Tolerance of a first, rough search for contacts, m. The search compares sums of heights of many scenes, which are
-rounded."""
+"""Tolerance of a first, rough search for contacts, m. The search raises the heights of each scene by a different
+amount, and the raised heights are rounded."""
 
 
 def find_bearings(

@@ -97,10 +97,10 @@ class PlacementChange:
         carrier_friction_factor: factor on the three friction coefficients of the carrier. MuJoCo uses the larger
             coefficient of two touching geoms, so reducing only one of the two factors changes little.
         mass_factor: factor on the mass of every box. The carrier's mass does not change.
-        friction_rel: relative change of the friction of boxes and carrier, in addition to the factors (0.1 = 10 %
-            more). One error is drawn for the whole world, since all cartons of a pallet are of the same board and in
-            air of the same humidity.
-        mass_rel: relative change of a box's mass, in addition to the factor.
+        friction_rel: relative change of the friction of boxes and carrier, in addition to ``box_friction_factor`` and
+            ``carrier_friction_factor`` (0.1 = 10 % more). One error is drawn for the whole world, since all cartons of
+            a pallet are of the same board and in air of the same humidity.
+        mass_rel: relative change of a box's mass, in addition to ``mass_factor``.
         size_mm: change of each dimension of a box, mm.
         size_rel: relative change of each dimension of a box (0.01 = 1 % larger).
         x_mm, y_mm: errors of a box's place along x and y, mm.
@@ -110,8 +110,8 @@ class PlacementChange:
             option ``placing`` applies.
         placing_height_mm, placing_side_mm, placing_speed_m_s, placing_force_n, tines_height_mm: values that replace
             fields of ``petmjx.options.placing.Placing``. For a value of None, the option applies.
-        wrap_turns: number of turns of film that replaces that of ``petmjx.options.wrap.Wrap``. If ``wrap_turns`` is
-            None, the options apply.
+        wrap_turns: number of turns of film, which replaces the field ``turns`` of ``petmjx.options.wrap.Wrap``. If
+            ``wrap_turns`` is None, the options apply.
         shifts_from_release: whether a box's shift is measured from its place of release, not from its planned place.
     """
 

@@ -326,8 +326,8 @@ def _levels_table(levels: pd.DataFrame, name: str, unit: str) -> Markup:
 
 
 def _chain(summary: pd.DataFrame) -> Markup:
-    """Charts and tables of the share of worlds in which plans arrive: over all plans, leg by leg, and for each plan;
-    and of the gain from remedies."""
+    """Charts and tables of the share of worlds in which plans arrive (over all plans, leg by leg, and for each plan),
+    and a table of how much remedies raise this share."""
     overall, of_plans = summary[summary["scope"] == ALL_PLANS], arrivals(summary)
     legs = overall[overall["remedy"] == AS_IS]
     leg_rows = [(str(row["leg"]) or "whole way", row) for row in legs.to_dict("records")]
