@@ -1,4 +1,4 @@
-"""Analyses of plans and results: criteria, KPIs, loads, comparisons of runs and of packers, and stories (texts that
-tell how a simulated stack failed)."""
+"""Analyses of plans and results: criteria, KPIs, loads, comparisons of runs and of packers, and texts that tell how a
+simulated stack failed."""
 
 from __future__ import annotations

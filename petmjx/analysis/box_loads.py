@@ -1,5 +1,5 @@
-"""``petmjx.loads`` compares the force on the top of each box of a run with the strength of the box: the force at rest,
-and the peak of the force.
+"""``petmjx.loads`` compares two forces on the top of each box of a run with the strength of the box: the force at rest,
+and the largest force.
 
 The strength of a box in a stack is the strength measured in a press, multiplied by factors for the box's place in the
 stack, for moist air and for time (petmjx.options.stacking). The factors for the place depend on how much of the box's
@@ -127,9 +127,9 @@ class Loads:
         notes: warnings, one per line: about an unfinished run, about articles without a known strength, and about
             forces at rest in stacks that were wrapped in film and then shaken.
         stacking: the options with which these results were computed: how much strength boxes lose by stacking.
-        ways: for the run of a transport chain: how likely each plan is to arrive, and to arrive without crushed boxes,
-            with each remedy (a change to the chain or the load). ``ways`` is None if the run did not simulate a
-            transport chain.
+        ways: for the run of a transport chain, one row for each plan and remedy (a change to the chain or the load):
+            the share of worlds that arrive, and the share that arrive without crushed boxes. ``ways`` is None if the
+            run did not simulate a transport chain.
     """
 
     run: Path
@@ -176,8 +176,8 @@ def loads(
     *,
     stacking: Stacking | Mapping[str, Any] | None = None,
 ) -> Loads:
-    """Compare the force on the top of each box with the strength that the box has in the stack: the force at rest, and
-    the peak of the force.
+    """Compare two forces on the top of each box, the force at rest and the largest force, with the strength that the
+    box has in the stack.
 
     ``petmjx.loads("results", "articles.csv", stacking={"interlocked_loss": 0.4})``
 
@@ -365,6 +365,4 @@ def _film_notes(results: RunResults) -> list[str]:
     turns = results.worlds.get("wrap_turns", pd.Series([wrap.get("turns") or 0]))
     if not (turns > 0).any() or "profile" not in results.worlds:
         return []
-    return [
-        "film presses boxes together, and friction between them moves forces at rest from layer to layer after a drive"
-    ]
+    return ["film presses boxes together: after a drive, friction between layers changes the forces at rest"]

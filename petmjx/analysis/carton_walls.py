@@ -141,7 +141,8 @@ def _over(wall: _Wall, areas: list[tuple[FloatArray, FloatArray]], tolerance_mm:
 
 
 def _covered_length(span: Span, parts: list[Span]) -> float:
-    """The length of the part of a span that is covered by other spans, mm. The other spans may overlap each other."""
+    """The length of the part of a span that is covered by other spans, mm. The covering spans may overlap each
+    other."""
     reached, total = span[0], 0.0
     for begin, end in sorted(parts):
         begin, end = max(begin, reached), min(end, span[1])

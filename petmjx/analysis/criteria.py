@@ -218,8 +218,8 @@ LEAST_TOLERABLE_G: Final = 0.5
 
 
 def tolerable_acceleration_g(contacts: PlanContacts, hulls: Hulls, friction: float) -> FloatArray:
-    """(n,) for each box, the smallest horizontal acceleration, in g, at which this box or the whole load so far begins
-    to slide or tip, just after the box has been placed.
+    """(n,) for each box, the smallest horizontal acceleration, in g, at which this box, or the whole load placed so
+    far, begins to slide or tip.
 
     The box and the load count as rigid bodies. A body slides when the acceleration in g reaches the coefficient of
     friction. A body tips when the acceleration in g reaches a / h. a is the horizontal distance between the body's
@@ -292,7 +292,7 @@ def load_points(contacts: PlanContacts) -> dict[str, float]:
         ]
     )
     middle = edges.mean(axis=0) if on_carrier.any() else np.full(2, np.inf)
-    # (n, 2) the share of each box whose x, or whose y, is smaller than that of the footprint's middle
+    # (n, 2) the share of each box's base whose x, or whose y, is smaller than that of the footprint's middle
     left = np.clip((middle - low[:, :2]) / contacts.size_mm[:, :2], 0.0, 1.0)
     quadrants = [contacts.mass_kg @ (x * y) for x in (left[:, 0], 1 - left[:, 0]) for y in (left[:, 1], 1 - left[:, 1])]
     above = ~np.isin(np.arange(contacts.n_boxes), contacts.upper[on_carrier])
@@ -450,8 +450,8 @@ CRITERIA: Final = (
     ),
     Criterion(
         "strength",
-        "neither the box nor a box that bears part of it carries more than its strength, if loads are passed down in "
-        "balance",
+        "neither the box nor a box that bears part of its weight carries more than its strength, if loads are passed "
+        "down in balance",
         "1 - load / strength: the smallest value of these boxes; 1 without a known strength",
         DIMENSIONLESS,
         "McKee, Gander, Wachuta 1963, or strengths of the user's",
@@ -491,8 +491,7 @@ _UNNAMED: Final = tuple(criterion.name for criterion in CRITERIA if criterion.us
 
 
 def chosen_criteria(names: Iterable[str] | None = None) -> tuple[Criterion, ...]:
-    """The criteria with these names, in the order of ``CRITERIA``. If no names are given, these are the default
-    criteria.
+    """The criteria with the given names, in the order of ``CRITERIA``; without names, the default criteria.
 
     Raises:
         InputError: there is no criterion with one of the names.
@@ -515,7 +514,7 @@ class CriteriaOptions(CheckedRecord):
         0.0, description="coefficient of friction where boxes touch side by side, for force balance with leaning"
     )
     tolerance_mm: Annotated[float, within(0, 100), CliFlag("--tolerance-mm", "MM")] = Field(
-        DEFAULT_TOLERANCE_MM, description="gaps and overlaps up to this count as touching, mm"
+        DEFAULT_TOLERANCE_MM, description="largest gap or overlap of two boxes that count as touching, mm"
     )
     carrier: Annotated[
         AnyCarrier,
@@ -527,7 +526,9 @@ class CriteriaOptions(CheckedRecord):
     )
     walls: Walls = Field(Walls(), description="walls around the carrier's top, by default those of the run")
     only: tuple[str, ...] | None = Field(None, description="names of criteria; by default all")
-    processes: Annotated[int, within(1, 1024)] = Field(1, description="processes that share the plans")
+    processes: Annotated[int, within(1, 1024)] = Field(
+        1, description="number of processes among which the plans are divided"
+    )
     p_arrives: Annotated[float, within(0, 1), CliFlag("--p-arrives", "P")] = Field(
         0.5,
         description="share of a plan's worlds that must arrive so that the plan counts as standing, if the run is that "

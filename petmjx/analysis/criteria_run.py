@@ -265,8 +265,7 @@ def check_criteria_free(folder: Path, overwrite: bool, *, judged: bool, inputs: 
 
 
 CHUNK: Final = 16
-"""Number of plans that a process receives at a time. Computing force balance for this number of plans takes half a
-second."""
+"""Number of plans that a process receives at a time. Computing force balance for 16 plans takes half a second."""
 
 
 def criteria(
@@ -437,7 +436,7 @@ def _judging_worlds(run: RunResults, plans: Sequence[Plan], p_arrives: float) ->
 
 
 def _check_same_plans(worlds: pd.DataFrame, run: RunResults, plans: Sequence[Plan]) -> None:
-    """Check that the run simulated these plans. ``worlds`` has one row per plan of the run.
+    """Check that the run simulated the given plans. ``worlds`` has one row per plan of the run.
 
     Raises:
         InputError: the run has none of these plans, or a plan has a different number of boxes in the run.

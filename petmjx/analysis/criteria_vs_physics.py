@@ -106,7 +106,7 @@ def confusion(accepted: NDArray[np.bool_], stands: NDArray[np.bool_]) -> NDArray
 
 
 def scores(cells: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Precision, recall and MCC for counts of shape (…, 4).
+    """Precision, recall and MCC for the counts of confusion matrices, an array (…, 4).
 
     Precision is NaN if no plan is accepted, and recall is NaN if no plan stands. MCC is 0 if the criterion gives the
     same answer for all plans, because such a criterion is useless. MCC is NaN if the simulation gives the same verdict
@@ -157,8 +157,8 @@ def best_thresholds(
 
 
 def in_first_half(plan_ids: Sequence[str], seed: int) -> NDArray[np.bool_]:
-    """(n,) whether each plan belongs to the first half. A hash of the plan's id and the seed decides this like a fair
-    coin."""
+    """(n,) whether each plan belongs to the first half. The half of a plan follows from a hash of its id and the seed,
+    which acts like a fair coin."""
     key = seed.to_bytes(8, "little")
     coins = [hashlib.blake2b(name.encode(), digest_size=1, key=key).digest()[0] & 1 for name in plan_ids]
     return np.array(coins, dtype=bool)

@@ -4,8 +4,8 @@ docs/criteria.md, section "Force balance", defines the slack.
 Sources: Liu, Deng, Wang, Liu, Liu (2024), "StableLego: stability analysis of block stacking assembly", arXiv
 2402.10711, and Whiting, Ochsendorf, Durand (2009), "Procedural modeling of structurally-sound masonry buildings", ACM
 Transactions on Graphics 28(5). At each corner of each contact area, the bodies may press on each other, with friction
-of at most μ times the pressing force. A stack is balanced if there are forces of this kind for which the forces and
-moments on every box, together with its weight, add up to zero.
+of at most μ times the pressing force. A stack is balanced if such forces exist with which all forces on every box,
+including its weight, and all moments on the box add up to zero.
 
 A newly placed box affects only its structure: the new box and all boxes that contacts connect with it. Three shortcuts
 save time without changing the result:
@@ -390,8 +390,8 @@ def friction_slack(
 
 
 def _columns(entries: Entries, chosen: IntArray, n: int) -> Entries:
-    """Those entries of a sparse matrix with n columns that lie in the columns ``chosen``. In the result, these columns
-    are numbered from 0."""
+    """Those entries of a sparse matrix with n columns that lie in the columns ``chosen``. In the result, the chosen
+    columns are numbered from 0."""
     position = np.full(n, -1)
     position[chosen] = np.arange(len(chosen))
     column = position[entries.column]

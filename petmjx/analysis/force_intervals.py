@@ -121,7 +121,7 @@ def _of_part(
     place = np.full(len(weight) + 1, CARRIER)  # CARRIER is -1, so as an index it refers to the last entry
     place[boxes] = np.arange(len(boxes))
     contacts = touching.some(np.maximum(place[touching.first], place[touching.second]) != CARRIER)
-    # (p, 4, 3) at each point, a force along each edge of the pyramid
+    # (p, 4, 3) at each point, a force along each edge of the friction pyramid
     direction = contacts.frame[:, :1] + np.einsum("ks,ps,psx->pkx", _EDGES, contacts.friction, contacts.frame[:, 1:])
     forces = wrenches(place[contacts.first], place[contacts.second], contacts.position_m, direction, centre_m[boxes])
     loads = np.zeros((len(boxes), WRENCH))

@@ -202,7 +202,8 @@ def _sequence_faults(indices: Sequence[int], choice: int, n_boxes: int) -> Itera
         place = waiting.index(index)
         if place >= choice:
             allowed = "the next item" if choice == 1 else f"one of the next {choice}"
-            yield f", box {box}: is item {place + 1} of the waiting ones, but the task lets the packer take {allowed}"
+            taken = f"is number {place + 1} of the waiting items"
+            yield f", box {box}: {taken}, but the task lets the packer take {allowed}"
             return
         del waiting[place]
 

@@ -67,12 +67,14 @@ COLUMNS: Final = (
     KpiColumn("kpi_1", "float64", "1", "share of the ordered boxes that is left out"),
     KpiColumn("kpi_2", "float64", "1", "volume of the boxes / (area of the target × greatest height)"),
     KpiColumn("kpi_3", "float64", "m", "greatest height"),
-    KpiColumn("kpi_4", "float64", "1", "mean share of the base that lies on other boxes; 1 on the target"),
+    KpiColumn(
+        "kpi_4", "float64", "1", "mean share of a box's base that lies on other boxes; 1 for a box on the target"
+    ),
     KpiColumn(
         "kpi_5",
         "float64",
         "1",
-        "among the boxes that lie on boxes, share of those that tie the pile together; null without such boxes",
+        "among the boxes that lie on boxes, share of boxes that tie the pile together; null if no box lies on a box",
     ),
     KpiColumn("kpi_6", "Int64", "1", "1: no box moved by more than 0.01 m along z in the static check; null: unknown"),
     KpiColumn(

@@ -15,7 +15,8 @@ a box distributes its weight and the load on it over its supports:
 In both rules, forces are linear in the load. So the weight of each box is passed down separately, and the load on a box
 after any placement is a sum over the boxes placed so far. Real supports cannot pull: if the pressure of an even bedding
 would be negative somewhere, petmjx.world.pushing_forces gives the forces. If a resultant of the even bedding lies
-beyond an edge, petmjx.world.balanced_loads determines whether other balancing forces keep all resultants inside.
+beyond an edge, petmjx.world.balanced_loads determines whether other balancing forces keep all resultants inside the
+edges.
 """
 
 from __future__ import annotations
@@ -47,9 +48,9 @@ def equilibrium_slack(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
     is used.
 
     Other forces are considered, because a load may act beyond an edge only because of the assumed bedding. So after
-    each placement with a load beyond an edge, a linear programme searches for forces that keep all loads inside. If the
-    programme finds such forces, the box passes. If it finds none, no forces are searched for later placements.
-    Placements without a search keep the slack of the even bedding.
+    each placement with a load beyond an edge, a linear programme searches for forces that keep all loads inside the
+    edges. If the programme finds such forces, the box passes. If the programme finds no such forces, no forces are
+    searched for later placements. Placements without a search keep the slack of the even bedding.
     """
     bearing = bearing_of(contacts)
     built = building_loads_of(bearing, [contacts.n_boxes])
@@ -72,8 +73,8 @@ def equilibrium_slack(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
 def load_slack(
     contacts: PlanContacts, hulls: Hulls, sharing: Sharing, pushed: BuildingLoads | None = None
 ) -> FloatArray:
-    """(n,) for each box, how far inside the hulls of contact areas loads act just after the box has been placed: the
-    smallest distance of any load from the edge of its hull, mm; negative outside the hull.
+    """(n,) for each box, the smallest distance of a load from the edge of the hull of its contact areas just after the
+    box has been placed, mm: positive inside the hull, negative outside.
 
     A load is the resultant of a box's own weight and of the loads on the box. The distance is computed for the placed
     box and for all boxes that bear a part of its weight. The value is NaN if one of these boxes has no support or is

@@ -23,7 +23,7 @@ from petmjx.results.run_reader import RunResults, RunSource, is_chain, load_run
 from petmjx.runs.chain_summary import arrivals
 
 LONGEST_NAME: Final = 200
-"""Largest number of bytes in a packer's name. File systems allow 255 for the name of a folder."""
+"""Largest number of bytes in a packer's name. File systems allow 255 bytes for the name of a folder."""
 
 MISSING: Final = "missing"
 """The text in the column ``verdict`` if a packer has no plan for an order."""
@@ -49,8 +49,8 @@ def with_engine_of(run: RunResults, options: Mapping[str, Any], folder: Path) ->
 
     Args:
         run: a run of another packer that was made with the same options on this machine.
-        options: options of ``petmjx.score``. An engine that the options name is kept. Otherwise options that the engine
-            of the run does not have (threads or lanes) are left out, as ``auto`` ignores them.
+        options: options of ``petmjx.score``. An engine that the options name is kept. If the options name no engine,
+            options that the engine of the run does not have (threads or lanes) are left out, as ``auto`` ignores them.
         folder: folder of the packer's run. A run that is already in the folder, and that the options do not replace,
             goes on with its own engine.
     """

@@ -140,8 +140,8 @@ class PlanContacts:
     """The contacts of one plan: c rectangles on which boxes lie, sorted by the upper box.
 
     A box lies on the carrier if its bottom is not above the carrier's top. The carrier is assumed to extend under all
-    boxes, so the whole base of such a box lies on the carrier. If the carrier is made of boards, the box lies on the
-    deck boards that it overlaps along x and y, and each board is a separate contact.
+    boxes, so even a box that extends beyond the carrier lies on it with its whole base. If the carrier is made of
+    boards, the box lies on the deck boards that it overlaps along x and y, and each board is a separate contact.
 
     A box lies on another box if the other box was placed earlier, the bottom of the box is at the height of the other
     box's top, and the two boxes overlap along x and y. If the lower of two boxes is placed after the upper box, it
@@ -154,7 +154,8 @@ class PlanContacts:
         lower: (c,) index of the lower box, or ``CARRIER``.
         low_mm, high_mm: (c, 2) lowest and highest x and y of the contact rectangle.
         under_low_mm, under_high_mm: (c, 2) lowest and highest x and y of the whole surface under the upper box: the top
-            of the lower box, or a deck board. On a carrier without boards, this is the base of the upper box.
+            of the lower box, or a deck board. If the upper box lies on a carrier without boards, the surface is the
+            base of the upper box.
         tolerance_mm: largest gap or overlap between two bodies that touch, mm.
         mass_center_mm: (n, 3) offsets of the centres of mass from the boxes' middles, as in ``Plan``. If
             ``mass_center_mm`` is None, the centres of mass are in the middles.
@@ -257,9 +258,9 @@ def find_contacts(
     """Find the contacts of a plan: the rectangles on which its boxes lie, and the body below each rectangle.
 
     Args:
-        tolerance_mm: largest vertical gap or overlap of two boxes that touch, mm. A contact that is not wider than this
-            length is ignored. The default, half a millimetre, is the rounding error of whole millimetres, as in
-            warnings about plans.
+        tolerance_mm: largest vertical gap or overlap of two boxes that touch, mm. A contact that is not wider than
+            ``tolerance_mm`` is ignored. The default, half a millimetre, is the rounding error of whole millimetres, as
+            in warnings about plans.
         deck_mm: (b, 2, 2) lowest and highest x and y of each board of the carrier's deck. If ``deck_mm`` is None, the
             carrier extends under all boxes.
         room: the room between the carrier's walls. If ``room`` is None, the carrier has no walls.

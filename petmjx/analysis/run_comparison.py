@@ -72,8 +72,8 @@ class Comparison:
         confusion: (3, 3) numbers of worlds, by their verdict in run a (rows) and in run b (columns).
         flips: one row for each world with different verdicts in the two runs. For each run, a row has the verdict, its
             reason, the first box that failed (``culprit``), and the amounts by which the world exceeds the thresholds
-            of shift, tilt and acceleration. These amounts are negative below a threshold; the column ``margin`` of the
-            table ``worlds`` has the opposite sign.
+            of shift, tilt and acceleration. The amount is negative if the world is below the threshold; the column
+            ``margin`` of the table ``worlds`` has the opposite sign.
         worlds, boxes: differences of the metrics of worlds and of boxes, one row for each metric and group of worlds.
             Columns: ``metric``, ``unit``, ``group``, ``n``; ``mean`` of b - a (null for ``SIGNLESS`` metrics);
             ``median``, ``p95`` and ``largest`` of |b - a|; and the ``plan_id``, ``variant`` (and ``box``) of the
@@ -82,8 +82,9 @@ class Comparison:
         other_plans: ids of plans that are in both runs but have different contents.
         only_a, only_b: ``plan_id`` and ``variant`` of each world that is only in run a, or only in run b.
         n_not_stable: number of worlds that are stable in neither run.
-        same_reason: number of these worlds with the same reason in both runs.
-        same_culprit: number of these worlds in which the same box failed first in both runs.
+        same_reason: number of worlds that are stable in neither run and have the same reason in both runs.
+        same_culprit: number of worlds that are stable in neither run and in which the same box failed first in both
+            runs.
         notes: reasons to doubt the comparison, one line each.
     """
 
@@ -295,7 +296,7 @@ def _notes(run_a: RunResults, run_b: RunResults, common_worlds: pd.DataFrame, ot
     if common_worlds.empty:
         notes.append("no world is in both runs")
     if thresholds_of(run_a.info) != thresholds_of(run_b.info):
-        notes.append("the runs have different thresholds; margins refer to each run's own")
+        notes.append("the runs have different thresholds; the margins of a run refer to its own thresholds")
     if other:
         of, verb = count_text(common_worlds["plan_id"].nunique(), "plan"), "is" if len(other) == 1 else "are"
         notes.append(
@@ -308,5 +309,5 @@ def _notes(run_a: RunResults, run_b: RunResults, common_worlds: pd.DataFrame, ot
     for name in sorted(names[run_a] & names[run_b]):
         left, right = common_worlds.get(f"{name}_a"), common_worlds.get(f"{name}_b")
         if left is not None and right is not None and not ((left == right) | (left.isna() & right.isna())).all():
-            notes.append(f"variants of one number differ in {name}")
+            notes.append(f"variants with the same number differ in {name}")
     return notes

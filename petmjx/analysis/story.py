@@ -119,8 +119,8 @@ def tell(
         interval_s: time between two frames, s. The default is 0.05 s. There is also a frame at each placement of a box
             and at the end.
         details: whether frames of a new simulation also have accelerations, penetrations and contacts. By default,
-            frames have these details. Only the engine ``mujoco`` can record details. If the run has a recording of the
-            world, the recording is used, unless ``interval_s`` or ``details`` is given.
+            frames have these details if the engine is ``mujoco``; no other engine can record them. If the run has a
+            recording of the world, the recording is used, unless ``interval_s`` or ``details`` is given.
         options: fields of ``petmjx.Simulation`` and of ``petmjx.RunOptions``; they are allowed only if the source is
             not a run.
 
@@ -201,8 +201,8 @@ def _recorded_story(run: RunResults, worlds: SweepPlan, index: int) -> Story | N
 
 def _engine_of(config: Mapping[str, Any]) -> tuple[Engine, str]:
     """The engine with which a world of a run is simulated again, and a note. If the run's engine works on this machine,
-    the result is this engine and an empty note. Otherwise, the result is C MuJoCo, and the note tells why it is not the
-    run's engine."""
+    the result is this engine and an empty note. If the run's engine does not work here, the result is C MuJoCo, and the
+    note states the reason."""
     name = config.get("engine")
     if name not in ENGINES:
         return make_engine(

@@ -107,7 +107,8 @@ def _drops(story: Story) -> Iterator[Event]:
     for box in dropped[:MOST_DROPS]:
         yield Event(float(times[box]), f"{_subject(story, box)} has dropped")
     if len(dropped) > MOST_DROPS:
-        yield Event(float(times[dropped[MOST_DROPS]]), f"{len(dropped) - MOST_DROPS} more have dropped from here on")
+        further = count_text(len(dropped) - MOST_DROPS, "further box", "further boxes")
+        yield Event(float(times[dropped[MOST_DROPS]]), f"{further} dropped from this time on")
 
 
 def _last_state(story: Story) -> str:

@@ -21,7 +21,8 @@ from petmjx.loop.placement_bounds import STANDS
 FEATURES: Final = ("box", "turned", "x", "y", "z", "length_x", "length_y", "height", "mass", "support", "margin")
 """Features of a candidate, which is a box at a place: the index of the box among the visible boxes, whether the box is
 turned by 90°, its corner and its extents in mm, its mass in kg, and the supported share of its base. If the mask of
-legal actions uses physics, the last feature is the pallet's margin of stability with the box; otherwise, it is 0."""
+legal actions uses physics, the last feature is the pallet's margin of stability with the box; otherwise, the last
+feature is 0."""
 
 UPRIGHT: Final = "upright"
 PALLET: Final = "pallet"
@@ -36,7 +37,7 @@ In each pair of rows, the same size is vertical, and the two rows differ by a tu
 
 @dataclass(eq=False)
 class Table:
-    """The actions of n episodes, with a actions each. All values of an illegal action are 0.
+    """The actions of n episodes. Each episode has ``a`` actions. All values of an illegal action are 0.
 
     Attributes:
         legal: (n, a) mask of legal actions.
@@ -76,7 +77,7 @@ class Table:
         )
 
     def clear(self, rows: NDArray[np.int64]) -> None:
-        """Make all actions of the episodes in these rows illegal."""
+        """Make all actions of the episodes in the given rows illegal."""
         for values in vars(self).values():
             values[rows] = 0
 

@@ -27,8 +27,8 @@ class Curriculum:
     1, each value changes linearly.
 
     Attributes:
-        boxes: largest number of boxes of an order. If an order has more boxes, the last boxes are dropped. If ``boxes``
-            is None, no boxes are dropped.
+        boxes: largest number of boxes of an order. If an order has more boxes than this number, the last boxes are
+            dropped. If ``boxes`` is None, no boxes are dropped.
         sizes: how much the boxes of an order differ. With the value 0, all boxes have the mean size and mass of the
             order's boxes; with the value 1, all boxes have their own size and mass.
         errors: size of the random placement errors, as in the option ``errors``.
@@ -59,7 +59,7 @@ class Curriculum:
         return cls(**ranges)
 
     def order(self, boxes: Boxes, level: float) -> Boxes:
-        """The order as it is used in an episode of level ``level``."""
+        """The boxes of an order as they are packed in an episode of level ``level``."""
         whole = boxes
         if self.boxes is not None:
             boxes = boxes.take(slice(round(_between(self.boxes, level))))

@@ -53,7 +53,7 @@ class PalletizingOptions:
         action_cell_mm: side of the cells of actions, mm.
         cell_mm: side of the cells of observed maps, mm.
         mask: which actions are legal, among those that keep the box on the carrier and below ``max_height_mm``.
-            ``geometry``: all actions with which the box is on the carrier and not too high. The name of a criterion of
+            ``geometry``: no other condition must hold. The name of a criterion of
             docs/criteria.md (``support_75``, … or ``centre``): actions that fulfil the criterion. ``physics``: actions
             after which the pallet stands in a trial, which is a simulation on a copy of the pallet. ``sure``: actions
             after which the pallet stands according to bounds (``petmjx.loop.placement_bounds``), so that no trial is

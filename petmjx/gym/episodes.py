@@ -95,7 +95,8 @@ class Episodes:
     # ------------------------------------------------------------------ events
 
     def begin(self, rows: NDArray[np.int64], rngs: Sequence[np.random.Generator]) -> None:
-        """Begin new episodes in these rows. The order of each episode is drawn with the episode's own random generator.
+        """Begin new episodes in the given rows. The order of each episode is drawn with the episode's own random
+        generator.
 
         Raises:
             InputError: no box of the orders fits on the empty carrier.
@@ -127,7 +128,7 @@ class Episodes:
         )
 
     def step(self, rows: NDArray[np.int64], actions: NDArray[np.int64]) -> EpisodeStep:
-        """Carry out one action in each of these episodes, which must be running."""
+        """Carry out one action in each given episode. The episodes must be running."""
         m = len(rows)
         legal = self.table.legal[rows, actions]
         terms: dict[str, FloatArray] = {name: np.zeros(m) for name in self.weights}
@@ -209,7 +210,7 @@ class Episodes:
         return {"error": np.array(numbers, np.int64), "error_strength": self._errors[rows]}
 
     def _look(self, rows: NDArray[np.int64]) -> None:
-        """Find the legal actions of these episodes. If an episode has no legal action, the boxes from which it may
+        """Find the legal actions of the given episodes. If an episode has no legal action, the boxes from which it may
         choose are left out, and the search is repeated with the boxes that follow."""
         while len(rows):
             self._actions.fill(self.table, rows, *self._queues.seen(rows))
@@ -271,7 +272,7 @@ class Episodes:
         return self._spaces.scaled(observation)
 
     def info_of(self, rows: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-        """The values of Gymnasium's ``info`` for these episodes after a step."""
+        """The values of Gymnasium's ``info`` for the given episodes after a step."""
         return {
             "verdict": self._verdict[rows].astype(object),
             "reason": self._reason[rows].astype(object),

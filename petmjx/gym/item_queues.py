@@ -12,8 +12,8 @@ from petmjx.common.units import FloatArray
 from petmjx.loop.order_sources import STRENGTH, Boxes
 
 _MORE: Final = 32
-"""Number of boxes that the table holds for each episode in addition to the visible boxes. When this number of boxes has
-been removed from an episode's row of the table, the row is refilled."""
+"""Number of boxes that the table holds for each episode in addition to the visible boxes. When 32 boxes have been
+removed from an episode's row of the table, the row is refilled."""
 
 
 def parts_of(boxes: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
@@ -46,7 +46,7 @@ class Queues:
         self.left_out: NDArray[np.int64] = np.zeros(n, np.int64)
 
     def begin(self, row: int, boxes: Boxes) -> None:
-        """Begin an episode in this row, with these boxes to place."""
+        """Begin an episode in the row ``row``, with the boxes ``boxes`` to place."""
         self._boxes[row], self.left_out[row] = boxes, 0
         self.counts[row] = self._behind[row] = len(boxes)
         self._fill(row)
@@ -64,8 +64,8 @@ class Queues:
         return strength
 
     def leave_out(self, rows: NDArray[np.int64], count: int | NDArray[np.int64]) -> None:
-        """Remove the first ``count`` boxes from each of the queues in these rows, and count the removed boxes as left
-        out. ``count`` is one number, or (m,) a number for each queue."""
+        """Remove the first ``count`` boxes from the queue in each given row, and count the removed boxes as left out.
+        ``count`` is one number, or (m,) a number for each queue."""
         n_removed = np.minimum(self.counts[rows], count)
         self.left_out[rows] += n_removed
         self._go_on(rows, n_removed)
@@ -92,11 +92,12 @@ class Queues:
         return of[first], first - begin[of[first]], values[first]
 
     def kept(self, rows: NDArray[np.int64]) -> list[NDArray[Any]]:
-        """A copy of the states of the queues in these rows, from which ``restore`` can set them again."""
+        """A copy of the states of the queues in the given rows. ``restore`` can set the queues to these states
+        again."""
         return [values[rows] for values in self._arrays]
 
     def restore(self, rows: NDArray[np.int64], kept: Iterable[NDArray[Any]]) -> None:
-        """Set the states of the queues in these rows to a copy that ``kept`` has made."""
+        """Set the states of the queues in the given rows to a copy that ``kept`` has made."""
         for values, before in zip(self._arrays, kept, strict=True):
             values[rows] = before
 

@@ -34,8 +34,8 @@ class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where S
 
     When an episode ends, the next one begins in the same step. The last observation of the ended episode is
     ``info["terminal_observation"]``. ``info["episode"]`` has the return ``r`` of the ended episode, its length ``l``
-    and the time ``t`` in s, in the form of ``VecMonitor``, so no monitor is needed. ``info["TimeLimit.truncated"]`` is
-    true if the episode ended because of too many illegal actions.
+    and the time ``t`` in s, in the form of ``VecMonitor``, so ``VecMonitor`` is not needed.
+    ``info["TimeLimit.truncated"]`` is true if the episode ended because of too many illegal actions.
 
     Args:
         num_envs: number n of environments.

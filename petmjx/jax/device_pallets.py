@@ -95,7 +95,7 @@ class Device:
 
     def placed(self, open_: OpenState, box: NewBox, gets: jax.Array) -> OpenState:
         """The state of the worlds after one more box has been placed in each world for which ``gets`` is true, and all
-        these worlds have come to rest. The other worlds do not change.
+        these worlds have come to rest. Worlds for which ``gets`` is false do not change.
 
         Under ``jax.vmap``, the worlds of all states in the batch are simulated side by side.
         """
@@ -120,8 +120,8 @@ class Device:
         return after
 
     def results(self, open_: OpenState, known: jax.Array) -> PlacementArrays:
-        """The results of the last placement in each world. If ``known`` is false for a world, the reason of this world
-        is ``ended``, and all its numbers are 0 or -1."""
+        """The results of the last placement in each world. ``known`` tells for which worlds a box was placed. In the
+        results of all other worlds, the reason is ``ended``, and numbers are 0 or -1."""
         state, worlds, limits = open_.state, open_.worlds, self.sim.thresholds
         here = jnp.arange(self.width) < state.placed[:, None]
         middle, quat = motion.middles(state.qpos, worlds.middle), state.qpos[..., 3:]

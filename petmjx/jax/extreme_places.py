@@ -23,9 +23,9 @@ from petmjx.packers.learned_candidates import MIRRORS, OVERHANG_MM
 FEATURES: Final = ("turned", "x", "y", "z", "length_x", "length_y", "height", "mass", "support", "inside", "below")
 """Features of a candidate (a box at a place): whether the box is turned by 90°; its corner and its extents, mm; its
 mass, kg; and the supported share of its base. ``inside`` is the distance of the box's centre of mass from the edge of
-the hull of the box's contacts, mm. ``below`` is the smallest distance for any of the boxes below: the distance of the
-load on a box below from the edge of the hull of that box's own contacts, mm. Both distances are positive inside a hull,
-negative outside, and at most 200 mm."""
+the hull of the box's contacts, mm. ``below`` is a distance for the boxes that would carry the candidate: for each of
+these boxes, the distance of its load from the edge of the hull of its own contacts is computed, and ``below`` is the
+smallest, mm. Both distances are positive inside a hull, negative outside, and at most 200 mm."""
 
 _PER_ASIDE: Final = 0.01
 """Cost of a millimetre of distance from the nearest edges of the carrier, as millimetres of height. Because distances
@@ -37,7 +37,7 @@ LOOKED_AT: Final = 3
 have too little support."""
 
 _FAR: Final = 1e9
-"""Cost of a place that cannot be used. This number is also the coordinate of points that do not exist, mm, since it is
+"""Cost of a place that cannot be used. Points that do not exist also have this number as coordinates, mm, since it is
 beyond every carrier."""
 
 
@@ -108,8 +108,8 @@ class Candidates:
         return View(self._points(pile), pile, statics)
 
     def _points(self, pile: Pile) -> Points:
-        """The extreme points of a pile. Each box has extreme points of its own. Only boxes that were placed before this
-        box can be obstacles for these points."""
+        """The extreme points of a pile. Each box has extreme points of its own. Only boxes that were placed before a
+        box can be obstacles for its points."""
         k = len(pile.present)
         low, high = pile.corner_mm, pile.corner_mm + pile.size_mm + self._gap
         earlier = (jnp.arange(k)[None] < jnp.arange(k)[:, None]) & pile.present[None]

@@ -50,7 +50,7 @@ class Host:
         self._begin(slots)
 
     def _begin(self, slots: int) -> None:
-        """Make an empty cache with room for this number of settled pallets."""
+        """Make an empty cache with room for ``slots`` settled pallets."""
         self._pallets = Pallets(slots, engine=self._engine, most_boxes=self.most_boxes, **dict(self._sim))
         self._slots: OrderedDict[bytes, int] = OrderedDict()
         self._free = list(range(slots))
@@ -142,7 +142,7 @@ class Host:
             raise
 
     def _slot(self, size: NDArray[Any], corner: NDArray[Any], mass: NDArray[Any], count: int, pinned: set[int]) -> int:
-        """The number of a pallet in the cache that has exactly these boxes. A pallet that is not in the cache is
+        """The number of a pallet in the cache that has exactly the given boxes. A pallet that is not in the cache is
         simulated first. The number is added to ``pinned``, so that the pallet is not reused for other boxes during the
         same call of the callback."""
         keys = [_key(size[:k], corner[:k], mass[:k]) for k in range(count + 1)]

@@ -44,8 +44,8 @@ _DRAWN: Final = 256
 their number must be finite."""
 
 _EDGE: Final = 1e-4
-"""Tolerance of single precision, as a share of a cell's side. A box that ends this close to the edge of a cell counts
-as ending at the edge."""
+"""Tolerance of single precision, as a share of a cell's side. A box that ends closer to the edge of a cell than this
+tolerance counts as ending at the edge."""
 
 _LARGEST: Final = float(np.finfo(np.float32).max)
 
@@ -188,10 +188,12 @@ class Palletizing:
         read.check_sizes(sim.size_reduction_mm)
         of_orders = self._usable(read)
         self._counts = jnp.array([len(boxes) for boxes in of_orders], jnp.int32)
-        # the added rows are zeros, which are visible after the last box of an order
+        # each order gets rows of zeros after its last box: observations show these rows in place of boxes that do not
+        # exist
         longest = int(self._counts.max()) + self._seen
         rows = [np.column_stack([boxes.size_mm, boxes.mass_kg]) for boxes in of_orders]
-        # computed here, because ``observation_spec`` needs this number and may be called in a jitted program
+        # the largest value is computed here, because ``observation_spec`` needs it and may be called in a jitted
+        # program
         self._largest = max(float(table.max(initial=0.0)) for table in rows)
         self._boxes = jnp.array([np.pad(table, ((0, longest - len(table)), (0, 0))) for table in rows], jnp.float32)
 
@@ -258,7 +260,7 @@ class Palletizing:
         size, corner = state.ways.size_mm[at], state.ways.corner_mm[at]
         pallet, outcome = place(state.pallet, size[None], corner[None], mass[None], legal[None])
         outcome = jax.tree.map(lambda values: values[0], outcome)
-        # the box of an illegal action gets a row beyond the end, which is dropped
+        # the box of an illegal action gets a row beyond the end of the arrays, and JAX drops such a row
         row = jnp.where(legal, state.placed, self._most_boxes)
         after = state._replace(
             pallet=pallet,
@@ -315,7 +317,7 @@ class Palletizing:
             ways = self._actions.ways(view, box[:3], box[3])
             return state._replace(ways=ways._replace(legal=ways.legal & ~state.over)), jnp.array(False)
 
-        # the loop does not change these two fields, so the loop's state does not have them
+        # the loop does not change ``pallet`` and ``statics``, so the loop's state does not have these two fields
         small = state._replace(pallet=None, statics=None)
         looked, _ = jax.lax.while_loop(goes_on, look, (small, jnp.array(True)))
         return looked._replace(pallet=state.pallet, statics=state.statics)

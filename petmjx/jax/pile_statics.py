@@ -137,7 +137,7 @@ def margins_m(
 
 def least_m(size_mm: Float[Array, "placement 3"], least_mm: float) -> Float[Array, " placement"]:
     """(q,) how far inside the hull of its contacts the load of each box must act, m, as in the packer ``balanced``.
-    The distance is ``least_mm``, or, if less, a share of the shorter side of the box's base."""
+    The distance is ``least_mm``, or ``MARGIN_SHARE`` of the shorter side of the box's base if that is less."""
     return jnp.minimum(least_mm, MARGIN_SHARE * size_mm[:, :2].min(axis=1)) / MM_PER_M
 
 
@@ -152,7 +152,7 @@ def with_box(
     stored in row ``row``. If ``row`` is beyond the last row, the box is ignored."""
     (x, y), on_carrier = contacts.middle[0], contacts.on_carrier[0]
     moments, inverse = _moments(contacts)
-    # converts a load relative to the origin into one relative to the middle of the base
+    # the matrix that converts a load relative to the origin into one relative to the middle of the base
     seen_there = jnp.eye(3).at[1, 0].set(-x).at[2, 0].set(-y)
     seen_here = jnp.eye(3).at[1, 0].set(x).at[2, 0].set(y)
     share = jnp.einsum("xa,kab,bc,cy->kxy", seen_here, moments[0], inverse[0], seen_there, precision=_EXACT)

@@ -18,7 +18,8 @@ that nothing was placed."""
 
 
 class PlacementArrays(NamedTuple):
-    """The results of m placements on pallets of at most k boxes. After a pallet's last box, numbers are 0.
+    """The results of m placements on pallets of at most k boxes. In arrays over boxes, entries after a pallet's last
+    box are 0.
 
     Attributes: as in ``petmjx.PlacementResults``, except that ``reason`` is an index into ``REASONS``, and ``margin``
     is -1 if the simulation is invalid.
@@ -43,7 +44,8 @@ def shapes(m: int, k: int) -> list[tuple[tuple[int, ...], type[Any]]]:
 
 
 def empty_results(m: int, k: int) -> list[NDArray[Any]]:
-    """The results of m placements for which no box was placed, as a list of arrays."""
+    """The results of m requests, none of which placed a box, as a list of arrays: the reason is ``ended``, and numbers
+    are 0 or -1."""
     columns: list[NDArray[Any]] = [np.zeros(shape, kind) for shape, kind in shapes(m, k)]
     columns[1][:], columns[2][:], columns[3][:], columns[7][:] = REASONS.index(ENDED), -1, -1.0, True
     return columns

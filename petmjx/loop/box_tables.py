@@ -45,7 +45,7 @@ class BoxTable:
         self.count[rows] += 1
 
     def cut(self, pallets: NDArray[np.int64], count: NDArray[np.int64]) -> None:
-        """Keep only the first ``count`` boxes of each of these pallets."""
+        """Keep only the first ``count`` boxes of each given pallet."""
         beyond = np.arange(self.size_mm.shape[1]) >= count[:, None]
         for name in ("size_mm", "corner_mm", "mass_kg"):
             values = getattr(self, name)
@@ -65,7 +65,7 @@ class BoxTable:
     def find_points(
         self, pallets: NDArray[np.int64], gap_mm: float = 0.0, machine_code: ModuleType | None = None
     ) -> Points:
-        """The extreme points (candidate corners of a new box) of these pallets, after an update for all boxes on them.
+        """The extreme points (candidate corners of a new box) of the given pallets, updated for all boxes on them.
 
         Args:
             gap_mm: free space between boxes.
@@ -90,7 +90,7 @@ class BoxTable:
         return points
 
     def box(self, pallets: NDArray[np.int64], number: int | NDArray[np.int64]) -> Placements:
-        """One box of each of these m pallets. ``number`` is the number of the box: one number for all pallets, or (m,)
+        """One box of each of m given pallets. ``number`` is the number of the box: one number for all pallets, or (m,)
         a number for each pallet."""
         return Placements(
             self.size_mm[pallets, number], self.corner_mm[pallets, number], self.mass_kg[pallets, number], pallets

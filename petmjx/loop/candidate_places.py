@@ -23,8 +23,8 @@ LARGEST_GAP_MM: Final = 1_000.0
 """Largest allowed free space between boxes. A larger space would leave no room for boxes on a pallet."""
 
 _AT_ONCE: Final = 100_000
-"""Number of pairs (a point and a box) that are compared at a time. For this number of pairs, the tables fit into the
-cache of a CPU core."""
+"""Number of pairs (a point and a box) that are compared at a time. The tables for 100,000 pairs fit into the cache of a
+CPU core."""
 
 _WORTH_A_THREAD: Final = 50_000
 """Smallest number of pairs (a point and a box) for which another thread is started."""
@@ -69,7 +69,8 @@ def free_places(
     gap_mm: float = 0.0,
     hulls: bool = True,
 ) -> Places:
-    """Find places for boxes on pallets. ``placements`` has the boxes and their pallets; its corners are ignored.
+    """Find places for boxes on pallets. ``placements`` has the boxes and their pallets; the corners in ``placements``
+    are ignored.
 
     Args:
         grid: (p, 2) x and y of points, mm, that are used instead of the extreme points.

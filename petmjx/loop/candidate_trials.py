@@ -1,5 +1,5 @@
-"""Trials of candidates (boxes at places) under harder conditions: with errors of a robot that places the box inexactly,
-or with a drive (a motion of the carrier) that shakes the pallet afterwards."""
+"""Trials of candidates (boxes at places) under harder conditions: a robot places the box with errors, or a drive (a
+motion of the carrier) shakes the pallet afterwards."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ _AT_ONCE: Final = 1024
 """Largest number of worlds (simulated pallets) with errors or drives that are simulated at a time."""
 
 _NAME = "candidate"
-"""Name that replaces the id of a plan when random numbers are drawn. With one name for all candidates, all get the same
-errors and can be compared."""
+"""Name that replaces the id of a plan when random numbers are drawn. With the same name, all candidates get the same
+errors, so they can be compared."""
 
 
 MOST_ERRORS_DRAWN: Final = 2**31

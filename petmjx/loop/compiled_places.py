@@ -28,7 +28,8 @@ _WORTH_A_THREAD: Final = 32
 """Smallest number of boxes or pallets for which another thread is started."""
 
 _AT_ONCE: Final = 4096
-"""Largest number of new boxes that are lowered at a time. This number limits the memory of the results."""
+"""Largest number of new boxes that are lowered at a time. With more boxes at a time, the results would take more
+memory."""
 
 
 def add_points(

@@ -16,8 +16,8 @@ from petmjx.options.run_options import AUTO, RunOptions
 from petmjx.options.simulation import Check, Schedule, Simulation
 
 MANY_PALLETS: Final = 64
-"""Smallest number of pallets for which the engine ``auto`` means an available GPU. Fewer pallets would not keep the GPU
-busy."""
+"""Smallest number of pallets for which the engine ``auto`` means ``mjx-warp``, if there is a GPU. Fewer pallets would
+not keep the GPU busy."""
 
 MOST_PALLETS: Final = 1_000_000
 """Largest allowed number of pallets. A larger number must be a mistake, because the arrays for the pallets would fill

@@ -41,7 +41,7 @@ class Points:
         self._count: NDArray[np.int64] = np.ones((n, 1), np.int64)
 
     def count(self, pallets: NDArray[np.int64]) -> NDArray[np.int64]:
-        """(m,) number of points on each of these pallets."""
+        """(m,) number of points on each given pallet."""
         counts: NDArray[np.int64] = self._count[pallets, self.boxes[pallets]]
         return counts
 
@@ -52,7 +52,7 @@ class Points:
         return self._at, self.count(np.arange(len(self.boxes)))
 
     def of(self, pallets: NDArray[np.int64]) -> NDArray[np.complex128]:
-        """(m, p) the points of these pallets as x + iy, mm. Values after the last point of a pallet are NaN."""
+        """(m, p) the points of the given pallets as x + iy, mm. Values after the last point of a pallet are NaN."""
         count = self.count(pallets)
         p = int(count.max(initial=1))
         points = self._at[pallets, :p]
@@ -60,7 +60,7 @@ class Points:
         return points
 
     def add(self, pallets: NDArray[np.int64], low: FloatArray, high: FloatArray) -> None:
-        """For each of these pallets, add the points of one more box.
+        """For each given pallet, add the points of one more box.
 
         Args:
             low, high: (m, k, 3) lowest and highest corners of the boxes on the pallets, including the free space. The
@@ -87,7 +87,7 @@ class Points:
         n_boxes: NDArray[np.int64],
         machine_code: ModuleType,
     ) -> None:
-        """Add the points of all boxes on these pallets whose points are not included yet.
+        """Add the points of those boxes on the given pallets whose points are not included yet.
 
         Args:
             corner_mm, size_mm: (n, k, 3) corners and sizes of the boxes on all pallets; ``n_boxes``: (n,) number of
@@ -100,11 +100,11 @@ class Points:
         self.boxes[pallets] = n_boxes[pallets]
 
     def _make_room(self, n_points: int, n_boxes: int) -> None:
-        """Widen the tables if they have no room for this number of points, or for those of this number of boxes."""
+        """Widen the tables if they have no room for ``n_points`` points, or for the points of ``n_boxes`` boxes."""
         self._at, self._count = widened_table(self._at, n_points), widened_table(self._count, n_boxes + 1)
 
     def cut(self, pallets: NDArray[np.int64], count: NDArray[np.int64]) -> None:
-        """Keep only the extreme points of the first ``count`` boxes of each of these pallets."""
+        """Keep only the extreme points of the first ``count`` boxes of each given pallet."""
         self.boxes[pallets] = np.minimum(self.boxes[pallets], count)
 
     def copy(self, sources: NDArray[np.int64], into: NDArray[np.int64]) -> None:

@@ -29,8 +29,8 @@ PLANE: Final = "plane"
 """Name of the ground that is an infinite plane."""
 
 MANY_WORLDS: Final = 1_000
-"""Smallest number of worlds for which the engine ``auto`` means an available GPU. A GPU simulates about this number of
-worlds at the same time, but each world more slowly than a CPU thread does."""
+"""Smallest number of worlds for which the engine ``auto`` means ``mjx-warp``, if there is a GPU. A GPU simulates about
+this number of worlds at the same time, but each world more slowly than a CPU thread does."""
 
 FASTEST_M_S: Final = 100.0
 FASTEST_RAD_S: Final = 1_000.0
@@ -132,8 +132,8 @@ def release(
             along the shortest rotation.
         inertia_kg_m2: (…, 3) principal moments of inertia along the boxes' axes, kg·m², or one number for all moments
             of all boxes. If ``inertia_kg_m2`` is None, boxes are solid and homogeneous.
-        friction: (…) coefficient of sliding friction between a box and the ground. Between two boxes, the larger of
-            their two coefficients is used. If ``friction`` is None, the coefficients in ``physics`` are used.
+        friction: (…) coefficient of sliding friction between a box and the ground. For two boxes that touch, the larger
+            coefficient of the two is used. If ``friction`` is None, the coefficients in ``physics`` are used.
         restitution: (…) speed of a box after a bounce as a share of its speed before, up to 0.9. All boxes of a world
             must have the same value. A landing box is stopped within ``physics.landing_s`` or, if ``physics.landing_s``
             is 0, within 3 ms. If ``restitution`` is None, the value in ``physics`` is used.
@@ -202,7 +202,7 @@ def _poses(runner: Any, bodies: FreeBodies, sim: Simulation, restitution: FloatA
 
 
 def _options(physics: Any, ground: Any) -> Simulation:
-    """The simulation's options with this physics and this ground. Raises InputError if the physics or the ground is
+    """The simulation's options with the given physics and ground. Raises InputError if the physics or the ground is
     unknown."""
     if not isinstance(physics, str | Mapping | Physics):
         raise InputError(f"physics must be the name of a preset, a table or a record, {shown_value(physics)}")

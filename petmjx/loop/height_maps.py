@@ -12,8 +12,8 @@ from petmjx.common.units import FloatArray
 from petmjx.loop.box_tables import BoxTable
 
 _EDGE: float = 1e-6
-"""Tolerance as a share of a cell's side. If a box ends this close to the edge of a cell, it counts as ending at the
-edge."""
+"""Tolerance as a share of a cell's side. A box that ends closer to the edge of a cell than this tolerance counts as
+ending at the edge."""
 
 
 def cells_of(extent_mm: tuple[float, float], cell_mm: Any) -> tuple[int, int]:
@@ -41,7 +41,8 @@ def spans(size_mm: FloatArray, corner_mm: FloatArray, cell_mm: float) -> NDArray
 
 
 def height_maps(stock: BoxTable, rows: NDArray[np.int64], extent_mm: tuple[float, float], cell_mm: Any) -> FloatArray:
-    """(m, x, y) height of the highest box above each cell of these pallets' carriers, mm; 0 if there is no box."""
+    """(m, x, y) height of the highest box above each cell of the carrier of each given pallet, mm; 0 if there is no
+    box."""
     maps = np.zeros((len(rows), *cells_of(extent_mm, cell_mm)))
     for number in range(int(stock.count[rows].max(initial=0))):
         has = np.flatnonzero(stock.count[rows] > number)

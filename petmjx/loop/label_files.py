@@ -279,8 +279,8 @@ class _Tally:
 
 
 def _head(labeller: Labeller, source: str | Path) -> dict[str, Any]:
-    """The part of the card that states how labels were made. Two sets of labels for which this part is the same have
-    the same labels."""
+    """The part of the card that states how labels were made. If this part of the card is the same for two sets, the two
+    sets have the same labels."""
     is_file = isinstance(source, Path)
     reading = labeller.orders.reading
     return {
@@ -301,7 +301,7 @@ def _head(labeller: Labeller, source: str | Path) -> dict[str, Any]:
 
 
 def baselines(labels: Sequence[Label]) -> dict[str, dict[str, float | int]]:
-    """The accuracy of rules and of ``petmjx.placement_stability`` for the placements of these labels.
+    """The accuracy of rules and of ``petmjx.placement_stability`` for the placements of the given labels.
 
     For each rule, the result has the number of labels, the share of standing placements that the rule accepts, the
     share of falling placements that the rule refuses, and the mean of the two shares. The result is empty if no

@@ -93,7 +93,7 @@ class Boxes:
         return np.array([numbers.setdefault(key, len(numbers)) for key in keys], np.int64)
 
     def take(self, rows: Any) -> Boxes:
-        """The boxes in these rows."""
+        """The boxes in the given rows."""
         upright = None if self.upright is None else self.upright[rows]
         article = None if self.article is None else self.article[rows]
         return Boxes(self.size_mm[rows], self.mass_kg[rows], self.strength_n[rows], upright, self.name, article)
@@ -148,7 +148,7 @@ class Orders:
         return self.numbered(int(rng.integers(self.count)))
 
     def numbered(self, number: int) -> Boxes:
-        """The order with this number, from 0 to ``count`` − 1."""
+        """The order with the given number, from 0 to ``count`` − 1."""
         if self._all is None:
             _, articles = drawn_articles(self._seed, number)
             return self._catalogue.take(articles)

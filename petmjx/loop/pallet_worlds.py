@@ -129,7 +129,7 @@ class PalletWorlds:
         return bool(self._strength[pallet, : self.boxes.count[pallet]].any())
 
     def take_back(self, rows: NDArray[np.int64]) -> None:
-        """Remove the last box from each of these pallets. Each pallet must have a box."""
+        """Remove the last box from each given pallet. Each of them must have a box."""
         left = self.boxes.count[rows] - 1
         has_before = self._before[rows] == left
         if has_before.any():
@@ -149,7 +149,7 @@ class PalletWorlds:
             values[into] = values[sources]
 
     def empty(self, rows: NDArray[np.int64]) -> None:
-        """Remove all boxes from these pallets."""
+        """Remove all boxes from the given pallets."""
         self._empty_worlds(rows)
         self._cut(rows, np.zeros(len(rows), np.int64))
         self.margin[rows] = self._bare
@@ -166,7 +166,7 @@ class PalletWorlds:
         self.dead[rows], self._before[rows] = False, -1
 
     def _build(self, rows: NDArray[np.int64]) -> None:
-        """Simulate the placement of all boxes of these pallets again, one box after another."""
+        """Simulate the placement of all boxes of the given pallets again, one box after another."""
         self._empty_worlds(rows)
         for number in range(int(self.boxes.count[rows].max(initial=0))):
             grown_rows = rows[self.boxes.count[rows] > number]

@@ -232,7 +232,7 @@ class Pallets(Closable):
     ) -> tuple[NDArray[np.bool_], FloatArray]:
         """For each of m candidates (a box at a place on a pallet), tell whether ``try_all`` would find the pallet
         stable. If a pallet stands or falls beyond doubt with the candidate (docs/training.md), it is not simulated. So
-        this method takes a fraction of the time of ``try_all``. The pallets do not change.
+        ``stands`` takes a fraction of the time of ``try_all``. The pallets do not change.
 
         Returns:
             (m,) whether the pallet stands with each candidate, and (m,) the pallet's margin of stability: 1 if the
@@ -265,7 +265,7 @@ class Pallets(Closable):
             return self._standing.decided(self._placements(size_mm, corner_mm, mass_kg, pallet))
 
     def take_back(self, pallet: Any = None) -> None:
-        """Remove the last box from each of these pallets, or, if ``pallet`` is None, from all pallets that have boxes.
+        """Remove the last box from each given pallet, or, if ``pallet`` is None, from all pallets that have boxes.
         The pallets return to their states before the last box, bit for bit, so pallets that have fallen stand again. If
         a second box is removed from a pallet, the placements of its remaining boxes are simulated again, with the same
         errors as before.
@@ -300,7 +300,7 @@ class Pallets(Closable):
                 self._standing.fork(these, copies)
 
     def reset(self, pallet: Any = None) -> None:
-        """Remove all boxes from these pallets, or, if ``pallet`` is None, from all pallets."""
+        """Remove all boxes from the given pallets, or, if ``pallet`` is None, from all pallets."""
         with self._using():
             rows = pallets_of(pallet, self.n)
             once_each(rows)
@@ -309,7 +309,7 @@ class Pallets(Closable):
     # ------------------------------------------------------------------ current state
 
     def results(self, pallet: Any = None) -> PlacementResults:
-        """The current results of these pallets, or, if ``pallet`` is None, of all pallets."""
+        """The current results of the given pallets, or, if ``pallet`` is None, of all pallets."""
         with self._using():
             rows = pallets_of(pallet, self.n)
             return PlacementResults.of_readings(rows, self._worlds.readings(rows.tolist()), self.simulation.thresholds)
@@ -332,9 +332,9 @@ class Pallets(Closable):
             return self._boxes.plan(number, name, fields)
 
     def score(self, pallet: Any = None, *, to_the_bit: bool = True, **options: Any) -> RunResults:
-        """Score the plans of these pallets, or, if ``pallet`` is None, of all pallets that have boxes. The results are
-        bit-identical to those of ``petmjx.score``, which repeats simulations with other settings if necessary. Pallets
-        that have fallen are scored, too. Boxes that were placed with errors are scored at their planned places.
+        """Score the plans of the given pallets, or, if ``pallet`` is None, of all pallets that have boxes. The results
+        are bit-identical to those of ``petmjx.score``, which repeats simulations with other settings if necessary.
+        Pallets that have fallen are scored, too. Boxes that were placed with errors are scored at their planned places.
 
         On the engine ``mjx-warp``, the simulation continues from the current state of a pallet. On ``mujoco``, plans
         are simulated from their first box on, because on this engine, boxes that wait to be placed affect the last
@@ -395,8 +395,8 @@ class Pallets(Closable):
             return height_maps(self._boxes, rows, self.extent_mm, cell_mm)
 
     def boxes(self, pallet: Any = None) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(m, k, 3) sizes and (m, k, 3) corners, mm, and (m, k) masses, kg, of the boxes on these pallets, as they were
-        requested. Values after the last box of a pallet are NaN."""
+        """(m, k, 3) sizes and (m, k, 3) corners, mm, and (m, k) masses, kg, of the boxes on the given pallets, as they
+        were requested. Values after the last box of a pallet are NaN."""
         with self._using(worlds=False):
             rows = pallets_of(pallet, self.n)
             k = int(self._boxes.count[rows].max(initial=0))
@@ -414,7 +414,8 @@ class Pallets(Closable):
         hulls: bool = True,
     ) -> Places:
         """Find places for boxes at the extreme points of the pallets (points at which a box touches other boxes or the
-        carrier's edges). A box must not extend beyond the carrier, and its height is that at which it would rest.
+        carrier's edges). At a place, the box does not extend beyond the carrier, and it has the height at which it
+        would rest.
 
         Args:
             size_mm: (m, 3) extents of the boxes as placed; ``pallet``: (m,) numbers of their pallets.

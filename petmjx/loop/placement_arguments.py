@@ -41,7 +41,7 @@ class Placements:
         return len(self.pallet)
 
     def take(self, rows: Any) -> Placements:
-        """The placements in these rows."""
+        """The placements in the given rows."""
         return Placements(self.size_mm[rows], self.corner_mm[rows], self.mass_kg[rows], self.pallet[rows])
 
 

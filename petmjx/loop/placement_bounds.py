@@ -47,12 +47,13 @@ FALLS: Final = -1
 
 KNIFE_SHARE: Final = 0.25
 """A load that a placement changes must act inside the edges of its bearing at a certain distance from them
-(``_least_margin``). For all other loads, this fraction of the distance is enough. If a load acts nearer to the edge
-than required, the box may seem to rest while it already begins to turn."""
+(``_least_margin``). For all other loads, ``KNIFE_SHARE`` times this distance is enough. If a load acts nearer to the
+edge than required, the box may seem to rest while it already begins to turn."""
 
 MOST_LOAD: Final = 100.0
 """Largest load on a box that carries the new box, as a multiple of the carrying box's own mass. Contacts are soft: a
-box sinks by about 0.003 mm × load / own mass (docs/rules.md, section 8), which is 0.3 mm for this load."""
+box sinks by about 0.003 mm × load / own mass (docs/rules.md, section 8), which is 0.3 mm for a load of 100 times its
+own mass."""
 
 MOST_SLENDER: Final = 8.0
 """Largest height of a pile, as a multiple of the shortest side of the boxes that carry the new box. The higher a pile
@@ -60,12 +61,13 @@ is, the more soft contacts let it lean."""
 
 HANGING_SHARE: Final = 0.05
 """The weight of a falling box must act outside the box's bearing (the hull of its contacts), at a distance of at least
-this share of the box's shorter side. At this distance, the box turns within a second, so the simulation does not take
-it for a box at rest."""
+this share of the box's shorter side. A box whose weight acts so far outside turns within a second, so the simulation
+does not take it for a box at rest."""
 
 HANGING_MM: Final = 10.0
 """The weight of a falling box must act outside the box's bearing (the hull of its contacts), at a distance of at least
-this length, mm. The larger of this length and of the distance that ``HANGING_SHARE`` gives is required."""
+this length, mm. The required distance is ``HANGING_MM``, or the distance that ``HANGING_SHARE`` gives, if that is
+larger."""
 
 TURN_DEG: Final = 25.0
 GONE_MM: Final = 30.0
@@ -79,8 +81,8 @@ NEAR_MM: Final = 2.0
 their planned places."""
 
 CALM_DEG: Final = 0.5
-"""Largest tilt of a box that counts as resting at its planned place, degrees. At this tilt, two sides of a box of 350
-mm differ by 3 mm in height."""
+"""Largest tilt of a box that counts as resting at its planned place, degrees. At a tilt of 0.5°, the two sides of a box
+that is 350 mm wide differ by 3 mm in height."""
 
 HOLDING: Final = 1.1
 """Largest friction with which boxes on one side may hold a turning box, as a multiple of μ² times the weight of the
@@ -99,17 +101,16 @@ ROUNDING_MM2: Final = 1e-4
 this value, the corner counts as being on the edge."""
 
 _AT_ONCE: Final = 512
-"""Number of placements that are decided at a time. For this number of placements, the tables fit into the cache of a
-CPU core."""
+"""Number of placements that are decided at a time. The tables for 512 placements fit into the cache of a CPU core."""
 
 _USUAL: Final = frozenset({Carrier.EURO_PALLET, Carrier.ROLLCONTAINER})
 """Carriers that are simulated as one piece. Carriers of boards are excluded, because single boards can tip."""
 
 
 def decidable(sim: Simulation) -> bool:
-    """Whether the decisions are valid for simulations with these options. The options must specify rigid boxes that
-    appear at their places, a carrier of one piece without walls, contacts as stiff as those of the preset ``pallet`` or
-    stiffer, and thresholds near the default ones."""
+    """Whether decisions of this module are valid for simulations with the options ``sim``. The options must specify
+    rigid boxes that appear at their places, a carrier of one piece without walls, contacts as stiff as those of the
+    preset ``pallet`` or stiffer, and thresholds near the default ones."""
     limits, physics = sim.thresholds, sim.physics
     return (
         sim.carrier in _USUAL
@@ -162,7 +163,7 @@ class Bounds:
         self._least: FloatArray = np.zeros((n, 1))
 
     def cut(self, pallets: NDArray[np.int64], count: NDArray[np.int64]) -> None:
-        """Keep only the first ``count`` boxes of each of these pallets."""
+        """Keep only the first ``count`` boxes of each given pallet."""
         self._boxes[pallets] = np.minimum(self._boxes[pallets], count)
 
     def of(self, request: Placements, margin: FloatArray, apart_mm: FloatArray) -> NDArray[np.int8]:
@@ -185,7 +186,7 @@ class Bounds:
         return np.where(margin[request.pallet] >= 0, decided, OPEN).astype(np.int8)
 
     def _update(self, pallets: NDArray[np.int64]) -> None:
-        """Add the boxes of these pallets that are missing in the tables."""
+        """Add those boxes of the given pallets that are missing in the tables."""
         stock, most = self._stock, self._stock.mass_kg.shape[1]
         self._bearers = widened_table(self._bearers, most, NOTHING)
         for name in ("_shares", "_edges", "_least"):

@@ -50,8 +50,8 @@ of pallets."""
 
 SURE_SHARE: Final = 0.8
 """Expected number of labels for each box that is still to be placed. A box without a place gives no label, and a box
-that is tried twice gives two labels. The number is rather too small, so that more episodes begin than are needed: if a
-further episode had to begin at the end, all pallets would wait for the boxes of this episode, which are placed one
+that is tried twice gives two labels. The number is rather too small, so that more episodes begin than are needed. If a
+further episode had to begin at the end, all other pallets would wait, while the boxes of this episode are placed one
 after another."""
 
 GROUPS_ON_GPU: Final = 2
@@ -144,7 +144,7 @@ class Labeller:
     Args:
         orders: source of the orders (lists of boxes to pack).
         pallets: number of pallets that are packed at the same time. Labels do not depend on the number of pallets. The
-            default is ``PALLETS_ON_GPU`` or ``PALLETS_ON_CPU``.
+            default is ``PALLETS_ON_GPU`` on a GPU, else ``PALLETS_ON_CPU``.
         groups: number of groups into which the pallets are divided. Each group has a thread of its own. The default is
             ``GROUPS_ON_GPU`` on a GPU, else 1.
         explore: share of boxes that are tried at a random place first.
@@ -227,13 +227,13 @@ class Labeller:
         yield from schedule.take_ended()
 
     def begun(self, number: int) -> Episode:
-        """The episode with this number, before its first box is placed."""
+        """The episode with the given number, before its first box is placed."""
         order = number % self.orders.count
         boxes = self.orders.numbered(order)
         return Episode(number, order, split_of(boxes), boxes, np.random.default_rng([self._seed, number]))
 
     def place(self, pallets: Pallets, running: Mapping[int, Episode]) -> list[int]:
-        """Place the next box of each of these episodes. If there is no place for a box, it is left out.
+        """Place the next box of each given episode. A box for which there is no place is left out.
 
         Args:
             running: number of a pallet → the pallet's episode.

@@ -145,7 +145,7 @@ class Scorer(Closable):
         return kept_plans
 
     def _results(self, plans: Sequence[Plan]) -> list[WorldResult[World]]:
-        """Simulate these plans, and return the results in the order of the plans."""
+        """Simulate the given plans, and return the results in the order of the plans."""
         worlds = [World(plan, NOMINAL.index, Job(build_scene(plan, self.simulation))) for plan in plans]
         place = {id(world): number for number, world in enumerate(worlds)}
         results = list(score_worlds(worlds, self.simulation, self._engine))

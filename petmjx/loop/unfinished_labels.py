@@ -43,7 +43,7 @@ TABLE: Final = "parts"
 SPLIT: Final = "split"
 
 _MOST_BYTES: Final = 1 << 26
-"""Largest size of the list of parts, bytes. This size is sufficient for a million parts."""
+"""Largest size of the list of parts, bytes. A list of a million parts is smaller."""
 
 _PART_SCHEMA: Final = SCHEMA.append(pa.field(SPLIT, pa.string())).with_metadata(
     {"schema_version": str(SCHEMA_VERSION), "table": TABLE}

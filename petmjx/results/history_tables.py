@@ -24,7 +24,8 @@ from petmjx.world.job import ACCELERATION, FORCE
 _KEY = ("plan_id", "variant")
 
 _DRIVES: Final = ((FORCE, "drive_force", "_n"), (ACCELERATION, "drive_acc", ""))
-"""Kind of drive (force on the carrier, or its acceleration) → prefix and suffix of the columns in ``frames``."""
+"""Kind of drive (force on the carrier, or acceleration of the carrier) → prefix and suffix of the names of its columns
+in ``frames``."""
 
 _XYZ: Final = "xyz"
 _WXYZ: Final = "wxyz"

@@ -13,8 +13,8 @@ from petmjx.results.run_folder import RUN_FILE, TABLES
 
 
 def input_files(*sources: Any) -> list[Path]:
-    """The files and folders that a command reads if it gets these sources. For a run's folder, these are ``run.json``
-    and the tables; for another folder, the files of plans in it; for a file, the file itself.
+    """The files and folders that a command reads if it gets the given sources. For a run's folder, they are
+    ``run.json`` and the tables; for another folder, the files of plans in it; for a file, the file itself.
 
     Args:
         sources: paths, lists of paths, or None. Sources of other types, such as data frames and runs in memory, have no

@@ -144,6 +144,7 @@ def resume_state(
         parts = parts.without_numbers(lacking)
         n_rerun = before - sum(len(table) for table in parts.table("worlds", ("variant",)))
         warnings.append(
-            f"{count_text(n_rerun, 'world')} had no boxes, and {'was' if n_rerun == 1 else 'were'} simulated again"
+            f"{count_text(n_rerun, 'world')} had no rows in boxes, and "
+            f"{'was' if n_rerun == 1 else 'were'} simulated again"
         )
     return info, parts, warnings

@@ -279,7 +279,7 @@ class RunResults:
     @cached_property
     def attempts(self) -> pd.DataFrame:
         """One row per attempt (simulation of a world), for worlds that needed more than one attempt. In most runs,
-        every world needs only one."""
+        every world needs only one attempt."""
         return self._read("attempts")
 
     @cached_property

@@ -33,8 +33,8 @@ rest and columns without values are compressed to a hundredth. For larger tables
 disk."""
 
 MOST_TABLE_BYTES: Final = 1 << 40
-"""Upper limit for the memory of a table, bytes. This upper limit is high, because the real limit of large runs is the
-memory of the machine."""
+"""Upper limit for the memory of a table, bytes. The limit is so high because the memory of the machine is the real
+limit for the tables of large runs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +99,7 @@ class Parts:
             )
 
     def check_tables(self, tables: Iterable[str]) -> None:
-        """Apply :meth:`check` to all files of these tables."""
+        """Apply :meth:`check` to all files of the given tables."""
         for file in (file for table in tables for file in self.files(table)):
             self.check(file)
 
@@ -116,8 +116,8 @@ class Parts:
         return Parts(self.folder, remaining, set(self._checked))
 
     def without_numbers(self, numbers: Collection[int]) -> Parts:
-        """A copy of this list of files, without the files that have one of these numbers and belong to a table with
-        rows about worlds, such as ``worlds`` and ``boxes``."""
+        """A copy of this list of files without some of the files of tables with rows about worlds, such as ``worlds``
+        and ``boxes``: those that have one of these numbers."""
         removed_names = {part_name(number) for number in numbers}
         remaining = {
             table: {
@@ -142,7 +142,7 @@ class Parts:
         return [number for number in map(part_number, self.files("worlds")) if number not in have]
 
     def next_number(self, *tables: str) -> int:
-        """A number for the next file: it is larger than the number of any file of these tables."""
+        """A number for the next file, which is larger than the number of any file of the given tables."""
         return 1 + max((part_number(file) for table in tables for file in self.files(table)), default=-1)
 
     def check(self, file: Path) -> None:

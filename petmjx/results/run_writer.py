@@ -58,7 +58,7 @@ SECONDS_PER_PART: Final = 60.0
 """Longest time for which a finished world waits until its part is written, s, even if no other world finishes."""
 
 MOST_WAITING_BYTES: Final = 4 * BYTES_PER_PART
-"""Memory that waiting worlds may take, bytes. ``add`` waits while the waiting worlds take more memory."""
+"""Memory that the worlds that wait to be written may take, bytes. ``add`` waits while these worlds take more memory."""
 
 RETRY_S: Final = 10.0
 """Time between an error of writing and the next try, s. On a full disk, at most one part is prepared for writing in
@@ -117,7 +117,7 @@ class RunWriter(RunInfo):
 
     Attributes:
         recorded: completed worlds of the run that is resumed.
-        counts: numbers of the written worlds.
+        counts: numbers of written worlds, by verdict and reason.
         out_dir: folder of the run.
 
     Raises InputError if the folder is not writable, or already has a run and neither ``overwrite`` nor ``resume`` is
@@ -179,7 +179,7 @@ class RunWriter(RunInfo):
         self._ended = False
 
     # Calls from other threads.
-    # Other threads use only the methods below, ``warnings`` and similar attributes.
+    # Other threads use only the methods below, and attributes such as ``warnings``.
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -275,7 +275,7 @@ class RunWriter(RunInfo):
             raise trouble
 
     def results(self, held: Mapping[str, Plan] | None = None) -> RunResults:
-        """The results of the run. Call this when the run has ended.
+        """The results of the run. Call this method only when the run has ended.
 
         Args:
             held: plan id → plan, for plans of the run that are in no file.
@@ -362,8 +362,8 @@ class RunWriter(RunInfo):
         return len(self._rows) >= self._worlds_per_part or self._row_bytes >= BYTES_PER_PART
 
     def _try_to_write(self) -> None:
-        """Write all worlds and tables that wait. If this fails, the error is stored, and the thread tries again after a
-        while."""
+        """Write all worlds and tables that wait. If writing fails, the error is stored, and the thread tries again
+        after ``RETRY_S`` seconds."""
         try:
             self._write_waiting()
         except Exception as error:
@@ -552,8 +552,8 @@ class RunWriter(RunInfo):
         else:
             self.status, self.error = "failed", one_line(cause)
         if error is not None and trouble is not None:
-            # The error of the run itself is raised. The error of writing is only noted in run.json, until the run is
-            # resumed.
+            # The error of the run itself is raised. The error of writing is only noted in run.json, where it stays
+            # until the run is resumed.
             also = f"the last part could not be written: {one_line(trouble)}"
             self.error = f"{self.error}; {also}" if self.error else also
         try:

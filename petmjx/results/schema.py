@@ -109,7 +109,7 @@ _WORLD_COLUMNS = (
     *_texts(verdict=_one_of(Verdict), reason="reason why the world is not stable; empty if it is stable"),
     *_counts(culprit="box that first crossed a threshold (packing order from 0); null if no box crossed one"),
 )
-"""The first columns of the table ``worlds``. The metrics and the column ``flags`` follow."""
+"""The first columns of the table ``worlds``. The columns with metrics and the column ``flags`` follow."""
 
 _BOX_COLUMNS = (
     *_KEY,
@@ -117,7 +117,7 @@ _BOX_COLUMNS = (
     *_texts(item_id="id of the item in the plan", article="article of the item"),
     _column("sequence", pa.int64(), DIMENSIONLESS, "sequence number of the item in the plan"),
 )
-"""The first columns of the table ``boxes``. The metrics follow."""
+"""The first columns of the table ``boxes``. The columns with metrics follow."""
 
 
 _ATTEMPT_COLUMNS = (
@@ -238,10 +238,10 @@ def schemas(
 
     Args:
         params: parameters of the variants of a sweep, which become the last columns of ``worlds``.
-        dynamic: whether the run has profiles (motions of the carrier). If it has, ``boxes`` has additional metrics.
+        dynamic: whether the run has profiles (motions of the carrier). With profiles, ``boxes`` has additional metrics.
         force_intervals: whether ``boxes`` has the smallest and largest possible forces at rest.
-        legs: whether the run is a chain of several legs (parts of a journey). If it is, ``boxes`` has the largest force
-            at rest after any leg.
+        legs: whether the run is a chain of several legs (parts of a journey). In the run of a chain, ``boxes`` has the
+            largest force at rest after any leg.
 
     Raises:
         ValueError: two columns have the same name.

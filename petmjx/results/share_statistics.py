@@ -61,7 +61,7 @@ def wilson_interval(
 
 def by_plan_and_axis(worlds: pd.DataFrame, axes: Sequence[str], **columns: tuple[str, str]) -> pd.DataFrame:
     """Aggregate worlds in groups. Groups are made twice: from the worlds of all plans together, and from the worlds of
-    each plan. Each time, one group has all these worlds (axis ""), and there is one group for each value of each axis.
+    each plan. In both cases, the groups are one with all worlds (axis ""), and one for each value of each axis.
 
     Args:
         columns: the values to compute for each group, as keyword arguments of pandas' ``agg``: name=(column, function).
@@ -169,8 +169,8 @@ def paired_outcomes(a: ArrayLike, b: ArrayLike) -> dict[str, NDArray[np.bool_]]:
 
 
 def newcombe_interval(counts: PairedCounts, confidence: float = DEFAULT_CONFIDENCE) -> tuple[float, float]:
-    """Newcombe's square-and-add confidence interval of the difference share of b − share of a; (−1, 1) if there are no
-    trials.
+    """Newcombe's square-and-add confidence interval of the difference (share of b − share of a); (−1, 1) if there are
+    no trials.
 
     Source: Newcombe (1998), "Improved confidence intervals for the difference between binomial proportions based on
     paired data", Statistics in Medicine 17, 2635–2650, method 10. The method combines the Wilson intervals of both

@@ -13,7 +13,7 @@ from petmjx.common.text import count_text
 from petmjx.engines.verdict import Flag, Reason, Verdict
 
 NO_VERDICT: Final = "no verdict for"
-"""How the warning about the limit of iterations begins."""
+"""The first words of the warning about worlds that reached the limit of iterations."""
 
 COUNTED: Final = ("verdict", "reason", "attempt", "flags")
 """The columns of ``worlds`` whose values are counted."""

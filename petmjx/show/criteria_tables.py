@@ -58,9 +58,9 @@ def criteria_tables(results: CriteriaResults, out: Path | None = None) -> Iterat
 
 
 def _says_table(results: CriteriaResults) -> FittedTable:
-    """A table with one row for each criterion: how many plans and boxes the criterion accepts, the median and the
-    smallest slack over all plans, and the plan with the smallest slack. A slack is a number whose sign shows whether
-    the criterion's rule holds."""
+    """A table with one row for each criterion: how many plans and boxes the criterion accepts, the median slack and the
+    smallest slack of all plans, and the plan with the smallest slack. A slack is a number whose sign shows whether the
+    criterion's rule holds."""
     plans, boxes = results.plans, results.boxes
 
     def slack(criterion: Criterion) -> pd.Series[float]:
@@ -113,8 +113,8 @@ def _criteria_vs_physics_table(judged: pd.DataFrame) -> FittedTable:
         TableColumn("same\nfirst box", count_of("same_first_box"), spare=3),
         *(chances if accepted in judged else ()),
         title=f"judged by physics on {plan_count}{alike}",
-        caption="precision: share of the accepted that stand; recall: share of the standing that are accepted; "
-        "95 % intervals",
+        caption="precision: share of the accepted plans that stand; recall: share of the standing plans that are "
+        "accepted; 95 % intervals",
     )
 
 

@@ -27,7 +27,7 @@ from petmjx.world.scene import build_scene
 
 @dataclass(frozen=True)
 class EngineReport:
-    """Whether an engine works on this machine. ``detail`` is the engine's device, or the reason why it does not
+    """Whether an engine works on this machine. ``detail`` is the engine's device, or the reason why the engine does not
     work."""
 
     name: str

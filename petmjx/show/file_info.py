@@ -58,7 +58,8 @@ def _orders_line(path: Path, options: Mapping[str, Any]) -> tuple[str, str]:
 
     The text about orders is "" if the file has no orders. If there are two equally plausible readings, the text about
     orders names both. The error is "" if any order is usable. A file with columns of places should contain plans. If
-    these plans cannot be read, the file is not read as orders either, since this would hide the reason.
+    the plans in such a file cannot be read, the file is not read as orders either, since that would hide why its plans
+    cannot be read.
     """
     errors: list[InputError] = []
     try:

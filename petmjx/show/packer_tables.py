@@ -130,8 +130,8 @@ def _pairs_table(comparison: PackerComparison) -> FittedTable:
 
 
 def _arrival_tables(comparison: PackerComparison) -> Iterator[RenderableType]:
-    """Tables for runs of chains (a pallet's whole journey): for each packer the share of worlds in which plans arrive,
-    and for each pair of packers the difference of this share."""
+    """Tables for runs of chains (a pallet's whole journey). One table has, for each packer, the share of worlds in
+    which plans arrive. Another table has the difference of this share for each pair of packers."""
     header = _interval_header(comparison)
     yield FittedTable(
         _all_sizes(comparison.packers),

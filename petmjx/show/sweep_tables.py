@@ -33,7 +33,8 @@ from petmjx.show.table_layout import (
 )
 
 MAX_VALUES: Final = 50
-"""Largest number of rows in other tables. The run's table ``summary`` has all rows."""
+"""Largest number of rows of a table that does not have one row per plan or search. The run's table ``summary`` has all
+rows."""
 
 _QUANTILES: Final = {"min": 0.0, "25 %": 0.25, "median": 0.5, "75 %": 0.75, "max": 1.0}
 
@@ -363,7 +364,7 @@ LABORATORY_LEVELS_G: Final = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
 
 
 def turns_table(summary: pd.DataFrame) -> FittedTable:
-    """A table of the number of turns of film that each plan needs to survive each level: the smallest tested number
+    """A table of the number of turns of film that each plan needs for each level: the smallest tested number of turns
     with which the plan survives the level in every direction. "none": the plan does not survive with any tested
     number."""
     least = summary.fillna({"largest_level_g": 0.0}).groupby(["plan_id", "wrap_turns"], sort=False)["largest_level_g"]

@@ -144,7 +144,7 @@ def _fits(text: Iterable[str], width: int) -> int:
 
 
 def line(text: str, style: str = "") -> Text:
-    """A line of text, or a text for a cell. A text that is too long is wrapped."""
+    """A line of text, or a text for a cell. A text that is wider than the terminal or the cell is wrapped."""
     return Text(printable(text), style=style, overflow="fold")
 
 

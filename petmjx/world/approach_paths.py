@@ -61,8 +61,8 @@ class ApproachPath(NamedTuple):
         quat: (n, 4) orientation of each box on its path, as a quaternion (w, x, y, z).
         offset: (n, 3) vector from the end of each path to its start, m, if no other box is at that start.
         steps: (n,) duration of each path in steps. A box with 0 steps is not carried, but falls.
-        falls: (n,) whether each box falls at the end of its path. The hand sets all other boxes down before it releases
-            them.
+        falls: (n,) whether each box falls at the end of its path. If a box does not fall, the hand sets it down before
+            releasing it.
         aside: (n, 2, 2) largest distance by which the start of each path may be moved aside, m. Axis 1 is the negative
             and the positive direction, axis 2 is x and y.
     """

@@ -1,15 +1,15 @@
-"""A linear programme that finds loads with which vertical forces balance a stack of boxes.
+"""A linear programme that distributes loads among supports so that vertical forces balance a stack of boxes.
 
 The load of a box is its own weight plus the weight that rests on it. The box is in balance if its load acts inside the
-edges of its supports, that is, within their convex hull. Statics does not determine how several supports share a load.
-So a load may be beyond an edge if supports share loads in one way, and inside if they share loads in another way. Rigid
-boxes stand if their supports can share the loads so that all loads act inside the edges.
+edges of its supports, that is, within the convex hull of the supports. Statics does not determine how several supports
+share a load. So a load may be beyond an edge if supports share loads in one way, and inside if they share loads in
+another way. Rigid boxes stand if their supports can share the loads so that all loads act inside the edges.
 
 The unknowns of the programme are forces at the corners of all contact areas of boxes with several supports. The forces
 must push, and must balance every box. The programme chooses the forces with which the load nearest to an edge is as far
-inside as possible. If no forces keep all loads inside, the programme minimises the distances of loads beyond edges.
-(Livesley 1978, "Limit analysis of structures formed from rigid blocks", International Journal for Numerical Methods in
-Engineering 12(12), uses forces of this kind.)
+inside the edges as possible. If no forces keep all loads inside, the programme minimises the distances of loads beyond
+edges. (Livesley 1978, "Limit analysis of structures formed from rigid blocks", International Journal for Numerical
+Methods in Engineering 12(12), uses forces of this kind.)
 
 A box with one support passes its whole load to this support. For a box with one support, the programme contains the
 support's edges, but the support's force is not an unknown.
@@ -35,8 +35,9 @@ BEYOND_M: Final = 1e-6
 solver's tolerance is a tenth of this distance."""
 
 _OUTSIDE: Final = 10.0
-"""Cost, in the programme's objective, of each metre by which a load is beyond an edge. An unbalanced moment costs
-``_OUTSIDE``² per metre (moment / load). Each metre by which the load nearest to an edge is inside the edges gains 1."""
+"""Cost, in the programme's objective, of each metre by which a load is beyond an edge. An unbalanced moment, divided by
+the load, is a length, and costs ``_OUTSIDE``² per metre. Each metre by which the load nearest to an edge is inside the
+edges reduces the cost by 1."""
 
 _ALONG: Final = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 """Inward normals of a rectangle's edges: of the two edges at the lowest corner, then of the two at the highest."""
@@ -60,8 +61,8 @@ def balanced_loads(
     passed, fixed = _fixed_forces(bearing, placed)
     several = np.flatnonzero(placed & (bearing.n_supports > 1))
     together = np.flatnonzero((placed & (bearing.n_supports > 1))[bearing.upper])
-    # For each box with several supports: the boxes whose loads depend on how these supports share the box's load. They
-    # are the boxes below, and the box itself, since the equations also contain its load.
+    # For each box with several supports: the boxes whose loads depend on how these supports share the box's load. These
+    # boxes are those below, and the box itself, since the equations also contain the load of the box itself.
     of_box = np.zeros((len(several), len(placed)), bool)
     np.logical_or.at(of_box, np.searchsorted(several, bearing.upper[together]), passed[together])
     of_box[np.arange(len(several)), several] = True

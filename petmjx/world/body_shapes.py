@@ -151,7 +151,7 @@ class Room:
     Attributes:
         face: (…, 2, 2) x or y of the inner face of each of the four walls of a carrier, m; infinite if there is no
             wall. Axis −2: the wall at the low end, the wall at the high end. Axis −1: along x, along y.
-        top: (…, 2, 2) z of the upper edge of each wall, m, with the same axes.
+        top: (…, 2, 2) z of the upper edge of each wall, m, with the same axes as ``face``.
     """
 
     face: FloatArray

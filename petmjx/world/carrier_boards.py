@@ -195,7 +195,7 @@ gets under them."""
 
 
 def has_walls(sim: Simulation) -> bool:
-    """Whether the carrier has walls; open walls count, too."""
+    """Whether the carrier has walls. Walls that the option ``walls.open`` opens count as walls, too."""
     return bool(walls_of(sim.carrier, sim.walls).sides)
 
 

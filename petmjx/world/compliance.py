@@ -41,18 +41,18 @@ POINTS_PER_BED: Final = 4
 """Number of contacts between two faces that press on one another, if at least one of the boxes is compliant."""
 
 EDGE_SHARE: Final = 2 / 3
-"""Share of the common area of two faces. As long as a larger share of this area is pressed, the stiffness of the
-contact is proportional to the pressed share. If less of the area is pressed, the springs are as stiff as if
-``EDGE_SHARE`` of the area were pressed. If stiffness were always proportional to the pressed share, a load near an edge
-would sink without limit. A real carton spreads such a load, and its edges carry more than its middle. ``EDGE_SHARE``
-has no effect if the load acts at most 0.28 × the width away from the middle of the area."""
+"""If more than this share of the common area of two faces is pressed, the stiffness of the contact is proportional to
+the pressed share. If less of the area is pressed, the springs are as stiff as if ``EDGE_SHARE`` of the area were
+pressed. If stiffness were always proportional to the pressed share, a load near an edge would sink without limit. A
+real carton spreads such a load, and its edges carry more than its middle. ``EDGE_SHARE`` has no effect if the load acts
+at most 0.28 × the width away from the middle of the area."""
 
 OUTWARD: Final = 0.6
 """Factor by which the pressure on a face moves outward if only a small share of the face is pressed. If the pressed
 share of a face is below ``EDGE_SHARE``, the pressure moves towards the deepest edge, by this factor × (``EDGE_SHARE`` /
 share − 1) × the distance to that edge. If a quarter of the face is pressed, the pressure reaches the edge. For the
 force F, the stiffness k and the width L of the common area, the angle between the two faces is then 12 F / (k·L), rad.
-At this angle, only the points at one edge carry load, of the nine points of Simpson's rule."""
+At this angle, of the nine points at which Simpson's rule evaluates the pressure, only those at one edge carry load."""
 
 FACE_COSINE: Final = 0.5
 """Two faces press on one another if the cosine of the angle between one face's normal and the other face's reversed

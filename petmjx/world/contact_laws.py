@@ -19,22 +19,23 @@ n and t the indices of the normal and the tangent. At the minimum, a sliding con
     j_n + R_n · f_n = μ · (|j_t| − R_t · |f_t|)
 
 In Coulomb's law, the right-hand side is 0. In MuJoCo, slip raises the normal force, and sliding boxes hop. De Saxcé's
-correction lowers the reference acceleration along the normal by the right-hand side (G. de Saxcé and Z.-Q. Feng, "The
-bipotential method", Mathematical and Computer Modelling 28, 1998; V. Acary and B. Brogliato, "Numerical Methods for
-Nonsmooth Dynamical Systems", 2008, section 3.9):
+correction lowers the reference acceleration along the normal by the right-hand side of this equation (G. de Saxcé and
+Z.-Q. Feng, "The bipotential method", Mathematical and Computer Modelling 28, 1998; V. Acary and B. Brogliato,
+"Numerical Methods for Nonsmooth Dynamical Systems", 2008, section 3.9):
 
     aref_n ← aref_n − μ · e,    e = max(|j_t| − R_t · |f_t| − slack, 0)
 
 The *slip excess* e depends on accelerations and forces, which in turn depend on e. So e is found by iteration. Without
-the iteration, the pressure in contacts of landing boxes was too low, and these boxes slid two to three times as far.
+the iteration, the pressure in contacts of landing boxes was too low, and these boxes slid two to three times as far as
+with the iteration.
 
 **Landing.** With the law of contacts at rest, a landing box would sink centimetres into its support and would not
 bounce. MuJoCo's contacts have reference accelerations: the relative accelerations that the two bodies would have if the
 contact were hard. With the physics ``pallet``, contacts are nearly hard. So the law of landing sets the reference
 acceleration, whatever the masses of the bodies: a constant deceleration to the velocity of the rebound (Newton's law of
 impact). During a landing, all contacts of the world have the stiffness that they have at depths beyond ``solimp``'s
-width. With their lower stiffness at small depths, boxes below the landing box would be pressed in before their contacts
-became stiff.
+width. With the lower stiffness that contacts have at small depths, boxes below the landing box would be pressed in
+before their contacts became stiff.
 """
 
 from __future__ import annotations
@@ -104,15 +105,15 @@ def cone_factor(physics: Physics, one: FloatArray | float, two: FloatArray | flo
 
 SLACK_M_S2: Final = 5.0
 """Part of the slip excess of a sliding contact (see the module's docstring) that is not corrected, m/s². A slip of 1
-cm/s has this slip excess if the time constant of friction is 4 ms. Without a correction, a slip excess of
+cm/s has a slip excess of 5 m/s² if the time constant of friction is 4 ms. Without a correction, a slip excess of
 ``SLACK_M_S2`` raises a contact by less than a hundredth of a millimetre, a depth at which contacts are soft. So pallets
 at rest are bit-identical with and without the correction. Stiff contacts are not soft at any depth, so their whole slip
 excess is corrected."""
 
 STICKS_M_S: Final = 0.01
 """Slip speed up to which a contact has its static friction, m/s. At twice this speed and above, the contact has its
-kinetic friction. Between the two speeds, friction falls linearly, so that it does not jump if boxes move slowly. Boxes
-at rest are far slower (``petmjx.Quiet``)."""
+kinetic friction. From ``STICKS_M_S`` to twice this speed, friction falls linearly, so that it does not jump if boxes
+move slowly. Boxes at rest are far slower (``petmjx.Quiet``)."""
 
 RELAXATION: Final = 0.8
 """Relaxation factor: the share of the computed change of a slip excess (see the module's docstring) that one iteration
@@ -169,8 +170,8 @@ def next_share(share: FloatArray, change: FloatArray, last: FloatArray) -> Float
 
     Args:
         share: (k,) share of the change that the last iteration applied.
-        change: (k,) change of the slip excess that the last iteration has left to be made, m/s².
-        last: (k,) change of the slip excess before the last iteration, m/s²; 0 before the first iteration.
+        change: (k,) change of the slip excess that remains to be made after the last iteration, m/s².
+        last: (k,) change that remained to be made before the last iteration, m/s²; 0 before the first iteration.
     """
     left = np.divide(change, last, out=np.zeros_like(change), where=np.abs(last) > LEAST_M_S2)
     return share / (1.0 - np.clip(left, -1.0, MOST_LEFT))

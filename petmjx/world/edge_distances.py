@@ -2,8 +2,8 @@
 docs/metrics.md, section "Edges", explains the distances.
 
 A box that would hold down another box may be placed too late, when the other box has already fallen. So a plan may fall
-while it is built, although all loads of the complete plan are inside. Therefore, the load of every box is checked after
-each placement that changes this load.
+while it is built, although all loads of the complete plan are inside the edges. Therefore, the load of every box is
+checked after each placement that changes this load.
 
 As long as no support would have to pull, the part of one box's weight that another box carries does not depend on any
 third box. So the weight of each box is distributed to the boxes below only once. The load of a box after a placement is
@@ -45,16 +45,16 @@ EXAMINED_AT_ONCE: Final = 64
 class EdgeRisk(IntEnum):
     """What a quick test of statics says about the loads of a scene while its boxes are placed one by one.
 
-    The greater the value, the longer the simulation may take: boxes with a load beyond an edge fall, and if a load is
-    near an edge, soft contacts may decide, so that the world is simulated again in stiffer contacts. Engines simulate
-    the worlds with the greatest values first.
+    The greater the value, the longer the simulation may take. Boxes with a load beyond an edge fall. If a load is near
+    an edge, soft contacts may decide, so that the world is simulated again with stiffer contacts. Engines simulate the
+    worlds with the greatest values first.
     """
 
     INSIDE = 0
     """Each load acts inside the edges, at least ``NEAR_EDGE_M`` from them."""
 
     BEYOND = 1
-    """Some load acts beyond an edge, and no load inside an edge by less than ``NEAR_EDGE_M``."""
+    """Some load acts beyond an edge, and no load is inside an edge by less than ``NEAR_EDGE_M``."""
 
     NEAR = 2
     """Some load acts inside an edge by less than ``NEAR_EDGE_M``, or the scene is too large to be examined."""
@@ -112,8 +112,9 @@ def loads_and_edges(bearing: Bearing, placed: Sequence[int]) -> tuple[FloatArray
 def edge_risks(scenes: Sequence[Scene]) -> NDArray[np.int8]:
     """(m,) the ``EdgeRisk`` of each of m scenes. A generated plan of 43 boxes takes 0.15 to 0.3 ms.
 
-    In this quick test, supports share loads like springs. ``building_edges`` takes several times as long: it also looks
-    for another distribution of the loads among the supports that keeps all loads inside the edges.
+    In this quick test, supports share loads like springs. ``building_edges`` takes several times as long as
+    ``edge_risks``: it also looks for another distribution of the loads among the supports that keeps all loads inside
+    the edges.
     """
     n_boxes = np.array([scene.n_boxes for scene in scenes], int)
     risks = np.where(n_boxes > MOST_EXAMINED_BOXES, EdgeRisk.NEAR, EdgeRisk.INSIDE).astype(np.int8)
@@ -399,7 +400,7 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
 
     Args:
         bearing: the contacts between boxes and their supports.
-        begins: (n + 1,) first pair of each box.
+        begins: (n + 1,) index of the first pair of each box; the last entry is the number of pairs.
         step: (p,) number of the box after whose placement each load acts.
         load: (p, 3) loads as in ``BuildingLoads``, if supports share loads like springs.
     """

@@ -20,8 +20,8 @@ MOST_BACK_M: Final = 0.02
 """Largest distance by which a face may stand back from the outermost face of its side and still touch the film, m."""
 
 SLACK_M: Final = 0.005
-"""Distance by which film draws a box into a gap before the film slackens, m. The 5 mm are an assumption. Real film that
-is stretched more draws boxes farther, and so closes wider gaps."""
+"""Distance by which film draws a box into a gap before the film slackens, m. The value of 5 mm is an assumption. Real
+film that is stretched more draws boxes farther, and so closes wider gaps."""
 
 RATE_1_S: Final = 100.0
 """Natural angular frequency of a box that film holds, 1/s. At a rate of 100 / s, a force equal to the box's weight

@@ -102,7 +102,7 @@ class FreeBodies:
         return int(self.velocity.shape[1])
 
     def part(self, worlds: slice) -> FreeBodies:
-        """These bodies, but only those of the given worlds."""
+        """A copy of this object with only the given worlds."""
         return replace(self, scenes=self.scenes[worlds], velocity=self.velocity[worlds])
 
     @property

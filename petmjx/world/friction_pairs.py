@@ -32,7 +32,7 @@ two shapes, as is usual in MuJoCo."""
 
 FROM_PHYSICS: Final = LARGER
 """Marks an entry without a value in a table of restitutions, of landing times (times in which landing boxes are
-stopped) or of kinetic friction. For this entry, ``Physics`` gives the value: restitution, landing time, or kinetic
+stopped) or of kinetic friction. For a marked entry, ``Physics`` gives the value: restitution, landing time, or kinetic
 friction as a share of static friction."""
 
 
@@ -156,7 +156,7 @@ def check_surfaces(plans: Iterable[Plan], sim: Simulation) -> list[str]:
     with_materials = [plan for plan in plans if plan.materials]
     notes = []
     if not sim.physics.has_own_friction and any(plan.stiffness_n_mm is not None for plan in plans):
-        notes.append("stiffness has no effect: with pyramidal cones, all contacts have the stiffness that physics sets")
+        notes.append("stiffness has no effect: with pyramidal cones, physics options set the stiffness of all contacts")
     if not with_materials:
         return notes
     if not sim.physics.has_own_friction:

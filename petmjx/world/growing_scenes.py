@@ -19,7 +19,7 @@ from petmjx.plans.plan import Plan
 from petmjx.world.scene import OF_BOXES, Scene, build_scene, half_size_and_target
 
 FIRST_COLUMNS: Final = 16
-"""Number of boxes for which tables have columns at the start."""
+"""Number of boxes for which a table has columns when it is made."""
 
 
 class OpenScenes:
@@ -184,7 +184,7 @@ class EmptyCarrier:
 
     def with_box(self, scene: Scene, boxes: NextBoxes, row: int) -> Scene:
         """The scene with one more box: the box ``row`` of ``boxes``. The box's extents, place and mass are those in
-        ``boxes``. The box's other properties are those of all added boxes."""
+        ``boxes``. All other properties of the box are the same as for all added boxes."""
         place = boxes.target[row]
         box_values = {"half_size": boxes.half_size[row], "mass": boxes.mass[row], "target": place, "start_pos": place}
         grown: dict[str, Any] = {}

@@ -23,7 +23,7 @@ simulated motion differs from the continuous motion by at most a tenth."""
 
 MOST_STUCK_S: Final = 0.5
 """Longest time for which the hand holds a box at the end of its path, waiting for the box to come to rest, s. Setting
-the box down may then take as long again."""
+the box down may then take another ``MOST_STUCK_S``."""
 
 AT_PLACE_M: Final = 0.0002
 """A box that is nearer to the end of its path than this distance, m, counts as arrived. Contacts give way by a tenth of
@@ -31,8 +31,8 @@ a millimetre, so a box might never come nearer to the end of its path than a ten
 
 MISSED_M: Final = 0.01
 """If the hand releases a box farther from its place than this distance, m, the box counts as not placed. If there is
-room, boxes are released within 5 mm of their places. A box that comes to stand on the edge of a neighbour is too high
-by the neighbour's height, or by half of this height."""
+room, boxes are released within 5 mm of their places. If a box comes to stand on the edge of a neighbour, its middle is
+too high by the neighbour's height, or, if the box tilts, by half of this height."""
 
 LOWERING_RATE_1_S: Final = 400.0
 MOST_LOWERING_PER_STEP: Final = 0.8

@@ -53,7 +53,7 @@ class Contacts:
 
     @classmethod
     def none(cls) -> Contacts:
-        """No contacts."""
+        """An object without any contacts."""
         vectors = np.zeros((0, 3))
         return cls(np.zeros(0, np.int32), np.zeros((0, 2), np.int32), vectors, vectors, vectors, np.zeros(0))
 

@@ -23,9 +23,9 @@ class Excitation:
 
     Attributes:
         name: name of the profile, for messages.
-        kind: "force" or "acceleration". A force acts on the carrier; the unit of its samples is total mass × 9.81 m/s².
-            An acceleration is that of the carrier; the unit of its samples is m/s². The engine clamps the carrier and
-            subtracts the acceleration from gravity.
+        kind: "force" or "acceleration". Samples that are forces act on the carrier; their unit is total mass × 9.81
+            m/s². Samples that are accelerations are those of the carrier; their unit is m/s². The engine clamps the
+            carrier and subtracts the acceleration from gravity.
         samples: (n_steps, 3) vectors. Row i acts during step i + 1 of the profile. Nothing acts after the last row.
     """
 
@@ -111,14 +111,14 @@ class Job:
             placement, and begins with the drive. If the placement had paused, the world begins with the placement of
             its next box. Engines get a state of their own type; outside engines, a ``KeptState`` holds the state.
         pauses_after: number of boxes, fewer than the scene has, after which the placement pauses: the world ends when
-            the next box would be placed, and the outcome has its state. The state serves as ``start`` of all jobs whose
-            worlds are equal up to this moment (``petmjx.engines.warp.equal_beginnings``). The outcome has no state if
-            the world ended earlier. A placement can pause only on engines with ``Capability.PAUSES``, in worlds without
-            a drive in which each box is placed as soon as the other boxes are at rest.
-        poses: (n, 7) middles, m, and orientations (w, x, y, z) of the boxes when the drive begins. The boxes are at
-            rest at these poses. So a drive can continue from the poses that another drive left, on any engine. The
-            carrier is where the placement left it, since engines clamp the carrier in acceleration profiles. If
-            ``poses`` is None, the boxes, too, are where the placement left them.
+            the next box would be placed, and the outcome has the world's state. The state serves as ``start`` of all
+            jobs whose worlds are equal up to the pause (``petmjx.engines.warp.equal_beginnings``). The outcome has no
+            state if the world ended earlier. A placement can pause only on engines with ``Capability.PAUSES``, in
+            worlds without a drive in which each box is placed as soon as the other boxes are at rest.
+        poses: (n, 7) middles, m, and orientations (w, x, y, z) of the boxes when the drive begins. At the poses
+            ``poses``, the boxes are at rest. So a drive can continue from the poses that another drive left, on any
+            engine. The carrier is where the placement left it, since engines clamp the carrier in acceleration
+            profiles. If ``poses`` is None, the boxes, too, are where the placement left them.
         keep_state: whether the outcome must have the state in which the placement has settled. A job with
             ``keep_state`` and no drive may end once the placement has settled, without the time to come to rest.
         record: what to record as the world's history; recording changes no other result.
@@ -127,9 +127,9 @@ class Job:
         confirms: whether an earlier attempt found that the pallet falls, and this simulation only has to confirm the
             fall (``petmjx.engines.metrics.CONFIRM_S``).
         stiff: time constant of this world's contacts, as a share of the time constant in the run's options; the world
-            has the options of ``petmjx.engines.contact_penetration.stiffened``. None: the world has the run's options.
-            ``stiff`` is set only on engines with ``Capability.STIFF_JOBS``, for a world that is simulated again
-            together with other worlds.
+            has the options of ``petmjx.engines.contact_penetration.stiffened``. If ``stiff`` is None, the world has the
+            run's options. ``stiff`` is set only on engines with ``Capability.STIFF_JOBS``, for a world that is
+            simulated again together with other worlds.
         edge_risk: what statics says about the loads of the scene (``petmjx.world.edge_distances.EdgeRisk``), for the
             order in which an engine simulates worlds; None if it is not known.
     """

@@ -95,7 +95,7 @@ def _carrier_notes(sim: Simulation) -> Iterator[str]:
     yield from _idle(idle, f"{name} is made of boards, which have their own height and mass")
     frictions = [friction for friction in board_pallet.frictions if friction is not None]
     if not physics.has_own_friction and frictions and min(frictions) < physics.box_friction[0]:
-        reason = f"the larger of two coefficients counts, and boxes have {physics.box_friction[0]:g}"
+        reason = f"a contact has the larger coefficient of its two bodies, and boxes have {physics.box_friction[0]:g}"
         yield f"friction {min(frictions):g} of boards of {name} has no effect with pyramidal cones: {reason}"
 
 
@@ -188,7 +188,7 @@ def _stiffness_notes(sim: Simulation, plans: Sequence[Plan], errors: bool) -> It
 
 def _attempt_notes(sim: Simulation, driven: bool) -> Iterator[str]:
     if driven and sim.attempts is Attempts.SOFT:
-        yield "attempts soft has no effect on drives: they begin from a settled placement, which has rigid boxes"
+        yield "attempts soft has no effect on drives: a drive begins from a settled placement, whose boxes are rigid"
 
 
 def _static_notes(sim: Simulation) -> Iterator[str]:

@@ -36,8 +36,8 @@ PULL: Final = 1e-9
 area, m, that count as rounding errors. A support whose force pulls more, or acts farther outside, counts as pulling."""
 
 ON_EDGE_M: Final = 1e-6
-"""Distance from the hull's edge, m, within which a load counts as on the edge. For a load on an edge, the pressure
-plane would be infinitely steep."""
+"""Distance from an edge of the supports' convex hull, m, within which a load counts as on the edge. For a load on an
+edge, the pressure plane would be infinitely steep."""
 
 _ROOT: Final = math.sqrt(3.0)
 _MOST_STEPS: Final = 60
@@ -49,8 +49,8 @@ Newton's method ends when errors are below ``_EXACT``. The method also ends if e
 longer shrink to half in a step, because very near an edge, rounding prevents better results."""
 
 _RIDGE: Final = 1e-13
-"""Factor of a small term, (1 + the trace), that is added to the diagonal of the matrix of second derivatives. Without
-the added term, the matrix would be singular if only one corner carries load."""
+"""This number × (1 + the trace of the matrix) is added to the diagonal of the matrix of second derivatives. Without the
+added term, the matrix would be singular if only one corner carries load."""
 
 
 def pulls(force: FloatArray, low: FloatArray, high: FloatArray, load: FloatArray) -> NDArray[np.bool_]:
@@ -98,7 +98,7 @@ def _projected_planes(to_cone: FloatArray, owner: IntArray, begins: IntArray, un
     """(c, 3) forces at contacts in the coordinates z of this module's docstring.
 
     For each box, this function searches for the pressure plane with which the projections onto the cones of the box's
-    contacts balance the box's load. The forces are these projections.
+    contacts balance the box's load. The projections are the forces at the contacts.
     """
 
     def energy(plane: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -2,9 +2,9 @@
 docs/rules.md, section 4, states the places.
 
 If places and sizes have errors, boxes may overlap when they appear. Contacts would throw overlapping boxes apart, the
-faster the stiffer the contacts and the shorter the timestep are. Whether the pallet stands would then depend on numbers
-that are not properties of boxes. So overlapping boxes are first moved apart horizontally, by the smallest possible
-translations.
+faster the stiffer the contacts and the shorter the timestep are. Whether the pallet stands would then depend on the
+stiffness of contacts and on the timestep, which are no properties of boxes. So, before boxes are released, overlapping
+boxes are moved apart horizontally, by the smallest possible translations.
 """
 
 from __future__ import annotations
@@ -173,12 +173,12 @@ def make_room(
     """(m, n, 2) horizontal places of the boxes of m worlds, m, at which no box overlaps a box beside it. The places are
     as near as possible to the given places:
 
-    the sum of the squares of all translations is as small as possible. Two boxes are kept apart along one axis. Of the
-    horizontal axes of the two boxes, it is the one along which the boxes overlap least. The gap between the two boxes
-    must be at least ``CLEAR_M``, or the planned gap if that is smaller; a planned overlap is a negative gap. So each
-    pair gives one linear inequality for the translations. Hildreth's method (Hildreth 1957, "A quadratic programming
-    procedure", Naval Research Logistics Quarterly 4, 79-85) finds the smallest translations, pair by pair. The places
-    in a world do not depend on other worlds.
+    the sum of the squares of all translations is as small as possible. Two boxes are kept apart along one axis. This
+    axis is, of the horizontal axes of the two boxes, the one along which the boxes overlap least. The gap between the
+    two boxes must be at least ``CLEAR_M``, or the planned gap if that is smaller; a planned overlap is a negative gap.
+    So each pair gives one linear inequality for the translations. Hildreth's method (Hildreth 1957, "A quadratic
+    programming procedure", Naval Research Logistics Quarterly 4, 79-85) finds the smallest translations, pair by pair.
+    The places in a world do not depend on other worlds.
 
     Args:
         place: (m, n, 2) given horizontal places of the boxes' middles, m.

@@ -130,7 +130,7 @@ class Scene:
         return replace(self, **cut, pieces=tuple(piece for piece in self.pieces if piece.box < count))
 
     def with_open_walls(self, sides: Collection[Side]) -> Scene:
-        """The scene in which the carrier's walls on these sides are open, like doors.
+        """The scene in which the carrier's walls on the given sides are open, like doors.
 
         Nothing else changes: open walls still contribute to the carrier's mass. So a simulation of one of the two
         scenes can continue from a state of the other.
@@ -290,7 +290,7 @@ def plain_scenes(
 
     Args:
         size, corner: (n, 3) extents and corners of the boxes of all plans, plan after plan, mm.
-        mass: (n,) their masses, kg.
+        mass: (n,) masses of these boxes, kg.
         counts: number of boxes of each plan.
     """
     ends = np.cumsum(counts)

@@ -56,12 +56,12 @@ MOST_ROUNDING: Final = 0.1
 
 IMPEDANCE: Final = 0.99
 """Impedance of the constraints along the edges of elements. With an impedance of 0.95, a box of the same stiffness
-trembles four times as much. With 0.999, the box takes 0.1 s to give way under a load."""
+trembles four times as much. With an impedance of 0.999, the box takes 0.1 s to give way under a load."""
 
 MOST_RATE: Final = 0.05
 """Largest k·dt² of an edge, where k is the stiffness of the edge's constraint and dt the timestep. MuJoCo integrates
-constraints explicitly, so a stiffer edge might be unstable. For a stiffer box than the largest k allows, the impedance
-of the edges' constraints is increased instead."""
+constraints explicitly, so a stiffer edge might be unstable. If a box is stiffer than the largest k allows, the
+impedance of the edges' constraints is increased instead."""
 
 CONTACT_SOLREF: Final = (0.004, 1.0)
 CONTACT_SOLIMP: Final = (MOST_IMPEDANCE, MOST_IMPEDANCE, 0.001)

@@ -121,8 +121,8 @@ def _held_by_walls(scene: Scene, target: FloatArray) -> FloatArray:
     If the load W of a box acts at a distance e beyond an edge of the supports, the box tips until it touches the wall
     on that side. The box touches the wall at its own top or at the wall's top, whichever is lower. The point at which
     the box touches the wall is a height h above the box's bottom. The wall then presses on the box with the force
-    W·e/h, which friction at the edge must balance. So the wall holds the box up to e = µ·h. The formula e = µ·h assumes
-    a smooth wall and a support that does not move.
+    W·e/h, which friction at the edge must balance. So the wall holds the box as long as e is at most µ·h. This limit
+    assumes a smooth wall and a support that does not move.
     """
     room, half = scene.carrier.room, scene.half_size
     bottom, top = (target - half)[:, 2], (target + half)[:, 2]
@@ -191,7 +191,8 @@ class Bearing:
 
         Args:
             load: (n, 3 or 4) loads of all boxes, as in ``loads``.
-            together: (k,) numbers of all contacts below some of the boxes that have several supports, in order.
+            together: (k,) numbers of contacts, rising. The box above each of these contacts has several supports, and
+                all contacts below this box are included.
         """
         upper, low, high = self.upper[together], self.low.take(together, axis=0), self.high.take(together, axis=0)
         under = load.take(upper, axis=0)[:, :3]
@@ -223,7 +224,7 @@ class Bearing:
         Args:
             load: (p, 3) load of each box in ``boxes``.
             boxes: (p,) numbers of boxes that have several supports.
-            owner: (k,) index in ``boxes`` of the box above each contact. Contacts are sorted by this index.
+            owner: (k,) index in ``boxes`` of the box above each contact. Contacts are sorted by ``owner``.
             low, high: (k, 2) lowest and highest corner (x, y) of each contact's rectangle, m.
         """
         force, hull = np.zeros((len(owner), 3)), self.number_of_hull[boxes]
@@ -401,8 +402,8 @@ class Bearing:
 
     @cached_property
     def borne_together(self) -> list[IntArray]:
-        """For each group of ``levels``, the numbers of all contacts below those of the group's upper boxes that have
-        several supports. Contacts with the carrier are included."""
+        """For each group of ``levels``, the numbers of all contacts that carry a box with several supports, for the
+        upper boxes of the group. Contacts with the carrier are included."""
         groups = []
         upper = self.upper[self.together]
         for between in self.levels:
@@ -413,7 +414,7 @@ class Bearing:
 
     @cached_property
     def together(self) -> IntArray:
-        """(k,) numbers of all contacts below boxes that have several supports, in order."""
+        """(k,) numbers of the contacts whose upper box has several supports, rising."""
         return np.flatnonzero((self.n_supports > 1)[self.upper])
 
     @cached_property
@@ -496,8 +497,8 @@ def bearings_of(
 
 
 _SORTED_M: Final = 1e-4
-"""Tolerance of a first, rough search for contacts, m. The search compares sums of heights of many scenes, which are
-rounded."""
+"""Tolerance of a first, rough search for contacts, m. The search raises the heights of each scene by a different
+amount, and the raised heights are rounded."""
 
 
 def find_bearings(

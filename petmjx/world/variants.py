@@ -1,7 +1,7 @@
 """Variants: how a world differs from its plan's nominal (unchanged) world.
 
-A variant has two halves. The *placement* of a variant is the changes that act while boxes are placed, or before
-(friction, mass, sizes, placement errors). The *drive* of a variant is what shakes the finished pallet (profile,
+A variant has two halves. The *placement* of a variant consists of the changes that act while boxes are placed, or
+before (friction, mass, sizes, placement errors). The *drive* of a variant is what shakes the finished pallet (profile,
 strength, direction). Worlds of a plan with the same ``placement_key`` have the same placement. The placement that
 several worlds have in common is simulated once, and each of these worlds starts from the settled state.
 
@@ -97,10 +97,10 @@ class PlacementChange:
         carrier_friction_factor: factor on the three friction coefficients of the carrier. MuJoCo uses the larger
             coefficient of two touching geoms, so reducing only one of the two factors changes little.
         mass_factor: factor on the mass of every box. The carrier's mass does not change.
-        friction_rel: relative change of the friction of boxes and carrier, in addition to the factors (0.1 = 10 %
-            more). One error is drawn for the whole world, since all cartons of a pallet are of the same board and in
-            air of the same humidity.
-        mass_rel: relative change of a box's mass, in addition to the factor.
+        friction_rel: relative change of the friction of boxes and carrier, in addition to ``box_friction_factor`` and
+            ``carrier_friction_factor`` (0.1 = 10 % more). One error is drawn for the whole world, since all cartons of
+            a pallet are of the same board and in air of the same humidity.
+        mass_rel: relative change of a box's mass, in addition to ``mass_factor``.
         size_mm: change of each dimension of a box, mm.
         size_rel: relative change of each dimension of a box (0.01 = 1 % larger).
         x_mm, y_mm: errors of a box's place along x and y, mm.
@@ -110,8 +110,8 @@ class PlacementChange:
             option ``placing`` applies.
         placing_height_mm, placing_side_mm, placing_speed_m_s, placing_force_n, tines_height_mm: values that replace
             fields of ``petmjx.options.placing.Placing``. For a value of None, the option applies.
-        wrap_turns: number of turns of film that replaces that of ``petmjx.options.wrap.Wrap``. If ``wrap_turns`` is
-            None, the options apply.
+        wrap_turns: number of turns of film, which replaces the field ``turns`` of ``petmjx.options.wrap.Wrap``. If
+            ``wrap_turns`` is None, the options apply.
         shifts_from_release: whether a box's shift is measured from its place of release, not from its planned place.
     """
 
@@ -241,8 +241,9 @@ MIN_FRICTION_FRACTION = 0.1
 positive."""
 
 STEP_TOLERANCE_M = 0.01
-"""Box B is set down on box A, if the two overlap seen from above, even if A's planned top is above B's planned bottom
-by up to this length, m. If A's planned top is higher, A counts as standing beside B."""
+"""In the plan, the top of a box A may be above the bottom of a box B by up to this length, m, and A still counts as
+below B. So if A and B overlap seen from above, B is set down on A. If the top of A is still higher, A counts as
+standing beside B."""
 
 MOST_SPREADS: Final = 5.0
 """Largest distance of a random error from its mean that is considered, in standard deviations. One normal error in 2

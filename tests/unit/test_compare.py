@@ -178,7 +178,7 @@ def test_notes_on_variants_that_mean_something_else(tmp_path: Path) -> None:
     for folder, level in (("a", 0.4), ("b", 0.5)):
         with RunWriter(tmp_path / folder, CONFIG, params=[Param("level_g", "g")]) as run:
             run.add(make_plan(), 1, "fixed", make_outcome(), params={"level_g": level})
-    assert compare_runs(tmp_path / "a", tmp_path / "b").notes == ("variants of one number differ in level_g",)
+    assert compare_runs(tmp_path / "a", tmp_path / "b").notes == ("variants with the same number differ in level_g",)
 
 
 def test_a_world_twice_in_one_run_is_refused(tmp_path: Path) -> None:

@@ -56,8 +56,8 @@ def test_worlds_without_boxes_are_simulated_again(run: Path) -> None:
     again = petmjx.score(PLANS, engine=LargestFirst(), out=run, resume=True)
     assert again.boxes.equals(boxes)
     assert again.worlds.equals(worlds)
-    assert [line for line in again.info["warnings"] if "had no boxes" in line] == [
-        f"{len(worlds)} worlds had no boxes, and were simulated again"
+    assert [line for line in again.info["warnings"] if "had no rows in boxes" in line] == [
+        f"{len(worlds)} worlds had no rows in boxes, and were simulated again"
     ]
 
 

@@ -117,7 +117,7 @@ def test_the_sequence_of_online_tasks(capsys: pytest.CaptureFixture[str]) -> Non
         ("dcba", "offline3dbp", 0),
     ):
         assert submit(packed(names), orders, task) == code, (names, task)
-    assert "box 1: is item 2 of the waiting ones, but the task lets the packer take the next item" in (
+    assert "box 1: is number 2 of the waiting items, but the task lets the packer take the next item" in (
         capsys.readouterr().err
     )
 

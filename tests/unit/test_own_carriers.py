@@ -237,7 +237,7 @@ def test_what_does_not_count_is_told() -> None:
     slippery = "friction 0.3 of boards of half pallet has no effect with pyramidal cones: "
     options = {"engine": "mujoco", "threads": 1, "carrier": carrier, "physics": "reference"}
     assert (
-        f"{slippery}the larger of two coefficients counts, and boxes have 0.5"
+        f"{slippery}a contact has the larger coefficient of its two bodies, and boxes have 0.5"
         in petmjx.score([PLAN], **options).info["warnings"]
     )
 

@@ -335,7 +335,7 @@ def test_grids_have_their_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert f"<title>0.2: {100 * shares[0.2]:.1f} %, 95 %:" in body
     monkeypatch.setattr(report_plan_table, "MOST_OF_SWEEP", 11)
     html = page_of(folder)
-    assert "has 12 worlds, too many for a table. It has one row per plan" in checked(html)
+    assert "has 12 worlds, too many for a row each. The table has one row per plan" in checked(html)
     page_rows, table = table_rows([opened])
     assert page_rows.summed_up == [opened]
     assert info_of(html)["n"] == len(table) == worlds["plan_id"].nunique() == 2
@@ -405,7 +405,8 @@ def test_a_page_to_send_is_about_each_plan_of_a_chain(tmp_path: Path) -> None:
     assert out.read_bytes().count(b"/Type /Page ") == 2
     assert run.summary is not None
     (row,) = run.summary.query("scope == 'plan' and plan_id == 'slides' and leg == ''").to_dict("records")
-    assert sentence(row).startswith("Arrives in 0 of 2 worlds: P = 0.0 % (0.0 % to 65.8 %, 95 %). Weakest leg: truck")
+    arrives = "Arrives in 0 of 2 worlds: P = 0.0 % (95 % interval: 0.0 % to 65.8 %)"
+    assert sentence(row).startswith(f"{arrives}. Weakest leg: truck")
     facts = "\n".join(_facts(run, plans[0]))
     mass_kg, height_m = plans[0].mass_kg[0], plans[0].size_mm[0, 2] / 1000
     # film presses on each of the four sides with 2·T, where T = 50 N · 8 · height / 0.5 m; it sticks with 0.3 times
@@ -413,7 +414,7 @@ def test_a_page_to_send_is_about_each_plan_of_a_chain(tmp_path: Path) -> None:
     held_n = 0.3 * 4 * 2 * 50 * 8 * height_m / 0.5
     assert "Film of 50 N a turn across 500 mm: 8 turns from film on." in facts
     slides_g = 0.5 + held_n / (mass_kg * 9.81)
-    assert f"Held by 8 turns to its carrier it slides from {slides_g:.2f} g." in facts
+    assert f"Held to its carrier by 8 turns, the load slides from {slides_g:.2f} g." in facts
     assert "Walls stand on the front, back; there are no straps" in _assumed(run)[-1]
     assert "more than 20 mm from its planned place, or tilted by more than 20°" in _assumed(run)[-1]
     counts = {**run.info["counts"], "worlds": 1}

@@ -1,5 +1,5 @@
 """Figures of comparisons, with intervals. One figure compares packers: the share of each packer's plans that stand, and
-the difference of this share for each pair of packers. The other figure compares criteria with simulations: precision,
+the difference of this share for each pair of packers. A second figure compares criteria with simulations: precision,
 recall and correlation of each criterion."""
 
 from __future__ import annotations

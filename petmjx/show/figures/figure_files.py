@@ -58,7 +58,7 @@ def figure(results: PackerComparison | CriteriaResults | RunResults, *files: str
 
 
 def check_figures(paths: list[Path]) -> None:
-    """Check that figures can be written. Call it before the results are computed.
+    """Check that figures can be written. Call this function before the results are computed.
 
     Raises:
         InputError: a suffix is unknown, a path cannot be written, or matplotlib is missing.

@@ -80,14 +80,14 @@ def leaderboard(
         orders: file with the orders of the plans, in any form. With a file of orders, the rating covers these orders,
             and KPIs are added. If ``orders`` is None, the rating covers the orders for which any packer has a plan, so
             the rating of a packer depends on the other packers.
-        baselines: whether the orders are also packed by each of petmjx's packers, which then take part.
+        baselines: whether the orders are also packed by each of petmjx's packers, so that these packers are rated, too.
         repairs: names of packers whose plans are also repaired (docs/repair.md). The repaired plans are rated as an
             additional entry ``NAME-repaired``.
         stories: number of plans per packer that get a page. Plans that fall while another packer's plan for the same
             order stands come first.
         replays: number of plans per entry that are simulated again, unless this call has simulated all plans of the
-            entry. The plans are chosen at random. Replays have the options of this call. If this call gives no options,
-            replays have the options of the runs, or the defaults if runs have different options.
+            entry. The plans are chosen at random. Replays have the options that ``leaderboard`` was called with or,
+            without such options, the options of the runs, or the defaults if the runs have different options.
         watch: function that returns, for the name of a packer, a context with an object that watches the progress of
             the packer's run.
         overwrite: whether to replace an existing leaderboard.
@@ -147,7 +147,7 @@ def _rated_board(
     entries: Sequence[Entry], folder: Path, orders: Path | None, options: Mapping[str, Any], stories: int, replays: int
 ) -> Board:
     """Check each entry by simulating some of its plans again (samples and stories), and rate the entries that these
-    simulations do not contradict. The board has no digests yet."""
+    simulations do not contradict. In the returned board, ``digests`` is still empty."""
     runs_by_packer({entry.name: entry.run for entry in entries})
     of_simulation, of_run, _ = sorted_options(options, Confidence)
     sim, run_options = _options_of(of_simulation, entries), RunOptions(**of_run)
@@ -225,8 +225,9 @@ def _digest(file: Path) -> str:
 def _stories(
     entries: Sequence[Entry], comparison: PackerComparison, folder: Path, most: int
 ) -> tuple[list[StoryEntry], dict[str, list[Replay]]]:
-    """Make stories (pages about single plans) of some plans of each packer. Each of these plans is simulated again, as
-    in its run. Returns the stories, and a dict: name of a packer → replays of the plans that its stories tell."""
+    """Make stories (pages about single plans) of some plans of each packer. Each plan that gets a story is simulated
+    again, as in its run. Returns the stories, and a dict: name of a packer → replays of the plans that its stories
+    tell."""
     folder.mkdir(exist_ok=True)
     stories: list[StoryEntry] = []
     replays_by_name: dict[str, list[Replay]] = {}

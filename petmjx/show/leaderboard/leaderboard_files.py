@@ -91,8 +91,8 @@ class BoardFolder:
         self.check()
 
     def check(self) -> None:
-        """Check that no file would be replaced or deleted that does not belong to the board. This check is repeated,
-        since making a board may take hours."""
+        """Check that only files that belong to the board would be replaced or deleted. Making a board may take hours,
+        so the check is made at the beginning and again before files are written."""
         check_outputs(
             [self._folder / name for name in dict.fromkeys((*self._names, *self.board_files, *self._runs))],
             overwrite=self._overwrite,

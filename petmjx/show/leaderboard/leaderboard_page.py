@@ -237,7 +237,7 @@ def _story_list(board: Board) -> Content:
             joined_markup(_link(story, story.plan_id), " ") for story in board.story_entries if story.packer == name
         ]
         rows.append([name, joined_markup(*links)])
-    hint = "Each is a page to play: what happened to one plan, simulated again exactly as it was rated."
+    hint = "Each link opens a page that plays the simulation of one plan, which was repeated exactly as it was rated."
     return joined_markup(element("p", hint, class_="hint"), table(["packer", "plans"], rows, texts=2, class_="stories"))
 
 
@@ -277,7 +277,7 @@ def _rerun_section(board: Board) -> Markup:
             rows.append([entry.name, link, element("code", board.digests[entry.name][:16])])
     info = board.entries[0].run.info
     device = f"petmjx {__version__}; the first run: {info.get('device', 'unknown device')}"
-    text = "The folder of this page has all plans. This command, typed in it, rates them again:"
+    text = "The folder of this page has all plans. This command, typed in that folder, rates the plans again:"
     return joined_markup(
         element("p", text),
         element("pre", element("code", printable(board.command))),

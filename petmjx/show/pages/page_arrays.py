@@ -29,7 +29,8 @@ class PackedArray:
     """An array as stored in a block.
 
     The original numbers are ``values`` × ``scale`` + ``offset``. If ``steps`` is True, each row along axis 0 is the
-    difference from the row before, modulo the range of the type. Differences deflate better.
+    difference from the row before, modulo the range of the type. If values change slowly along axis 0, their
+    differences deflate better than the values themselves.
     """
 
     values: NDArray[Any]
@@ -44,7 +45,7 @@ def quantised_column(values: NDArray[np.floating[Any]], steps: bool = False) -> 
 
     Args:
         values: floats of any shape. Infinities become NaN.
-        steps: whether to store differences along axis 0. Differences suit values that change slowly along this axis.
+        steps: whether to store differences along axis 0. Differences suit values that change slowly along axis 0.
     """
     finite = np.isfinite(values)
     low, high = (float(values[finite].min()), float(values[finite].max())) if finite.any() else (0.0, 0.0)

@@ -53,7 +53,7 @@ def reading_page(plan_set: PlanSet, infos: Sequence[Mapping[str, Any]]) -> str:
     body = (
         "<header><h1>How the files were read</h1>"
         '<p class="small faint">Pictures show plans as they were read, before anything is simulated. '
-        "Left is −x, front −y. If one is wrong, say how the file is to be read: "
+        "Left is −x, front −y. If a picture is wrong, say how the file is to be read: "
         "<code>--units</code>, <code>--anchor</code>, <code>--up</code>, <code>--sizes</code>, "
         "<code>--columns</code>.</p></header>"
         f'<main>{sections}</main><footer class="small faint">petmjx {escaped_html(__version__)}</footer>'

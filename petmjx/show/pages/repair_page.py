@@ -41,7 +41,7 @@ def repair_page(repairs: Repairs) -> str:
     also = f"<p>{count_text(standing, 'plan')} stand as they are.</p>" if standing and fell else ""
     body = (
         f"<header><h1>Repairs</h1><p>{escaped_html(repairs.summary)}.</p>{also}"
-        '<p class="small faint">Boxes have their numbers in the plan as it was, from 0, also in the repaired plan. '
+        '<p class="small faint">In both plans, boxes have the numbers of the original plan, from 0. '
         "Left is −x, front −y. The first box to fail, and the boxes that are changed, are outlined.</p></header><main>"
         f"{''.join(_section(repaired, dict(repairs.how or {})) for repaired in fell)}</main>"
         f'<footer class="small faint">petmjx {escaped_html(__version__)}; units mm, kg</footer>'

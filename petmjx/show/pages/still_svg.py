@@ -101,7 +101,7 @@ def _svg(
 
     Args:
         placed: centres, axes and half sizes, as in ``drawing_order``, of the boxes that are drawn.
-        carrier: the same of the carrier's boards and walls.
+        carrier: the same three arrays for the carrier's boards and walls.
         shown: number in the plan of each box that is drawn.
         numbers: the number that the picture shows for each of these boxes.
         marked: numbers in the plan of the boxes that are outlined.
@@ -138,8 +138,8 @@ def _projection(points: FloatArray) -> FloatArray:
 
 
 def _picture_fit(points: FloatArray, framed: tuple[FloatArray, FloatArray] | None) -> tuple[FloatArray, float, float]:
-    """How the scene fits into the picture: (2,) position of the picture's upper left corner, as in ``_projection``, the
-    number of pixels per m, and the height of the picture, px.
+    """How the scene fits into the picture. The result is (2,) the position of the picture's upper left corner, as in
+    ``_projection``; the number of pixels per m; and the height of the picture, px.
 
     Args:
         points: (…, 3) corners of all boxes, m.

@@ -25,8 +25,8 @@ _FAR_SHARE: Final = 0.5
 """The view must show those boxes that, at the end, are nearer to the planned load than ``_FAR_M`` + this share × the
 height of the load."""
 _LOST_M: Final = 50.0
-"""Distance from the origin beyond which boxes are not drawn, m. Boxes so far away occur in simulations that became
-numerically unstable. If boxes so far away were drawn, all other positions would be stored less precisely."""
+"""Distance from the origin beyond which boxes are not drawn, m. Boxes beyond 50 m occur in simulations that became
+numerically unstable. If they were drawn, all other positions would be stored less precisely."""
 _ARROW_M: Final = 0.45
 """Width of the space to the left of the carrier for the arrow of gravity, m (petmjx/show/pages/static/arrows.js)."""
 

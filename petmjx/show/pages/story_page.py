@@ -74,7 +74,7 @@ def _notes(story: Story) -> list[str]:
     notes = notes_in_words(story)
     if story.drive is not None and not np.any(story.history.drive):
         name = story.drive.excitation.name
-        notes.append(f"It was shaken by {name}, but no frame shows a push: record at shorter intervals.")
+        notes.append(f"The pallet was shaken by {name}, but no frame shows a push: record at shorter intervals.")
     return notes
 
 

@@ -149,12 +149,12 @@ def write_mp4(
 
 @contextmanager
 def h264_encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callable[[bytes], None]]:
-    """A context that yields a function, which writes the frames of a film, one after another. When the context ends,
-    the file is complete.
+    """A context that yields a function, which writes the next frame of a film. When the context ends, the file is
+    complete.
 
-    imageio-ffmpeg itself would start ffmpeg with a Python function between fork and exec. Such a function is unsafe if
-    the process has threads: after a run on a GPU, JAX warns of a deadlock. So petmjx starts ffmpeg without such a
-    function.
+    imageio-ffmpeg itself would start ffmpeg with a Python function between fork and exec. A Python function between
+    fork and exec is unsafe if the process has threads: after a run on a GPU, JAX warns of a deadlock. So petmjx itself
+    starts ffmpeg, without a Python function between fork and exec.
 
     Args:
         path: the file to write. An existing file is replaced.

@@ -135,8 +135,8 @@ def round_up(value: float, steps: tuple[float, ...] = (1.0, 2.0, 5.0, 10.0)) -> 
 
 
 def ramp_colours(shares: FloatArray) -> NDArray[np.float64]:
-    """(k, 3) colours, from dark to bright, for (k,) numbers from 0 to 1. Numbers outside this range get the first or
-    the last colour."""
+    """(k, 3) colours, from dark to bright, for (k,) numbers from 0 to 1. Numbers below 0 get the first colour, and
+    numbers above 1 the last."""
     last = RAMP_COLOURS - 1
     places = _DARKEST + (1 - _DARKEST) * np.clip(np.nan_to_num(shares, nan=1.0), 0.0, 1.0)
     return np.asarray(_ramp()[np.round(places * last).astype(np.intp)])

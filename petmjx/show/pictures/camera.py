@@ -15,7 +15,7 @@ from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray, deg_to_rad
 
 FIELD_OF_VIEW_DEG: Final = 24.0
-"""Vertical angle of view, as with a 56 mm lens on 24 × 36 mm film. With this angle, vertical edges look nearly
+"""Vertical angle of view, as with a 56 mm lens on 24 × 36 mm film. With so small an angle, vertical edges look nearly
 parallel."""
 
 NEAREST_M: Final = 0.3
@@ -113,8 +113,8 @@ def framing(points: FloatArray, view: View, size: tuple[int, int], margins: Marg
     Let (cx, cy, cz) be the camera's position along its own axes, and r the tangent of the angle between its forward
     direction and the right margin. A point (x, y, z) is to the left of the right margin if x − cx ≤ r (z − cz). So cx −
     r cz ≥ A with A = max(x − r z) over all points. Likewise, −cx − l cz ≥ B for the left margin. The sum of both
-    inequalities gives cz ≤ −(A + B) / (r + l). The upper and lower margins give another limit for cz. The smaller limit
-    is used.
+    inequalities gives cz ≤ −(A + B) / (r + l). The upper and lower margins give another limit for cz. The smaller one
+    of the two limits is used.
 
     Args:
         points: (k, 3) the points, m.

@@ -21,7 +21,7 @@ from petmjx.show.pictures.story_poses import Poses, poses_at
 from petmjx.world.mujoco_model import build_spec, geom_bodies
 
 _PARKED_M: Final = 100.0
-"""Boxes that are not yet placed are kept at this distance from the origin, m. At this distance, waiting boxes touch
+"""Boxes that are not yet placed are kept at this distance from the origin, m. So far away, waiting boxes touch
 nothing."""
 
 _SPACE, _RIGHT, _LEFT, _HOME = 32, 262, 263, 268

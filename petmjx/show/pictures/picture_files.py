@@ -79,7 +79,7 @@ def kind_of(path: Path) -> str:
 
 
 def check_files(paths: Sequence[Path]) -> None:
-    """Check that files can be drawn and written. This check comes before the simulation.
+    """Check that files can be drawn and written. Call this function before the simulation, which may take long.
 
     Raises:
         InputError: a path cannot be written, or libraries for a kind of file are missing.

@@ -123,12 +123,12 @@ class PictureOptions(CheckedRecord):
     ] = Field(
         None,
         description="moments of a picture, with commas between: seconds, or start, before (the last placement before "
-        "the first sign), first-sign, end; several are a row of pictures",
+        "the first sign), first-sign, end; several moments give a row of pictures",
     )
     view: Annotated[str, _checked_by(view_of), CliFlag("--view")] = Field(
         "iso",
-        description=f"where it is seen from: {', '.join(VIEWS)}, or AZIMUTH/ELEVATION in degrees, 0/0 in front, 90/0 "
-        "on the right",
+        description=f"where the pallet is seen from: {', '.join(VIEWS)}, or AZIMUTH/ELEVATION, degrees, 0/0 in front, "
+        "90/0 on the right",
     )
     size: Annotated[str | None, _checked_by(size_of), CliFlag("--size", "WxH", default=_USUAL_SIZES)] = Field(
         None,
@@ -139,7 +139,7 @@ class PictureOptions(CheckedRecord):
         description="what colours show: article, order, shift, tilt, force (on top), planned (where boxes should be)",
     )
     arrows: Annotated[bool, CliFlag("--arrows")] = Field(
-        False, description="draw contact forces as arrows, in boxes that are transparent; engine mujoco"
+        False, description="draw contact forces as arrows, in transparent boxes; needs the engine mujoco"
     )
     speed: Annotated[
         float | None,
@@ -147,8 +147,8 @@ class PictureOptions(CheckedRecord):
         CliFlag("--speed", "X", default="1, or so much faster that a film lasts 20 s at most"),
     ] = Field(
         None,
-        description="of films, as a multiple of real time",
+        description="speed of films, as a multiple of real time",
     )
     fps: Annotated[float, within(1, 50), CliFlag("--fps", "N")] = Field(
-        FILM_FPS, description="frames a second of films"
+        FILM_FPS, description="frames per second of films"
     )

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 FINER: Final = 2
-"""Factor by which single pictures are drawn larger and then reduced, which makes edges smooth. Large pictures are not
-drawn larger."""
+"""Factor by which single pictures are drawn larger and then reduced, which makes edges smooth. Pictures of more than
+``_LARGE_PX`` pixels are drawn at their own size."""
 
 _LARGE_PX: Final = 3_000_000
 

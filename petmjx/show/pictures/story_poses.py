@@ -94,7 +94,7 @@ def poses_at(history: History, time_s: float) -> Poses:
 
 
 def nearest_frame(history: History, time_s: float) -> int:
-    """The number of the frame nearest to a time. If several frames have this time, the last of them is taken."""
+    """The number of the frame nearest to a time. If several frames are equally near, the last of them is taken."""
     distance = np.abs(history.time_s - time_s)
     return int(np.flatnonzero(distance == distance.min())[-1])
 
@@ -135,8 +135,8 @@ def _moment(story: Story, which: str | float) -> Moment:
 
 
 def shift_mm(story: Story, poses: Poses) -> FloatArray:
-    """(k,) largest component of each placed box's shift from its planned place, mm. The verdict depends on the same
-    value."""
+    """(k,) largest component of each placed box's shift from its planned place, mm. The verdict depends on this
+    component, too."""
     moved = shift(poses.pos, story.scene.target[: poses.n_placed], 0.0)
     return np.asarray(1000.0 * np.abs(moved).max(axis=1, initial=0.0))
 

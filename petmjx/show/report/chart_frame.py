@@ -35,7 +35,7 @@ class Scale:
     """The scale of an axis, which converts values to pixels.
 
     Attributes:
-        low, high: ends of the range of values. Values outside are drawn at the nearest end.
+        low, high: ends of the range of values. Values outside the range are drawn at its nearest end.
         log: whether the scale is logarithmic, which requires that ``low`` is above 0.
         lowest: label at the lower end, such as "≤ 1", if smaller values are also drawn there.
         counts: whether values are counts, that is, whole numbers.

@@ -17,7 +17,7 @@ from petmjx.show.report.chart_frame import WIDTH, Frame, Scale, drawing
 from petmjx.show.report.markup import Content, Markup, element
 
 BINS: Final = 24
-"""Number of bins of a histogram. With this number, bars are 12 pixels wide."""
+"""Number of bins of a histogram. With 24 bins, bars are 12 pixels wide."""
 
 GROUPS: Final = 8
 FEWEST: Final = 12
@@ -163,8 +163,8 @@ class Bar:
 
 
 def bars(title: str, rows: Sequence[Bar], *, width: int = WIDTH, names: int = 130) -> Markup:
-    """A bar chart with the names on the left. A long name is shortened; the whole name appears when the mouse is over
-    the bar.
+    """A bar chart with the name of each bar on its left. A long name is shortened; the whole name appears when the
+    mouse is over the bar.
 
     Args:
         width: width of the chart, pixels.

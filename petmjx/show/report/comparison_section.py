@@ -64,7 +64,7 @@ def _rates(runs: Sequence[ReportRun], common: pd.DataFrame) -> Markup:
         text = f"{percent(share)} ({interval_text(low, high)})" if n else "none judged"
         rows.append((run.name, share, low, high, text))
     invalid = int((common == Verdict.INVALID.value).sum().sum())
-    note = "Share that stands of the worlds in all runs, with Wilson’s 95 % interval."
+    note = "Share of worlds that stand, among the worlds of all runs, with Wilson’s 95 % interval."
     note += f" {count_text(invalid, 'invalid world is', 'invalid worlds are')} not counted." if invalid else ""
     if any(run.kind.sweeps for run in runs):
         note += " Worlds of one plan depend on each other: the intervals are too narrow."
@@ -72,8 +72,9 @@ def _rates(runs: Sequence[ReportRun], common: pd.DataFrame) -> Markup:
 
 
 def _won_and_lost(runs: Sequence[ReportRun], common: pd.DataFrame) -> tuple[Markup, Markup]:
-    """A chart of the numbers of worlds that stand in both, one or neither run of each pair of runs, and a table of the
-    differences of the shares that stand. Only worlds with a valid verdict in both runs are compared."""
+    """A chart and a table about each pair of runs. The chart has the numbers of worlds that stand in both runs, in one
+    run, or in neither. The table has the differences between the shares of worlds that stand. Only worlds with a valid
+    verdict in both runs are compared."""
     rows, differences = [], []
     pairs = list(itertools.combinations(range(len(runs)), 2))
     for a, b in pairs[:MOST_PAIRS]:
@@ -99,7 +100,7 @@ def _won_and_lost(runs: Sequence[ReportRun], common: pd.DataFrame) -> tuple[Mark
     )
     more_text = f"{len(pairs) - MOST_PAIRS:,} more pairs are not drawn." if len(pairs) > MOST_PAIRS else ""
     picture = stacked_bars("Plans won and lost", rows)
-    test = "95 %: Newcombe’s interval of paired shares. petmjx compare --packers tests them, too."
+    test = "95 %: Newcombe’s interval of paired shares. petmjx compare --packers also tests these differences."
     drawn = element("div", figure("Plans won and lost, pair by pair", picture, more_text), key)
     listed = table(["difference, points", "", "95 %"], differences)
     return drawn, joined_markup(listed, element("p", test, class_="hint"))
@@ -179,7 +180,7 @@ def _flips(runs: Sequence[ReportRun], pair: Comparison) -> Markup:
     )
     return joined_markup(
         table(["plan", a, b, f"margin, {a}", f"margin, {b}"], rows, caption=caption, texts=3),
-        element("p", note, " A click shows both in 3D, side by side.", class_="hint"),
+        element("p", note, " A click shows the world of both runs in 3D, side by side.", class_="hint"),
     )
 
 

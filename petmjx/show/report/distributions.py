@@ -124,7 +124,7 @@ def _histogram(metric: Quantity, worlds: pd.DataFrame, limits: Thresholds, y_lab
     histogram(frame, values, worlds["verdict"], ORDER, metric.limit(limits))
     _limit(frame, metric, limits)
     missing = int(values.isna().sum())
-    note = f"{missing:,} of {len(values):,} have none." if missing else ""
+    note = f"{missing:,} of {len(values):,} {y_label} have no value." if missing else ""
     return figure(metric.title, frame.svg(), note)
 
 
@@ -195,7 +195,7 @@ def first_boxes(run: ReportRun) -> Markup:
     number = Frame(title, numbers, Scale(0, 1), "number in the order, from 0", f"{run.what}s")
     histogram(number, falls["culprit"].astype("float64"), falls["verdict"], ORDER)
     return joined_markup(
-        element("p", f"In {count_text(len(falls), run.what)} a box crossed a threshold first."),
+        element("p", f"In {count_text(len(falls), run.what)}, a box crossed a threshold."),
         element(
             "div",
             figure(

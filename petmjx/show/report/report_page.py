@@ -112,12 +112,14 @@ def _of_run(run: ReportRun) -> dict[str, Any]:
 def _summed_up(runs: Sequence[ReportRun]) -> list[str]:
     """A note for each run that has too many worlds for a table with one row per world."""
     row = "one row per plan: its world with the smallest margin, and the share of its worlds that stand"
-    return [f"{run.name} has {len(run.worlds):,} worlds, too many for a table. It has {row}." for run in runs]
+    return [f"{run.name} has {len(run.worlds):,} worlds, too many for a row each. The table has {row}." for run in runs]
 
 
 def _notes(runs: Sequence[ReportRun], left_out: int, without_boxes: int, not_played: int) -> list[str]:
     """Notes about worlds that the page does not show."""
-    notes = [f"{run.name}: {run.plan_files.note}. These have no 3D picture." for run in runs if run.plan_files.note]
+    notes = [
+        f"{run.name}: {run.plan_files.note}. These plans have no 3D picture." for run in runs if run.plan_files.note
+    ]
     notes += [
         f"{run.name} kept no boxes: its worlds have no 3D picture." for run in runs if not run.results.keeps_boxes
     ]

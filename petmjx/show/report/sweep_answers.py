@@ -48,7 +48,7 @@ MATTERS: Final = (
     "difference of the largest and the smallest of these shares. Explained: part of the variance of “stands” that lies "
     "between the values of the axis (η², the squared correlation ratio). The row “plan” shows how much plans differ."
 )
-ROSE: Final = "Line: the median plan; band: half of the plans. None survived counts as 0."
+ROSE: Final = "Line: the median plan; band: half of the plans. A plan that survives no level counts as 0."
 
 
 BY_LEG: Final = "Share that stands after a leg, of the worlds that reached it. Line: Wilson’s 95 % interval."
@@ -113,7 +113,7 @@ def _curve(axis: str, summary: pd.DataFrame, over_plans: pd.DataFrame, run: Repo
         frame.x_ticks = [(value, f"{value:g}") for value in x[order]]
     share_curve(frame, x[order], share, low, high)
     of = count_text(int(rows["n_draws"].max()), "random draw" if drawn else "plan")
-    return figure(_title(axis), frame.svg(), f"Band: Wilson 95 % over {of} a value.")
+    return figure(_title(axis), frame.svg(), f"Band: Wilson’s 95 % interval, from {of} at each value.")
 
 
 def _rows(summary: pd.DataFrame, axis: str) -> pd.DataFrame:
@@ -131,7 +131,8 @@ def _named_values(axis: str, summary: pd.DataFrame, run: ReportRun) -> Markup:
         )
         for row in rows.to_dict("records")
     ]
-    return figure(_title(axis), bars(f"Share that stands by {axis}", drawn), "Share that stands, of worlds judged.")
+    note = "Share of worlds that stand, among the worlds with a valid verdict."
+    return figure(_title(axis), bars(f"Share that stands by {axis}", drawn), note)
 
 
 def _title(axis: str) -> str:
@@ -209,8 +210,9 @@ def _grid_roses(run: ReportRun) -> Iterator[tuple[str, str, pd.DataFrame, float]
 
 
 def largest_survived(worlds: pd.DataFrame, column: str) -> pd.DataFrame:
-    """The largest level that each plan survives in each direction: the largest tested level below all levels at which
-    any world failed, or 0 if there is no such level.
+    """The largest level that each plan survives in each direction. If no world failed, it is the largest tested level.
+    Otherwise, it is the largest tested level below the smallest level at which a world failed, or 0 if a world failed
+    at the smallest tested level.
 
     Args:
         worlds: the worlds of one profile.
@@ -275,7 +277,7 @@ def _level_histogram(levels: pd.DataFrame, name: str, unit: str) -> Markup:
     label = f"largest {name} survived" + (f", {unit}" if unit else "")
     frame = Frame(f"Largest {name} survived", Scale.over(levels["largest"], zero=True), Scale(0, 1), label, "searches")
     histogram(frame, levels["largest"], pd.Series("plain", index=levels.index), ["plain"])
-    return figure(frame.title, frame.svg(), "None survived counts as 0.")
+    return figure(frame.title, frame.svg(), "If no level is survived, the largest level counts as 0.")
 
 
 def _search_importance(levels: pd.DataFrame, summary: pd.DataFrame, name: str) -> Iterator[Markup]:
@@ -291,7 +293,7 @@ def _search_importance(levels: pd.DataFrame, summary: pd.DataFrame, name: str) -
         Bar(axis, value, percent(value))
         for axis, value in sorted(values.items(), key=lambda entry: -np.nan_to_num(entry[1]))
     ]
-    note = f"Part of the variance of the largest {name} between the values of that axis (η²)."
+    note = f"Part of the variance of the largest {name} that lies between the values of an axis (η²)."
     yield figure("Which axis matters most", bars("Which axis matters most", rows), note)
 
 
@@ -302,7 +304,7 @@ def _first_at_failure(run: ReportRun, answers: pd.DataFrame) -> Markup:
     rows = [
         Bar(str(article), float(n), f"{n:,}", "unstable", link(run, q=str(article))) for article, n in counts.items()
     ]
-    note = f"Of {count_text(len(failed), 'search', 'searches')} that found a level that failed."
+    note = f"In {count_text(len(failed), 'search', 'searches')}, the pallet failed at a level."
     return figure("Articles that fail first", bars("Articles that fail first", rows), note)
 
 
@@ -325,8 +327,8 @@ def _levels_table(levels: pd.DataFrame, name: str, unit: str) -> Markup:
 
 
 def _chain(summary: pd.DataFrame) -> Markup:
-    """Charts and tables of the share of worlds in which plans arrive: over all plans, leg by leg, and for each plan;
-    and of the gain from remedies."""
+    """Charts and tables of the share of worlds in which plans arrive (over all plans, leg by leg, and for each plan),
+    and a table of how much remedies raise this share."""
     overall, of_plans = summary[summary["scope"] == ALL_PLANS], arrivals(summary)
     legs = overall[overall["remedy"] == AS_IS]
     leg_rows = [(str(row["leg"]) or "whole way", row) for row in legs.to_dict("records")]
@@ -408,7 +410,8 @@ def _confidence(run: ReportRun, summary: pd.DataFrame) -> Markup:
     ]
     more_item = element("li", f"{len(tosses) - MOST_NAMED:,} more") if len(tosses) > MOST_NAMED else NOTHING
     line = (
-        f"{count_text(len(tosses), 'plan is a coin toss', 'plans are coin tosses')}: one half is in the 95 % interval."
+        f"{count_text(len(tosses), 'plan is a coin toss', 'plans are coin tosses')}: "
+        "the 95 % interval of the share contains one half."
     )
     missed, fell = (int(summary[name].sum()) if name in summary else 0 for name in ("n_not_placed", "n_fell"))
     failure_text = f"Of the worlds that do not stand, in {missed:,} a box could not be placed, in {fell:,} boxes fell."

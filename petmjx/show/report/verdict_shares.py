@@ -17,7 +17,7 @@ from petmjx.show.report.report_runs import Kind, ReportRun
 
 ORDER: Final = [verdict.value for verdict in Verdict]
 
-_DRAWN: Final = "95 %: Wilson’s interval of the share, if these plans are a random sample of such plans."
+_DRAWN: Final = "95 %: Wilson’s interval of the share, if the plans are a random sample."
 _NOTES: Final = {
     Kind.SCORE: _DRAWN,
     Kind.CONFIDENCE: _DRAWN + " Verdicts are those without errors.",
@@ -90,7 +90,7 @@ def _of_search(summary: pd.DataFrame) -> Iterator[Markup]:
     answers = summary[summary["stands_at_rest"].astype(bool)]
     yield _card(f"{len(placements):,}", "placements")
     yield _card(percent(float(stand.mean())), f"stand at rest ({int(stand.sum()):,})", Verdict.STABLE.value)
-    yield _card(f"{len(answers):,}", "searches of those")
+    yield _card(f"{len(answers):,}", "searches on placements that stand")
     for column, name in (("largest_level_g", "g: median largest level"), ("largest_scale", "median largest scale")):
         if column in summary and len(answers):
             yield _card(f"{answers[column].fillna(0.0).median():.3g}", name)

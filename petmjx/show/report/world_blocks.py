@@ -91,7 +91,7 @@ def _drawn_rows(runs: Sequence[ReportRun], table: pd.DataFrame, most: int) -> tu
 def _fitting_rows(
     table: pd.DataFrame, rows: NDArray[np.int64], sizes: NDArray[np.int64], most: int
 ) -> tuple[NDArray[np.int64], int]:
-    """Leave out rows until the sum of the sizes of the other rows is at most ``most``. Worlds that stand are left out
+    """Leave out rows until the sizes of the remaining rows add up to at most ``most``. Worlds that stand are left out
     first. Returns the numbers of the rows that are kept, and the number of rows that are left out.
 
     Args:

@@ -98,7 +98,7 @@ def _one_at_a_time(spans: Sequence[tuple[int, int, Vector]]) -> list[tuple[int, 
     implementation.
 
     The force changes at the beginning and at the end of every given span, in order of time. At each change, the old
-    force is removed first. Then the force of the next span is set, if that span has begun.
+    force is removed. After that, the force of the next span is set, if the next span has begun.
     """
     waiting = deque(sorted(spans, key=lambda span: span[0]))
     looks = sorted(step for begin, end, _ in spans for step in (begin, end))

@@ -99,7 +99,7 @@ def read_windows(path: Path) -> tuple[WindowRow, ...]:
 
 
 def _parquet_rows(path: Path) -> list[dict[str, Any]]:
-    # Imported here, because the import is slow, and of all profile files only those in Parquet need it.
+    # pyarrow is imported here, because the import is slow, and only profile files in Parquet need pyarrow.
     import pyarrow
     import pyarrow.parquet
 

@@ -67,8 +67,8 @@ class Profile(Protocol):
 
 def allowed_sway_m(profile: Profile) -> float:
     """Distance by which a culprit may sway under a profile before it counts as lost, m (``Drive.allowed_sway_m``). The
-    distance is infinite if the profile tilts the carrier, so that no box counts as lost: a box that slides to the
-    carrier's edge tips at the edge, although its first failure was to slide."""
+    distance is infinite if the profile tilts the carrier, so that no box counts as lost. Otherwise, a box that slides
+    to the carrier's edge and tips over it would count as tilted, although the box first failed by sliding."""
     return math.inf if profile.strength is Strength.ANGLE else 0.0
 
 

@@ -4,10 +4,10 @@ import { corners } from "./carrier.js";
 import { roundedUp, shareOf } from "./colours.js";
 import { norm, scaled, sub, unit } from "./vectors.js";
 
-const LENGTH = 0.2; // m, length of the arrow for the force `scale_n`
+const LENGTH = 0.2; // m, length of the arrow that shows the force `scale_n`
 const RADIUS = 0.008; // m
-const LEAST = 0.03; // share of `scale_n` below which a contact has no arrow
-const G_LENGTH = 0.45; // m, length of the arrow of 1 g
+const LEAST = 0.03; // contacts with a force below this share of `scale_n` have no arrow
+const G_LENGTH = 0.45; // m, length of the arrow that shows an acceleration of 1 g
 const DRIVE_RADIUS = 0.014;
 const ORANGE = [0.9, 0.35, 0.05];
 
@@ -15,7 +15,7 @@ const INK = { light: [0.08, 0.08, 0.1], dark: [0.97, 0.97, 0.99] };
 
 const ink = () => (matchMedia("(prefers-color-scheme: dark)").matches ? INK.dark : INK.light);
 
-// Contact forces frame by frame: {scale_n, at(frame) → arrows}.
+// Contact forces in each frame: {scale_n: force in N that gets an arrow of `LENGTH`, at(frame): arrows}.
 export function contactArrows({ frame, point, force }, frames) {
   const rows = Array.from({ length: frames.count }, () => []);
   frame.forEach((number, row) => rows[number].push(row));
@@ -33,7 +33,7 @@ export function contactArrows({ frame, point, force }, frames) {
   };
 }
 
-// The shaking of a pallet: {level(frame) in g, at(frame) → arrows, words(frame)}.
+// The shaking of a pallet: {level(frame): strength in g, at(frame): arrows, words(frame): the strength as a text}.
 export function driveArrows(info, frames) {
   const { kind, one_g: oneG } = info.drive;
   const vector = (frame) => [0, 1, 2].map((axis) => frames.drive[3 * frame + axis] / oneG);

@@ -1,4 +1,4 @@
-// The numbers of one box: its data, and its state at a time.
+// Shows the numbers of one box: its data from the plan, and its state at the time that is shown.
 
 import { decimals } from "./decimals.js";
 import { make } from "./dom.js";

@@ -3,9 +3,9 @@
 import { LOOK } from "./appearance.js";
 import { add, clamped, cross, dot, looking, perspective, product, scaled, sub, transformed, unit } from "./vectors.js";
 
-const SLOPE = Math.tan((32 * Math.PI) / 360); // half of a vertical angle of view of 32°
-const MARGIN = 1.06; // room around the framed box
-const STEEPEST = (88 * Math.PI) / 180; // seen straight from above, "up" would have no direction
+const SLOPE = Math.tan((32 * Math.PI) / 360); // tangent of half the vertical angle of view, which is 32°
+const MARGIN = 1.06; // distance of the camera, as a multiple of the smallest one that shows the whole region
+const STEEPEST = (88 * Math.PI) / 180; // radians; a camera straight above the target would have no direction "up"
 const UP = [0, 0, 1];
 
 export class Camera {

@@ -6,7 +6,7 @@
 import { make } from "./dom.js";
 import { onlyOpen } from "./rows.js";
 
-const MOST_CHOICES = 500; // most entries of a list; the search finds the others
+const MOST_CHOICES = 500; // a column with more different texts gets no list of choices
 const TYPING_MS = 120;
 
 export class Filters {

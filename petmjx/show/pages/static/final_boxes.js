@@ -5,10 +5,11 @@ import { corners } from "./carrier.js";
 
 const PER_M = 1e4; // planned places are tenths of a millimetre
 const MM = 1000;
-const KEPT = 6; // blocks that stay unpacked
+const KEPT = 6; // largest number of blocks whose unpacked arrays are kept
 const unpacked = new Map();
 
-// Lengths in m, `moved` in mm (largest component), `sides` in mm; poses of boxes that were not placed are NaN.
+// The boxes of world `number`. Lengths are in m, except `moved` (largest component of the shift) and `sides`, which are
+// in mm. Poses of boxes that were not placed are NaN.
 export async function endedWorld(number, worldsPerBlock) {
   const arrays = await blockOf(Math.floor(number / worldsPerBlock));
   const at = number % worldsPerBlock;
@@ -64,9 +65,9 @@ function largest(values) {
   return Math.max(...Array.from(values, Math.abs));
 }
 
-const FAR = 0.8; // m: boxes farther beside the pallet are not framed
+const FAR = 0.8; // m; the view need not show boxes that are farther from the pallet
 
-// The framed region: the carrier, the plan, and boxes that lie near at the end.
+// The region that the view shows: the carrier, the planned boxes, and the boxes that are near the pallet at the end.
 export function bounds({ n, sizes, planned, pos, carrier }) {
   const [low, high] = corners(carrier);
   const widen = (places, lowest, highest) => {

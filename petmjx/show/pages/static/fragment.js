@@ -8,7 +8,8 @@ export function readState() {
   return new URLSearchParams(text.includes("=") ? text : "");
 }
 
-// Changes the address in place: "back" leaves the page, and does not undo single letters of a search.
+// Changes the address without a new entry in the browser's history. So "back" leaves the page, and does not undo single
+// letters of a search.
 export function writeState(state) {
   const text = state.toString();
   history.replaceState(null, "", text ? `#${text}` : location.href.split("#")[0]);

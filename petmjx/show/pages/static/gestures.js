@@ -2,7 +2,7 @@
 // pinch), click.
 
 const CLICK_PIXELS = 5; // a press that moves less is a click
-const TURN = 0.008; // radians a pixel
+const TURN = 0.008; // radians per pixel
 const WHEEL = 0.0012; // change of the camera's distance, as a share, per pixel of the wheel
 
 // actions: turn(right, up), pan(right, up) in shares of the height, zoom(factor), click(x, y) in pixels of the page.

@@ -29,7 +29,8 @@ export function program(gl, vertex, fragment) {
   };
 }
 
-// A mesh drawn many times. `shape` and `each`: numbers of the attributes of a vertex, and of an instance.
+// Draws many instances of a mesh. `shape` has how many numbers each attribute of a vertex has, and `each` how many
+// numbers each attribute of an instance has.
 export class Instances {
   constructor(gl, mesh, shape, each) {
     this.gl = gl;
@@ -79,7 +80,8 @@ export class Instances {
 
 const sum = (numbers) => numbers.reduce((total, number) => total + number, 0);
 
-// A square depth map with comparison: "is this nearer?".
+// A square depth map of `size` × `size` pixels. A shader that reads it gets the result of a comparison: whether a given
+// depth is nearer than the depth in the map.
 export function depthMap(gl, size) {
   const texture = gl.createTexture();
   gl.bindTexture(gl.TEXTURE_2D, texture);

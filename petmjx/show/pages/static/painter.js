@@ -35,8 +35,8 @@ export class Painter {
   }
 
   // picture: {camera, dark, middle, reach, floorZ, solid, glass, marked, arrows}; the last four are {values, count}.
-  // `glass` is drawn in its order, so the farthest boxes stand first; edges of `marked` are seen through other boxes,
-  // too.
+  // `glass` has the transparent boxes; they are drawn in their order, so the farthest box comes first. The edges of
+  // the boxes `marked` are also seen through other boxes.
   draw(picture) {
     const { gl, meshes } = this;
     for (const name of ["solid", "glass", "marked", "arrows"]) {
@@ -62,7 +62,7 @@ export class Painter {
     gl.depthFunc(gl.LESS);
     gl.depthMask(true);
     gl.disable(gl.BLEND);
-    this.arrows.set({ clip: common.clip, eye: common.eye }); // after glass, so that it does not dull them
+    this.arrows.set({ clip: common.clip, eye: common.eye }); // after transparent boxes, which would dull them
     meshes.arrows.draw();
   }
 

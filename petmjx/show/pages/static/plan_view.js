@@ -4,7 +4,7 @@ import { Card } from "./world_card.js";
 import { make } from "./dom.js";
 import { endedWorld } from "./final_boxes.js";
 
-const MOST_CARDS = 6; // pictures side by side; browsers limit their number
+const MOST_CARDS = 6; // largest number of 3D pictures side by side; browsers limit the number of WebGL contexts
 
 export class PlanView {
   constructor(root, info, rows, onClose) {
@@ -92,7 +92,7 @@ export class PlanView {
   howToSeeItMove(id, variant, row) {
     const one = this.rows.column("variant") ? ` --variant ${variant}` : "";
     const [named, options] = [`${quoted(id)} ${this.runOf(row).folder}`, `${one} --html story.html`];
-    // An id that begins with a dash stands after "--", where it does not count as an option.
+    // If an id begins with a dash, it is written after "--", so that the command line does not take it for an option.
     const command = `petmjx show${id.startsWith("-") ? `${options} -- ${named}` : ` ${named}${options}`}`;
     const line = make("p", { class: "hint" }, "To see it move: ", make("code", {}, command));
     if (this.rows.arrays.replay[row] < 0) {

@@ -5,7 +5,7 @@ import { make } from "./dom.js";
 import { Frames } from "./frames.js";
 import { Player, SPEEDS } from "./player.js";
 
-const PARTS = 1000; // steps of the time line
+const PARTS = 1000; // number of positions of the slider
 
 export class Replay {
   // number: N of the block "replay-N"
@@ -30,7 +30,7 @@ export class Replay {
 
   // ---- private
 
-  // Unpacked when it is first played, since most histories of a report are never played.
+  // A history is unpacked when it is first played, since most histories of a report are never played.
   async ready() {
     this.frames ??= readBlock(`replay-${this.number}`).then((arrays) => new Frames(arrays));
     const frames = await this.frames;

@@ -1,4 +1,5 @@
-// The page of a report. Charts and small tables are in its HTML; this makes the table of plans and their pictures.
+// The page of a report. Its HTML has the charts and small tables. This module makes the table of plans and the 3D
+// pictures.
 
 import { readBlock, readInfo } from "./page_data.js";
 import { byId } from "./dom.js";
@@ -24,7 +25,7 @@ async function start() {
   });
   const plan = new PlanView(byId("plan"), info, rows, () => apply(closed(state)));
   let shown = -1;
-  let drawn = null; // resolves once the selected plan is drawn
+  let drawn = null; // promise that is fulfilled once the selected plan is drawn
 
   function apply(next) {
     state = next;
@@ -58,7 +59,7 @@ async function start() {
     return next;
   }
 
-  // The user followed a link of a chart or a list, which is about the table.
+  // The user followed a link in a chart or a list. The link sets the filters of the table.
   addEventListener("hashchange", () => {
     if (!location.hash.includes("=")) return;
     state = readState();

@@ -1,6 +1,6 @@
 // The rows of a report's table (petmjx/show/report/report_plan_table.py): filters them and sorts them.
 
-const OPEN = ["plan", "variant", "of"]; // these keys name the selected plan, and are no filters
+const OPEN = ["plan", "variant", "of"]; // keys of the page's address that name the selected plan; they filter nothing
 const MINUS = "−";
 
 export class Rows {

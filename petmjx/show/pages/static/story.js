@@ -13,7 +13,7 @@ import { Timeline } from "./timeline.js";
 import { clamped } from "./vectors.js";
 import { createViewer } from "./viewer.js";
 
-const GLASS = 0.22; // opacity of boxes while forces are shown
+const GLASS = 0.22; // opacity of boxes while arrows of contact forces are shown
 const LABEL_GAP = 6; // pixels
 const CHOSEN = { light: "#111418", dark: "#ffffff" };
 

@@ -1,4 +1,4 @@
-// A table of very many rows. Only the rows in sight are in the page.
+// A table of very many rows. Only the visible rows, and a few above and below them, are elements of the page.
 //
 //   const table = new Table(root, rows, {onOpen, onSort});   rows: Rows of rows.js
 //   table.show(order, sort)   order: the rows to show; sort: "key" or "-key", for the headings

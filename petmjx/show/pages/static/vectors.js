@@ -53,7 +53,7 @@ export function product(a, b) {
   return out;
 }
 
-// A point through a matrix, before the division: [x, y, z, w].
+// A matrix times a point, in homogeneous coordinates: [x, y, z, w], not yet divided by w.
 export function transformed(matrix, point) {
   const out = [0, 0, 0, 0];
   for (let row = 0; row < 4; row++) {
@@ -62,7 +62,7 @@ export function transformed(matrix, point) {
   return out;
 }
 
-// The view of an eye: x to the right, y up, looking along −z.
+// The matrix from world coordinates to those of the eye: x points to the right, y up, and the eye looks along −z.
 export function looking(eye, target, up) {
   const back = unit(sub(eye, target));
   const right = unit(cross(up, back));
@@ -75,7 +75,7 @@ export function looking(eye, target, up) {
   ]);
 }
 
-// `slope`: tangent of half the vertical angle of view.
+// The matrix of a perspective projection. `slope` is the tangent of half the vertical angle of view.
 export function perspective(slope, aspect, near, far) {
   const depth = 1 / (near - far);
   return new Float32Array([
@@ -86,7 +86,7 @@ export function perspective(slope, aspect, near, far) {
   ]);
 }
 
-// A box of half width and half height `reach` and depth 2 `reach`, around the target.
+// The matrix of a parallel projection. `reach` is half the width and half the height of the region that it shows.
 export function orthographic(reach, near, far) {
   const depth = 1 / (near - far);
   return new Float32Array([

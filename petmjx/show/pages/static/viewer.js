@@ -1,4 +1,4 @@
-// A view of boxes on a carrier in WebGL 2, without third-party code. It knows nothing of stories and reports.
+// A view of boxes on a carrier in WebGL 2, without third-party code. Stories and reports use this view.
 //
 //   const viewer = createViewer(canvas, {sizes, carrier, floorZ});   null without WebGL 2
 //
@@ -9,20 +9,22 @@
 //   setPoses(pos, quat)                 3 and 4 numbers per box; a box whose pos is NaN is not drawn
 //   setCarrier(pos, quat)               the pose of the carrier, if it differs from the scene
 //   setColours(rgb)                     3 numbers per box
-//   setOpacity(share)                   1: solid boxes (as at first); less: boxes as glass, so that arrows inside are seen
-//   setGhosts(pos, quat)                transparent boxes at other poses, 2 mm smaller, so that a box that is where its
-//                                       ghost is hides it; () removes them
+//   setOpacity(share)                   1 (at first): opaque boxes; less: transparent boxes, so that arrows inside show
+//   setGhosts(pos, quat)                transparent copies (ghosts) of the boxes at other poses. Ghosts are 2 mm
+//                                       smaller, so that a box at the pose of its ghost hides it; () removes ghosts
 //   setArrows(list)                     [{from: [x, y, z], vector: [x, y, z], colour: [r, g, b], radius}, …]
-//   setMarks(list)                      [{box, colour: [r, g, b]}, …]: thick edges, seen through other boxes, too
+//   setMarks(list)                      [{box, colour: [r, g, b]}, …]: thick edges, visible even behind other boxes
 //   frame(low, high, {azimuth, elevation})  shows all of the box from low to high; azimuth 0 looks along +y, and grows
 //                                       towards +x; elevation is above the horizon. Without angles: as before
-//   turn(right, up), zoom(factor), pan(right, up), reset()   as mouse and fingers do; pan in shares of the height
+//   turn(right, up), zoom(factor), pan(right, up), reset()   move the camera, as mouse and fingers do. turn: radians;
+//                                       pan: shares of the picture's height
 //   pick(x, y)                          the box at a point of the canvas in CSS pixels, from 0, or −1
 //   project([x, y, z])                  place of a point on the canvas, {x, y} in CSS pixels, or null behind the eye
 //   hull(box)                           the frame around a box on the canvas, {left, top, right, bottom}, or null
 //   onClick = (box) => …                called on a click; box −1: no box
 //   onDraw = () => …                    after each drawing: for labels that lie above the canvas
-//   redraw()                            requests a drawing; all of the above do it, too. At most one drawing per frame
+//   redraw()                            requests a drawing; the functions that change the picture do it, too. There is
+//                                       at most one drawing per frame of the browser
 //   dispose()                           stops and frees the graphics card
 //
 // Colours of floor and edges follow the browser's light or dark mode; the page shines through as background. A lost
@@ -42,7 +44,7 @@ const EDGE = { width: 1.1, light: [0.12, 0.1, 0.08], dark: [0.05, 0.05, 0.06] };
 const MARK_WIDTH = 3.5;
 const GHOST = { opacity: 0.1, light: [0.1, 0.12, 0.16], dark: [0.86, 0.88, 0.92] };
 const GHOST_GAP = 0.002;
-const MOST_PIXELS = 2; // of the screen per CSS pixel; more costs time and is not visible
+const MOST_PIXELS = 2; // largest number of screen pixels per CSS pixel; more would cost time and not be visible
 
 export function createViewer(canvas, scene) {
   const gl = canvas.getContext("webgl2", { antialias: true, premultipliedAlpha: true });
@@ -281,7 +283,7 @@ class Viewer {
     return mark ? [...mark.colour, MARK_WIDTH * this.density] : edge;
   }
 
-  // Placed boxes in the order for drawing glass.
+  // Numbers of the placed boxes, from the farthest to the nearest: transparent boxes must be drawn in this order.
   farthestFirst() {
     const placed = [...Array(this.n).keys()].filter((box) => !Number.isNaN(this.pos[3 * box]));
     if (this.opacity >= 1) return placed;
