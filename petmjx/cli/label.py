@@ -32,7 +32,14 @@ def label(
     n: Annotated[
         int, typer.Option("-n", metavar="N", help="Number of labels. Orders are used one after another.")
     ] = 10_000,
-    seed: Annotated[int, typer.Option("--seed", metavar="SEED", help="Seed of the orders and places.")] = 0,
+    seed: Annotated[
+        int,
+        typer.Option(
+            "--seed",
+            metavar="SEED",
+            help="Seed of the random orders and random places.",
+        ),
+    ] = 0,
     errors: Annotated[
         int | None,
         typer.Option(
@@ -42,7 +49,12 @@ def label(
         ),
     ] = None,
     explore: Annotated[
-        float, typer.Option("--explore", metavar="0…1", help="Share of boxes that go to a random place first.")
+        float,
+        typer.Option(
+            "--explore",
+            metavar="0…1",
+            help="Share of boxes for which a random place is tried before careful places.",
+        ),
     ] = 0.5,
     pallets: Annotated[
         int | None,
@@ -105,7 +117,7 @@ def label(
         with progress(max(count - n_before, 0), "label") as bar:
 
             def report(n_made: int) -> None:
-                bar.update(n_made - n_before, earlier if n_made < count else "until the last orders end")
+                bar.update(n_made - n_before, earlier if n_made < count else "completing the last orders")
 
             card = write_labels(labeller, count, out, progress=report, **outputs)
     except KeyboardInterrupt:

@@ -144,7 +144,10 @@ class Quiet(CheckedRecord):
         0.0001, ge=0, description="a box is still if the speed of its fastest point is at most this, m/s"
     )
     still_steps: Annotated[int, within(1, MOST_STEPS)] = Field(
-        50, ge=1, description="number of steps at the end of a world for which all boxes must have been still"
+        50,
+        ge=1,
+        description="a simulated pallet is at rest if all boxes were still for this number of steps at the end of its "
+        "world",
     )
     tremble_steps: Annotated[int, within(1, MOST_STEPS)] = Field(
         250,

@@ -40,8 +40,8 @@ class PackingValue(NamedTuple):
     below_mm: float
     """Minus the height of the highest top, mm."""
     deep_kg_mm: float
-    """Minus the sum of mass × height over all boxes, kg·mm. Of two equally high packings, the packing with the lower
-    centre of mass stands better."""
+    """Minus the sum of mass × height of the middle over all boxes, kg·mm. Of two equally high packings, the packing
+    with the lower centre of mass stands better."""
 
     @classmethod
     def of(cls, filled: FullPacking) -> PackingValue:

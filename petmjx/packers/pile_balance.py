@@ -145,7 +145,7 @@ class Balance:
             return let_down
         if let_down is None or tips(let_down.planes, let_down.load):
             return None
-        # All loads are compared at once: the load of each box of the pile with the edges of this box's hull.
+        # All loads are compared at once: the load of each box of the pile with the edges of the hull of its supports.
         if len(self._planes) and self._over_planes(let_down).max() > SLACK_KG_M:
             return None
         return let_down
