@@ -30,17 +30,19 @@ MOST_NEAR: Final = 8
 """Largest number of boxes around a cause that are moved, turned and exchanged."""
 
 SPARE_MM: Final = (2.0, 6.0, 12.0, 25.0)
-"""How far inside the edge a load is moved. A robot's places have an error of 2 mm (docs/confidence.md)."""
+"""Distances inside the edge, mm, to which a load that is beyond the edge is moved, each by a proposal of its own. When
+a robot places a box, the error has a standard deviation of 2 mm (docs/confidence.md)."""
 
 STEPS_MM: Final = (10.0, 20.0, 30.0, 45.0, 60.0, 80.0, 100.0, 130.0, 160.0, 200.0)
-"""Other lengths by which boxes are moved."""
+"""Lengths by which boxes are moved in any case, mm, however far a load is beyond an edge."""
 
 MOST_PLACES: Final = 24
 """Largest number of other places for one box: the lowest places, and of places of equal height those with the largest
 support."""
 
 SPOT_MM: Final = 10.0
-"""Places that differ by less than this along x and along y count as one place."""
+"""Side of the squares into which the floor is divided, mm. Of the places with the same height in the same square, only
+the first is proposed."""
 
 LEAST_SUPPORT: Final = 0.5
 """Smallest supported share of a base at another place."""
@@ -53,10 +55,11 @@ class Target(NamedTuple):
     """A cause of a failure.
 
     Attributes:
-        box: number of the box that does not hold.
+        box: number of the box that fails: its load is beyond the edge of its supports, it floats or overlaps, or it
+            falls.
         cause: number of the box whose placement moves the load beyond the edge; equal to ``box`` if its own weight is
             beyond the edge.
-        depth_mm: distance of the load beyond the edge; 0: by statics, the load is inside.
+        depth_mm: distance of the load beyond the edge; 0 if the load is inside by statics.
         is_squeezed: whether the box needs room beside it, since it falls with errors and is lowered between two others.
     """
 
@@ -151,8 +154,8 @@ def _makers(
 
 
 def _near(draft: Draft, rules: Rules, target: Target) -> list[int]:
-    """Boxes to change for a cause: the box that does not hold, the box whose placement moves the load beyond the edge,
-    the supports, and the boxes on top."""
+    """Boxes to change for a cause: the box that fails, the box whose placement moves the load beyond the edge, the
+    supports, and the boxes on top."""
     box = target.box
     supports = np.flatnonzero(draft.on_top[:, box]).tolist()
     riders = sorted(np.flatnonzero(draft.on_top[box]).tolist(), key=lambda rider: draft.rank[rider])
@@ -353,8 +356,9 @@ def _exchanges(draft: Draft, rules: Rules, near: Sequence[int], done: Collection
 
 
 def _exchanged_places(draft: Draft, pairs: IntArray) -> tuple[Places, BoolArray]:
-    """The places of pairs of boxes after their exchange, and (k, 2) whether each of the two is turned by it. Exchanges
-    without an effect, and of boxes of too different sizes, are left out. ``pairs``: (p, 2) the boxes."""
+    """The places of pairs of boxes after their exchange, and (k, 2) whether each of the two is turned by the exchange.
+    Exchanges without an effect, and exchanges of boxes whose sizes are too different, are left out. ``pairs``: (p, 2)
+    the boxes."""
     size, mass = draft.size_mm[pairs], draft.mass_kg[pairs]
     differ = np.abs(size[:, 0] - size[:, 1])
     uneven = differ[:, 2] > TOLERANCE_MM
@@ -458,7 +462,8 @@ def resting_corners(
     low, high = low[lower], high[lower]
 
     def fits(z: FloatArray) -> BoolArray:
-        """Whether the box has room between each height and its ceiling, or reaches exactly to the box above."""
+        """For each height of the box's bottom: whether its top is not too high or, if it must be under the box
+        ``below``, whether its top reaches exactly to that box."""
         if below is None:
             return np.asarray(z + draft.size_mm[box, 2] <= rules.high_mm[2] + TOLERANCE_MM)
         return np.asarray(np.abs(z + draft.size_mm[box, 2] - ceiling) <= TOLERANCE_MM)
@@ -503,8 +508,8 @@ def _rests(
     high: FloatArray,
     fits: Callable[[FloatArray], BoolArray],
 ) -> Iterator[tuple[float, float, float]]:
-    """Corners of a box that rests on others or on the carrier with ``LEAST_SUPPORT`` of its base, the lowest first, and
-    at each height those with the largest support.
+    """Corners of a box that rests on others or on the carrier with at least the share ``LEAST_SUPPORT`` of its base.
+    The lowest corners come first, and at each height those with the largest support.
 
     Args:
         x, y: where the corner may be, mm.

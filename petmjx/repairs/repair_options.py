@@ -59,8 +59,8 @@ class RepairOptions(CheckedRecord):
     )
     trials: Annotated[int, within(1, 1_000_000), CliFlag("--trials", "N")] = Field(
         600,
-        description="largest number of changed plans that are judged; with a profile, a sixth of this number; if boxes "
-        "must be left out, half as many plans more",
+        description="largest number of changed plans that the search simulates for each plan; with a profile, a sixth "
+        "of this number; if boxes must be left out, half as many again",
     )
     seconds: Annotated[float | None, within(0.1, 10_000_000), CliFlag("--seconds", "S", default="no limit")] = Field(
         None,
@@ -70,13 +70,13 @@ class RepairOptions(CheckedRecord):
     )
     worlds: Annotated[int, AfterValidator(_worlds), CliFlag("--worlds", "N")] = Field(
         8,
-        description="worlds with errors of placement, size, mass and friction in which the plan and its repair are "
-        "simulated, at least 4; 0: none",
+        description="number of worlds with errors of placement, size, mass and friction in which the plan and its "
+        "repair are simulated, at least 4; 0: none",
     )
     share: Annotated[float, within(0, 1), CliFlag("--share", "SHARE")] = Field(
         0.75,
-        description="share of worlds with errors in which a repair shall stand; without a profile, further changes are "
-        "made to reach it; 0: no further changes",
+        description="share of worlds with errors in which a repair shall stand; without a profile, further changes "
+        "are made to reach this share; 0: no further changes",
     )
     sheet_mm: Annotated[float, within(0.1, 100), CliFlag("--sheet-mm", "MM")] = Field(
         3.0, description="thickness of a tie sheet, mm"

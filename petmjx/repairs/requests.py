@@ -65,13 +65,13 @@ class Trial(NamedTuple):
 
     @property
     def progress(self) -> tuple[int, int]:
-        """How far a plan gets: number of boxes before the first one that crossed a limit, and number of placed boxes
-        that crossed none."""
+        """How far a plan gets: number of boxes placed before a box crossed a limit, and number of placed boxes that
+        crossed no limit."""
         return self.n_held, self.n_placed - len(self.fallen)
 
 
 class OutOfTime(Exception):
-    """The time for the search is up; the results known so far count."""
+    """The time for the search is up, so the results found so far are final."""
 
 
 class Together(NamedTuple):

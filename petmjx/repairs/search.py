@@ -54,8 +54,8 @@ FIRST_AT_ONCE: Final = 4
 WIDE_AT_ONCE: Final = (8, 16, 24, 48)
 """Number of changed plans that are judged at once on a GPU in the first four rounds of a search, and then in each round
 as in the fourth. The longer a search takes, the more a GPU waits for it, since other searches have ended. So a search
-on a GPU goes on in fewer rounds with more plans each: four rounds spend the trials of ``ALONE``. The numbers do not
-depend on other searches, and neither do the results."""
+on a GPU goes on in fewer rounds with more plans each: the first four rounds use up the share ``ALONE`` of the trials.
+These numbers of plans do not depend on other searches, and neither do the results."""
 
 MOST_LIFTED: Final = 3
 """The boxes of at most this many faults are taken off one after the other. For each of these faults, the search waits
@@ -69,15 +69,16 @@ LATE_AT_ONCE: Final = 2 * AT_ONCE
 """Number of changed plans that are judged at once after single changes alone (``ALONE``) were in vain."""
 
 PAIR: Final = 2
-"""Once a repair with one change more than this number is known, a repair with this number of changes is sought widely.
-A wide search for repairs with more than ``PAIR`` changes takes too many trials."""
+"""Once a repair with ``PAIR`` + 1 changes is known, the search for a repair with ``PAIR`` changes is wide: it judges
+more changes of the plan (``PAIRS_AT_ONCE``). A wide search for repairs with more than ``PAIR`` changes takes too many
+trials."""
 
 PAIRS: Final = 0.2
-"""Share of all trials in which a repair with ``PAIR`` changes is sought widely."""
+"""Share of all trials that the wide search for a repair with ``PAIR`` changes may take."""
 
 PAIRS_AT_ONCE: Final = 24
-"""Number of changes of the plan itself that are judged at once, if repairs with ``PAIR`` changes are sought widely.
-The first change of a repair with ``PAIR`` changes often has a worse rank by statics."""
+"""Number of changes of the plan itself that are judged at once in the wide search for a repair with ``PAIR`` changes.
+The first change of such a repair often has a bad rank by statics."""
 
 SHORTER: Final = 0.04
 """Once a repair is known, a shorter one is sought in this share of all trials."""
@@ -167,7 +168,7 @@ class Search(Candidates):
         return FIRST_AT_ONCE if self.before is None else LATE_AT_ONCE if is_late else AT_ONCE
 
     def begin(self, before: Trial) -> None:
-        """Note the simulation of the plan as it is."""
+        """Record the simulation of the unchanged plan."""
         self.before = before
         if before.stands:
             self.repairs, self.complete = (State(self._start, (), before),), True
@@ -197,7 +198,7 @@ class Search(Candidates):
         self.complete = True
 
     def _begun(self, judged: Trial) -> Steps[None]:
-        """Score the plan as it is, and note its score at once: the time may be up before the search ends."""
+        """Score the unchanged plan, and record its score at once, because the time may be up before the search ends."""
         (scored,) = yield from self._scored([State(self._start, (), judged)])
         self.begin(scored.trial)
 
@@ -421,10 +422,10 @@ class Search(Candidates):
         return tuple(faults)
 
     def _remaining(self, state: State, parent: Node) -> tuple[Fault, ...]:
-        """The expected faults of a changed plan, from its trial and the faults of the plan before the change. The
-        faults before that of the box that falls count as mended. If the box that falls was no fault before the change,
-        the change has added a fault, and the later faults remain. If boxes were taken off and the rest simulated
-        instead, a trial would be needed for each fault of each changed plan."""
+        """The expected faults of a changed plan, from its trial and the faults of the plan before the change. Faults
+        that come before the fault of the box that falls now count as mended. If the box that falls now was no fault
+        before the change, the change has added a fault, and the later faults remain. If boxes were taken off and the
+        rest simulated instead, a trial would be needed for each fault of each changed plan."""
         if state.trial.stands:
             return ()
         before, draft = parent.faults or (), state.draft
@@ -494,9 +495,9 @@ class Search(Candidates):
         self.repairs = tuple(different[k] for k in sorted(range(len(ranks)), key=ranks.__getitem__))
 
     def _strengthened(self) -> Steps[None]:
-        """Put the repair first that stands in the most worlds with errors. Then change the repair that stands most
-        often further, until it stands in the wanted share of the worlds with errors. The repair is changed where it
-        falls in these worlds, just as a plan that falls without errors is changed where it falls."""
+        """Put the repair first that stands in the most worlds with errors. Then change this repair further, until it
+        stands in the wanted share of the worlds with errors. The repair is changed where it falls in these worlds, just
+        as a plan that falls without errors is changed where it falls."""
         options = self.options
         wanted = math.ceil(options.share * ERROR_WORLDS)
         compared: list[State] = []
