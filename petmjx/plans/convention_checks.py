@@ -220,7 +220,8 @@ class _Search:
             self._add(unit[0], plan, unit[1])
             if unit[0].read is not None:
                 corner, size = unit[0].read(plan.corner_mm, plan.size_mm)
-                # ``kinds`` are left out: pallets have fixed sizes, so a plan with converted sizes would be refused.
+                # The kinds of boxes are left out, because boxes that are pallets have fixed sizes, so a plan with
+                # converted sizes would be refused.
                 plan = replace(plan, corner_mm=corner, size_mm=size, kinds=())
                 odd = check_layout(plan.plan_id, plan.source, corner, size, self.extent_mm)
         if odd is None:

@@ -97,7 +97,7 @@ _LOOKED_AT_TEXT: Final = 1 << 16
 _OWN_JSON: Final = re.compile(rb'"(item_sequence|length/mm)"')
 _OTHER_UNITS: Final = re.compile(rb'"length/(cm|dm|m|in|inch|ft)"')
 _OTHER_TOOLS: Final = (b"PK\x03\x04", b"\x93NUMPY")
-"""The first bytes of workbooks and of archives of arrays, and the first bytes of arrays."""
+"""The first bytes of ZIP files (workbooks, and archives of NumPy arrays), and the first bytes of NumPy arrays."""
 _MARKUP: Final = re.compile(rb"(?:\xef\xbb\xbf)?\s*<")
 """The beginning of XML, of a MuJoCo scene, and of a web page."""
 

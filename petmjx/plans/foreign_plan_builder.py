@@ -166,7 +166,7 @@ class PlanBuilder:
         return names, lost, reading, candidate
 
     def _join_parts(self) -> None:
-        """Make one plan of the parts of the file."""
+        """Make one plan of all boxes of the file, which was divided into several plans before."""
         self.boxes = replace(self.boxes, parts=())
         self.columns = replace(self.columns, source=replace(self.columns.source, boxes=self.boxes))
 

@@ -88,7 +88,8 @@ def are_numbers(rows: Sequence[Sequence[Any]], least: int) -> bool:
 
 
 def geometric_names(header: Sequence[str]) -> tuple[str, ...]:
-    """The names of the columns that have sizes or places, sorted. All names if there are none."""
+    """The names of the columns that have sizes or places, sorted. If no column has sizes or places, the names of all
+    columns."""
     return tuple(sorted(header[index] for index in geometric_columns(header))) or tuple(header)
 
 

@@ -35,7 +35,8 @@ _MOST_BESIDE: Final = 20
 
 
 def with_items(sources: Sequence[BoxSource], path: Path | None, items: Path | None) -> BoxSource:
-    """The list of boxes that have places. Missing sizes and weights are added from a table of items."""
+    """The list of boxes with places, of all lists in a file. Missing sizes and weights are added from a table of
+    items."""
     best = sources[0]
     if items is not None:
         tables = sources_of_bytes(bytes_of(items), items)
@@ -155,7 +156,7 @@ def _with_columns(
 
     def cell(row: int, index: int) -> Any:
         number = cell_number(other.rows[row][index], ",") if other.decimal == "," else None
-        # numbers of the boxes' own table may have decimal points
+        # the text is converted to a number here, since the boxes' own table may have decimal points
         return other.rows[row][index] if number is None or number.unit else number.value
 
     table = best.boxes.table

@@ -195,8 +195,8 @@ def _joined(group: Sequence[BoxList], names: Sequence[str]) -> BoxList:
     """Join lists of boxes into one list.
 
     Args:
-        names: for each list, the step in which its path differs from the others. The step that differs is the name of a
-            plan, unless it is the name of a layer.
+        names: for each list, the part of its path that differs from the paths of the other lists. This part is the name
+            of a plan, unless it is the name of a layer.
     """
     table = united([boxes.table for boxes in group])
     parts: list[str] = []
