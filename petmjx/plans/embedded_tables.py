@@ -98,7 +98,7 @@ _MARKED: Final = re.compile(
 )
 _COMMAND: Final = re.compile(r"\\[a-zA-Z]+\*?(?:\[[^\]\n]{0,99}\]|\([^)\n]{0,99}\)|\{[^{}\n]{0,99}\})*")
 _END: Final = re.compile(r"\\\\(?:\[[^\]\n]{0,99}\])?")
-"""The end of a row in LaTeX: two backslashes, possibly with the space below the row in brackets, "\\[2mm]"."""
+"""The end of a row in LaTeX: two backslashes, possibly with the space below the row in brackets."""
 _COMMENT: Final = re.compile(r"(?<!\\)%.*")
 _ESCAPED: Final = re.compile(r"\\([_%&#$])")
 _AMPERSAND: Final = "\ue002"

@@ -37,7 +37,7 @@ class PalletSearch:
 
     Attributes:
         columns: the boxes of the file.
-        single_reading: the chosen reading if all boxes are one plan; None: not determined.
+        single_reading: the reading that is chosen if all boxes are taken as one plan; None: it was not chosen yet.
     """
 
     def __init__(self, columns: BoxColumns, wishes: Wishes) -> None:

@@ -60,7 +60,7 @@ _ON_SIDE: Final = 1.0
 sides may be the vertical. The cost is that of y upwards in a file that does not name the vertical."""
 _OF_WALL: Final = 2.0
 """Cost of a reading in which boxes form a wall (``is_wall``). If y is as likely to be the vertical as z, and there are
-not few boxes, the reading as a flat layer wins; else the vertical is asked for."""
+not few boxes, the reading as a flat layer wins; else the user is asked for the vertical axis."""
 _MOST_BOXES: Final = 400
 _MOST_PLANS: Final = 12
 """Largest number of boxes, and largest number of plans, that are used to judge readings. The chosen reading applies to
@@ -392,7 +392,8 @@ def _are_large_cells(best: _Judged) -> bool:
 
 
 _FEW_CELLS: Final = 5
-"""Boxes are hardly drawn on a grid of millimetres, centimetres or inches if most have a side of fewer cells."""
+"""If most boxes have a side of fewer cells of a grid than this, the cells are hardly millimetres, centimetres or
+inches."""
 _TRIED: Final = ("mm", "cm", "m", "in")
 """Units of lengths that are tried. Two such units are a tie if boxes and load fit a carrier in both units."""
 _THIN, _DENSE = 20.0, 2000.0

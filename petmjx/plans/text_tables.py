@@ -61,7 +61,7 @@ def _known_in_lines(text: str) -> int:
 def tables_of_text(data: bytes | bytearray) -> list[RawTable]:
     """The tables in a text with separators: CSV of any locale, or columns separated by white space.
 
-    A table begins with its header. Titles between tables become names of the tables' parts.
+    A table begins with its header. A title between tables becomes the name of the plan or layer below it.
 
     Raises:
         InputError: the text contains no table. The error does not name the file.
