@@ -175,7 +175,7 @@ def sweep(
         progress: in a script, print the progress of the run on standard error every few seconds.
         batching: limits for the numbers of settled states and worlds (simulations of one plan each) in memory. The
             results do not depend on these limits.
-        options: fields of ``petmjx.Simulation``, which replace those of the sweep file, and fields of
+        options: fields of ``petmjx.Simulation``, which replace the values in the sweep file, and fields of
             ``petmjx.RunOptions``.
 
     Returns:

@@ -86,7 +86,7 @@ def label(
 
     The command writes a Parquet table for each split (train, validation, test). Orders with the same boxes are always
     in the same split. The command also writes a card that states what the tables contain, how they were made, and how
-    accurate simple rules and petmjx's own estimate are.
+    well simple rules, and petmjx's own estimate, predict the labels.
     """
     from petmjx.cli.run_command import RunInterrupted
     from petmjx.loop.label_files import write_labels

@@ -26,7 +26,7 @@ Centres are often rounded to centimetres or half millimetres."""
 _SMALL_LOAD: Final = 160
 """Largest number of boxes that are used to judge a plan: its first boxes in packing order, from the ground up."""
 _CARTON_MM, _CARTON_SPREAD = 280.0, 0.75
-"""Geometric mean of a carton's sides, and its spread (in the logarithm), from BED-BPP's 1.5 million boxes."""
+"""Geometric mean of a carton's sides, and the standard deviation of its natural logarithm, from BED-BPP's boxes."""
 _CARTON_KG_M3, _DENSITY_SPREAD = 250.0, 1.1
 """Density of cartons, and its spread."""
 _DECKS_MM: Final = (

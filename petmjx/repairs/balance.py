@@ -128,7 +128,7 @@ def balances_with_last(drafts: Sequence[Draft], before: Sequence[Balance], sim: 
 
 
 def _bearing(drafts: Sequence[Draft], sim: Simulation) -> Bearing:
-    """The contacts of drafts in packing order."""
+    """The contacts between the boxes of drafts. The boxes are in packing order."""
     scenes = scenes_of(drafts, sim)
     return bearing_in_order(find_bearings(scenes, [scene.target for scene in scenes]))
 

@@ -206,7 +206,7 @@ MOST_RANKED: Final = 168
 """Largest number of allowed changes of a plan that are kept: the most promising ones."""
 
 PER_WEAKNESS: Final = 1.0
-"""Weight in the ranking of what makes a plan fall only with errors (``Balance.weakness``). Loads beyond edges have the
+"""Weight of ``Balance.weakness``, the risk that a plan falls with errors, in the ranking. Loads beyond edges have the
 weight 1."""
 
 PER_COST: Final = 0.3
@@ -406,7 +406,7 @@ class Candidates:
     def _falls_early(self, key: bytes) -> bool:
         """Whether a draft with this key must fall like a draft that was judged before: both begin with the same
         placements, and the judged draft fell before its next box was placed."""
-        longer = key[:-1]  # a draft that has no box after the fall of the judged draft waits longer at its end
+        longer = key[:-1]  # without a further box, the draft would wait longer at its end than the judged draft did
         return longer.startswith((*self._falls,))
 
     def _scored(self, states: Sequence[State]) -> Steps[list[State]]:
@@ -417,7 +417,8 @@ class Candidates:
         return [replace(state, trial=trial) for state, trial in zip(states, trials, strict=True)]
 
     def _judged(self, batch: Sequence[Candidate]) -> Steps[list[State]]:
-        """Judge candidates, that is, simulate them only until it is known whether they stand. Returns their states."""
+        """Judge candidates: simulate each of them once, at most until a box tilts too far (``Asked.is_judged``).
+        Returns their states."""
         trials = yield from self._simulated([c.draft for c in batch], judged=True)
         return [State(c.draft, c.changes, trial) for c, trial in zip(batch, trials, strict=True)]
 

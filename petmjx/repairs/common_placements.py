@@ -49,7 +49,7 @@ class Placement(Generic[Tag]):
 
     Attributes:
         job: the job; it pauses if there are several worlds.
-        n_boxes: number of boxes that it places before it pauses.
+        n_boxes: number of boxes that the job places before it pauses.
     """
 
     job: Job

@@ -49,7 +49,7 @@ class Draft:
         order: numbers of the boxes that are placed, in packing order.
         moved: numbers of the boxes with another place or orientation than in the plan. The plan's directions of
             approach no longer hold for moved boxes.
-        sheet_kg: masses of the added sheets.
+        sheet_kg: masses of the added tie sheets, kg.
         film_turns: turns of film around the pallet.
     """
 
@@ -139,8 +139,8 @@ class Draft:
         return _closure(self._under_each, box)
 
     def with_places(self, boxes: Sequence[int], corner_mm: FloatArray, *, anew: bool = True) -> Draft:
-        """The draft with other corners of some boxes. ``anew``: whether the plan's directions of
-        approach no longer hold for these boxes, so that they count as ``moved``."""
+        """The draft in which the given boxes have other corners. ``anew``: whether the plan's directions of approach no
+        longer hold for these boxes, so that they count as ``moved``."""
         corners = self.corner_mm.copy()
         corners[list(boxes)] = corner_mm
         moved = self.moved.union(boxes) if anew else self.moved
@@ -283,7 +283,8 @@ class Oddities(NamedTuple):
     a part of the same area, seen from above.
 
     Attributes:
-        row, other: (k,) the pairs: which of the r boxes, and the number of the other box.
+        row, other: (k,) the pairs: the position of one box among the r boxes, and the number of the other box in the
+            draft.
         overlap_mm: (k,) depth by which the two overlap, along the axis of least depth; at most 0: no overlap.
         blocks: (k,) whether the box is above the place of the other box, and is placed before the other box.
         is_blocked: (k,) whether the other box is above the place of the box, and is placed before the box.
@@ -308,7 +309,7 @@ class Places(NamedTuple):
 
     Attributes:
         boxes: (k, b) numbers of the boxes.
-        corner_mm, size_mm: (k, b, 3) their corners and extents.
+        corner_mm, size_mm: (k, b, 3) their corners and extents, mm.
         turned: (k, b) whether they are turned by 90° from their orientations in the plan.
         rank: (k, b) their positions in packing order, compared with the positions of the other boxes.
     """

@@ -1,4 +1,5 @@
-"""Changes that may repair a plan (``proposals``): the cause of its failure determines boxes and changes.
+"""Changes that may repair a plan (``proposals``). The cause of the plan's failure determines which boxes are changed,
+and how.
 
 A load beyond an edge involves several boxes: the box that has the load, the box whose placement moves the load beyond
 the edge, the supports, and the boxes on top. All boxes that a load involves are moved, turned, exchanged, or placed
@@ -27,7 +28,7 @@ MOST_TARGETS: Final = 4
 """Largest number of causes of a failure for which changes are proposed."""
 
 MOST_NEAR: Final = 8
-"""Largest number of boxes around a cause that are moved, turned and exchanged."""
+"""Largest number of boxes that are moved, turned and exchanged because of one cause."""
 
 SPARE_MM: Final = (2.0, 6.0, 12.0, 25.0)
 """Distances inside the edge, mm, to which a load that is beyond the edge is moved, each by a proposal of its own. When
@@ -45,7 +46,7 @@ SPOT_MM: Final = 10.0
 the first is proposed."""
 
 LEAST_SUPPORT: Final = 0.5
-"""Smallest supported share of a base at another place."""
+"""Smallest supported share of a box's base at a place that is proposed for the box."""
 
 MOST_TOGETHER: Final = 12
 """Largest number of boxes that are moved together, or lifted off together and put elsewhere."""
@@ -316,7 +317,7 @@ def _free_ways_mm(draft: Draft, box: int, riders: Sequence[int]) -> tuple[float,
 
 
 def _turns(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposal]:
-    """Boxes turned about their middles, and about one of their corners."""
+    """Turns of boxes about their middles, and about one of their corners."""
     turns: list[Turn] = []
     for box in near:
         x, y = draft.corner_mm[box, :2].tolist()
@@ -342,8 +343,8 @@ def _turns(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposal
 
 
 def _exchanges(draft: Draft, rules: Rules, near: Sequence[int], done: Collection[int]) -> Iterator[Proposal]:
-    """Boxes exchanged with any other box that is not ``done``. After the exchange, both boxes are turned or not, and
-    stand at the left or the right of the other's place."""
+    """Exchanges of each box with any other box that is not in ``done``. After the exchange, both boxes are turned or
+    not, and stand at the left or the right of the other's place."""
     others = [other for other in draft.order if rules.built <= other < draft.plan.n_boxes and other not in done]
     pairs = [(box, other) for box in near for other in others if other != box and (other not in near or other > box)]
     places, turns = _exchanged_places(draft, np.array(pairs, np.intp).reshape(-1, 2))
@@ -567,7 +568,7 @@ def _props(draft: Draft, rules: Rules, target: Target) -> Iterator[Proposal]:
 
 
 def _sheets(draft: Draft, thick_mm: float, kg_m2: float) -> Iterator[Proposal]:
-    """Sheets at heights that no box crosses."""
+    """Tie sheets at heights that no box crosses."""
     rows = list(draft.order)
     low, high = draft.corner_mm[rows], draft.high_mm[rows]
     for height in np.unique(np.round(high[:, 2], 1)).tolist():
@@ -596,7 +597,7 @@ def lifted_with(draft: Draft, box: int) -> list[int]:
 
 
 def _omissions(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposal]:
-    """Boxes left out, with all boxes that would lose their support."""
+    """Omissions of boxes. Each box is left out together with all boxes that would lose their support without it."""
     for box in near:
         left = lifted_with(draft, box)
         if len(left) < len(draft.order) and min(left) >= rules.built:
