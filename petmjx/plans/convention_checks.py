@@ -62,7 +62,7 @@ coordinates separate even boxes that really overlap."""
 _MM3_PER_M3: Final = 1e9
 
 _MOST_ROUNDS: Final = 5
-"""Largest number of passes over the turned boxes. Two passes over the boxes are usually enough."""
+"""Largest number of passes over the turned boxes in ``_overlapping_less``. Two passes are usually enough."""
 
 _Layout = tuple[FloatArray, FloatArray]
 """Corners and sizes, (n, 3) each, mm, in packing order."""

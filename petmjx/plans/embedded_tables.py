@@ -67,7 +67,8 @@ def rows_of_sql(text: str) -> dict[str, list[list[str]]]:
 def _table_of(
     tables: dict[str, list[list[str]]], statement: re.Match[str], text: str, bodies: Mapping[str, int]
 ) -> list[list[str]]:
-    """The rows so far of the table of a statement. A new table has the names of its columns.
+    """The rows, read so far, of the table that a statement names. The first row of a new table has the names of its
+    columns.
 
     Args:
         bodies: name of a table → where its columns stand in the text.

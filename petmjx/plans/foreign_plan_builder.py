@@ -195,7 +195,8 @@ class PlanBuilder:
             )
 
     def _note_quantities(self) -> None:
-        """Add a note about quantities above 1, unless they count the rows of an article. A row has only one place."""
+        """Add a note about quantities above 1, unless they count the rows of an article. A row is read as one box
+        whatever its quantity is, since it has only one place."""
         table, articles = self.boxes.table, self.columns.article or [""] * self.columns.n_boxes
         if self.columns.source.form == PACKINGSOLVER:  # the reader of this form adds a note about quantities itself
             return

@@ -144,7 +144,8 @@ def names_unit(name: str) -> bool:
 
 
 def distinct_names(names: Sequence[str]) -> list[str]:
-    """Names without repetitions. An empty name becomes, for example, "column 3".
+    """The names, in which an unknown name that occurs again becomes, for example, "Note again", and an empty name
+    becomes, for example, "column 3".
 
     Raises:
         InputError: a known name occurs twice.

@@ -102,8 +102,8 @@ def has_named_places(path: Path) -> bool:
 
 
 def _with_items_beside(best: BoxSource, path: Path) -> BoxSource:
-    """packingsolver's certificate with the weights from the file of items beside it, if the sizes in both files
-    agree."""
+    """packingsolver's certificate, with weights added from the file of items in the same folder if the sizes in both
+    files agree."""
     stem = re.sub(r"_?(solution|certificate|output|result)s?$", "", path.stem, flags=re.IGNORECASE)
     for name in dict.fromkeys((f"{path.stem}_items.csv", f"{stem}_items.csv", "items.csv")):
         beside = path.with_name(name)

@@ -203,7 +203,8 @@ class _OrderBuilder:
         return [name or stem for name in names]
 
     def _leave_out_empty_rows(self) -> None:
-        """Drop the faults of rows with the quantity 0, since they have no box. Adds a note."""
+        """Drop the faults of rows with the quantity 0, since these rows stand for no box, and add a note about the
+        rows."""
         empty = np.flatnonzero(self.columns.is_empty).tolist()
         for row in empty:
             self.faults.pop(row, None)

@@ -66,8 +66,8 @@ def fields_of_part(member: NestedBox) -> dict[str, Any]:
 
 
 def articles_around(members: Sequence[NestedBox]) -> frozenset[int]:
-    """The objects around boxes that are articles, by their ``id``. The object of an article holds the places of all
-    boxes of the article. Either all members of a list are articles, or none is.
+    """Python's ``id`` of each object around boxes that describes an article. The object of an article holds the places
+    of all boxes of the article. Either all members of a list are articles, or none is.
 
     The members of a list with a name such as "items" may also be pallets. The members are articles if they have sizes
     or a word for articles, and if no member has a word for pallets in its fields or its name. If each member has a box

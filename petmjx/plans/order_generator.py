@@ -72,7 +72,8 @@ PACKER_STREAM = 2
 
 @dataclass(frozen=True)
 class _Family:
-    """A kind of cartons: its share, its ranges of length, width and height in mm, and its product groups."""
+    """A kind of cartons: its share of the articles, its ranges of length, width and height in mm, and its product
+    groups."""
 
     share: float
     length_mm: tuple[int, int]

@@ -32,8 +32,8 @@ _BEGINS: Final = re.compile(
 _RETURN: Final = re.compile(r"\s*(?:return\b)?")
 """The beginning of a file of Lua that returns a table."""
 _JSON_NAME: Final = re.compile(r'"[^"\n]*"(?:\s*:(?![A-Za-z])|\s*:(?:true|false|null|NaN)\b)')
-"""A name in JSON. A text with such names is JSON, perhaps damaged, and is not read here. In EDN, the colon is part of
-the next name."""
+"""A name in JSON. A text with such names is JSON, perhaps damaged, and is not read here. A colon directly before a
+letter does not show JSON, since in EDN such a colon is part of the next name."""
 _OPEN: Final = re.compile(r"(?:Array\s*|[A-Za-z_][\w\\]* Object\s*|[#&]?([A-Za-z_][\w.:<>$]*)[ \t]*|&)?([\[({])")
 """A bracket, perhaps behind a name. PHP begins a new line between the name and the bracket. A pointer of Go begins with
 "&", a tag of EDN with "#"."""
@@ -85,7 +85,7 @@ _MESSAGES: Final = re.compile(
 """The beginning of messages of protocol buffers as text: "boxes { sku: ..."."""
 _FIELD: Final = re.compile(r"#[^\n]*|\"(?:\\.|[^\"\\\n])*+\"?|(?<!\w)([A-Za-z_]\w{0,99})[ \t]{0,9}(:?[ \t]{0,9}\{|:)")
 """A field of a message of protocol buffers: "boxes {" or "sku:"; or a comment, or a text in quotation marks, which may
-contain the like."""
+contain something that looks like a field."""
 _RULES: Final = re.compile(r"^(?:[-=]{3,}|[#%][^\n]*)$", re.MULTILINE)
 """Lines between named arrays that hold no values."""
 

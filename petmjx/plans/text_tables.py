@@ -147,7 +147,7 @@ _BOX_DRAWING: Final = str.maketrans(
         **dict.fromkeys((chr(code) for code in range(0x250C, 0x2570) if chr(code) not in "═║"), "+"),
     }
 )
-"""Frames of printed tables, as their forms in ASCII."""
+"""Characters for frames of printed tables → the characters of ASCII that replace them."""
 
 
 def _without_unclosed(text: str, lost: list[tuple[str, str]], begin: int) -> str:

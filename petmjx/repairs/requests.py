@@ -1,4 +1,5 @@
-"""What a search requests of an engine, and what it is sent: drafts and their trials.
+"""What a search for repairs requests of an engine (the simulation of drafts), and what the search is sent in return
+(the trials of these drafts).
 
 This module imports nothing of engines or tables, so that the processes of searches start fast.
 """

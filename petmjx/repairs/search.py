@@ -184,7 +184,7 @@ class Search(Candidates):
         elif trial.culprit is not None and max(trial.culprit + 1, trial.n_placed) <= self.rules.built:
             yield from self._begun_with_built(trial)
         if not (self._stands or self.built_falls):
-            # a plan that falls is changed where it fell when it was judged, as changed plans are
+            # a plan that falls is changed where it fell when judged, as all changed plans are
             known = trial if is_scored and not trial.stands else self.before or trial
             yield from self._mended(State(self._start, (), known))
             if self.before is None:
@@ -203,8 +203,9 @@ class Search(Candidates):
         self.begin(scored.trial)
 
     def _begun_with_built(self, judged: Trial) -> Steps[None]:
-        """A built box fell when no other boxes were placed: score the plan as it is, and the built boxes alone.
-        Every changed plan begins with the same placements, so no change helps if the built boxes fall alone."""
+        """Score the unchanged plan, and the boxes that are already built as a plan of their own. The method is called
+        if a built box fell before any other box was placed. Every changed plan begins with the same placements, so no
+        change helps if the built boxes fall alone."""
         alone = replace(self._start, order=self._start.order[: self.rules.built])
         parts: list[Steps[Any]] = [self._begun(judged)] if self.before is None else []
         *_, (trial,) = yield Together([*parts, self._simulated([alone])])
@@ -245,8 +246,8 @@ class Search(Candidates):
     # ------------------------------------------------------------------ film
 
     def _wrapped(self, start: State) -> Steps[list[State]]:
-        """The plan with the fewest turns of film with which it survives the profile; empty: it survives with no allowed
-        number of turns."""
+        """The plan with the fewest turns of film with which it survives the profile. The list is empty if the plan
+        survives with no allowed number of turns."""
         low, high = math.floor(self.film_turns), self.options.most_turns
         best: list[State] = []
         turns = high
@@ -301,7 +302,7 @@ class Search(Candidates):
             if self.before is None:
                 parts.append(self._begun(self._known[key_of(self._start)]))
             states, *_ = yield Together(parts)
-            if any(state.trial.stands for state in states):  # others may stand in more worlds with errors
+            if any(state.trial.stands for state in states):  # further candidates may stand in more worlds with errors
                 if not self.is_wide:
                     next_candidates = self._rivals(queues, states, last - self.n_trials)
                     batch, states = batch + next_candidates, states + (yield from self._judged(next_candidates))
@@ -454,8 +455,9 @@ class Search(Candidates):
         return [state]
 
     def _shortened(self, states: Sequence[State], *, is_known: bool) -> Steps[tuple[list[State], list[State]]]:
-        """Two lists: all states, with the scores of those that stand when judged, as far as needed; and those that
-        stand when scored, without their needless changes. ``is_known``: as in ``_confirmed``."""
+        """Two lists. The first list has all states; of these, states that stand when judged are scored, as far as
+        needed. The second list has the states that stand when scored, without their needless changes. ``is_known``: as
+        in ``_confirmed``."""
         every, confirmed = yield from self._confirmed(states, is_known=is_known)
         return every, (yield from self._pruned(confirmed, judged=True))
 

@@ -65,7 +65,7 @@ class Tasks:
     """Searches, and their parts that run side by side.
 
     Attributes:
-        requests: ticket and drafts of the requests that were not sent yet.
+        requests: (ticket, drafts) of each request that was not sent yet. A ticket identifies a request.
     """
 
     def __init__(self, searches: Iterable[Steps[Any]]) -> None:
