@@ -131,7 +131,8 @@ def label(
         )
     for name, shares in card["baselines"].items():
         print(
-            f"{name}: finds {shares['standing_found']:.1%} of the boxes that stand, {shares['falling_found']:.1%} of those that fall"
+            f"{name}: finds {shares['standing_found']:.1%} of the boxes that stand, "
+            f"{shares['falling_found']:.1%} of those that fall"
         )
     if empty := [split for split, numbers in card["splits"].items() if not numbers["labels"]]:
         all_used = sum(numbers["orders"] for numbers in card["splits"].values()) >= source.count
