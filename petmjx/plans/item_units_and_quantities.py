@@ -394,9 +394,9 @@ class _OrderBuilder:
             with np.errstate(invalid="ignore"):
                 if bool((cover[several] <= _FULL).all()):
                     raise self._layer_tie()
-            self.notes.append("quantities are of all layers")
+            self.notes.append("quantities count the boxes of all layers")
         elif per_layer:
-            self.notes.append("quantities are of each layer")
+            self.notes.append("quantities count the boxes of each layer")
         return (quantity * layers if per_layer else quantity).astype(np.int64)
 
     def _layer_tie(self) -> InputError:

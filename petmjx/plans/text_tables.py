@@ -96,7 +96,7 @@ def tables_of_text(data: bytes | bytearray) -> list[RawTable]:
     if delimiter is None:
         delimiter = _delimiter_of(text)
     if delimiter not in (",", "\t"):
-        notes.append("fields between white space" if delimiter == _SPACES else f"fields between {delimiter}")
+        notes.append("fields between white space" if delimiter == _SPACES else f'fields between "{delimiter}"')
     rows = list(_fields(text, delimiter))
     if len(rows) > MOST_ROWS:
         raise InputError(f"has more than {MOST_ROWS:,} rows")

@@ -85,7 +85,9 @@ class RepairOptions(CheckedRecord):
         0.5, description="mass of a tie sheet by its area, kg/m²: single-wall board has about 0.5"
     )
     profile: Annotated[str | None, CliFlag("--profile", "NAME", default="at rest")] = Field(
-        None, description="profile that the pallet must survive, such as eumos-40509; by default it must stand at rest"
+        None,
+        description="profile that the pallet must survive, such as eumos-40509; by default the pallet must only stand "
+        "at rest",
     )
     level: Annotated[float, within(0, 1000), CliFlag("--level", "LEVEL")] = Field(
         1.0, gt=0, description="strength of the profile: a level in g, or a scale"
