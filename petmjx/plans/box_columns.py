@@ -186,7 +186,7 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str], units: str, masses
 
 
 def _geometry_of(sizes: Sizes, places: Places) -> Geometry:
-    """Sizes and places together. If their units differ, both are converted to millimetres."""
+    """Sizes and places, joined into one ``Geometry``. If their units differ, both are converted to millimetres."""
     size, axes, size_unit, placed, columns = sizes
     place, place_unit, anchor, more, up = places
     if size_unit and place_unit and size_unit != place_unit:

@@ -35,10 +35,10 @@ from petmjx.plans.plan_warnings import (
 
 MOST_UNEXPLAINED: Final = 100
 ONE_IN: Final = 50
-"""Limits of the search. The search is limited because reading a plan in all conventions takes 2 ms. After
-``MOST_UNEXPLAINED`` odd plans that no convention explains, only one in ``ONE_IN`` of such plans is read in all
-conventions. All other such plans are read only in conventions that explain at least ``LEAST_SHARE`` of the odd plans so
-far."""
+"""Limits of the search for conventions. The search is limited because reading a plan in all conventions takes 2 ms.
+After ``MOST_UNEXPLAINED`` odd plans that no convention explains, only one in ``ONE_IN`` of such plans is read in all
+conventions. The other plans that no convention explains are read only in conventions that explain at least
+``LEAST_SHARE`` of the odd plans so far."""
 
 LIGHTEST_KG_M3: Final = 2.0
 HEAVIEST_KG_M3: Final = 20_000.0
@@ -80,8 +80,8 @@ class Convention:
             corners and sizes.
         least_odd: smallest number of floating boxes and overlaps that a plan must have before this convention may
             explain it. ``least_odd`` applies only if the lowest box does not float.
-        of_turned: whether ``read`` is applied only to boxes that their orientation turns. All other boxes are not
-            changed.
+        of_turned: whether ``read`` is applied only to boxes that their orientation turns. Boxes that are not turned
+            stay unchanged.
         of_some: whether ``read`` changes only those turned boxes that overlap fewer boxes after the change.
         least_share: the convention is considered only if at least this share of the boxes that do not stand directly on
             the carrier floats or overlaps, and at least one box by more than ``_SMALL_MM``.
@@ -130,7 +130,7 @@ _YZ: Final = ("y and z look swapped", "give heights as z")
 _MOST: Final = 0.5
 """Swapped y and z are considered only if at least this share of the boxes that do not stand directly on the carrier
 floats or overlaps. In a correct plan whose rows are flush in y, no box floats or overlaps even after y and z are
-swapped. So a few boxes that float or overlap are no evidence."""
+swapped. So a few boxes that float or overlap are no evidence that y and z are swapped."""
 _SMALL_MM: Final = 20.0
 """Gaps and overlaps up to this size come from sheets, rounded heights or careless packers, not from a convention."""
 

@@ -56,8 +56,8 @@ def is_parquet(path: Path) -> bool:
 
 _N_NEEDED: Final = 5
 _COLUMN: Final = re.compile(rb"(plan_id|sequence|article|(length|width|height|weight)[\w/ ()]*|[xyz]_mm)")
-"""Names of columns. If the name of a file does not show that the file is a table, text with more than ``_N_NEEDED`` of
-these column names is recognised as a table."""
+"""Names of columns in tables of placements. If the name of a file does not show that the file is a table, text with
+more than ``_N_NEEDED`` of these column names is recognised as a table."""
 
 _JSON: Final = re.compile(rb"\s*+(\{\s*+[\"}]|\[\s*+[\"\[{\]])")
 """The beginning of JSON. No header of a table begins with these characters."""

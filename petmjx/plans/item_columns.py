@@ -100,8 +100,8 @@ two meanings it has."""
 STRENGTH: Final = "strength_n"
 UPRIGHT: Final = "upright"
 BOX_PROPERTIES: Final = (STRENGTH, UPRIGHT)
-"""Columns that are read only for environments in which packers are trained (``OrderReading.for_episodes``). Columns for
-environments are recognised only under exactly these names."""
+"""Columns that are read only for environments in which packers are trained (``OrderReading.for_episodes``). These
+columns are recognised only under exactly these names."""
 SIZE_LETTERS: Final = "lwh"
 """The letters that the column ``upright`` may have: l for length, w for width, h for height."""
 

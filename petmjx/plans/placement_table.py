@@ -244,7 +244,7 @@ OPTIONAL: Final = ("item_id", "product_group", "orientation", "order_sequence", 
 Without this column, ``sequence`` is used instead."""
 _TEXTS: Final = ("article", "item_id", "product_group", "material", "kind")
 NAMES: Final = ("plan_id", *_TEXTS)
-"""Columns of names. All columns that are not listed here have numbers."""
+"""Columns that have names, that is, texts. All columns that are not listed here have numbers."""
 _MAY_LACK: Final = ("item_id", "product_group", *_SELDOM)
 """Columns in which a value may be missing."""
 _ALIASES: Final = {
@@ -347,7 +347,7 @@ def table_plans(
 
 @dataclass(eq=False)
 class _TableReader:
-    """Reads one table. Rows with an unusable plan id belong to no plan."""
+    """Reads the plans in one table of placements. Rows with an unusable plan id belong to no plan."""
 
     table: Table
     source: str

@@ -60,8 +60,8 @@ _ON_SIDE: Final = 1.0
 """Cost of a reading in which boxes are listed from one side to the other, but not from the ground up: the axis of these
 sides may be the vertical. The cost is that of y upwards in a file that does not name the vertical."""
 _OF_WALL: Final = 2.0
-"""Cost of a reading in which boxes form a wall (``is_wall``). If y is as likely to be the vertical as z, and there are
-not few boxes, the reading as a flat layer wins; else the user is asked for the vertical axis."""
+"""Cost of a reading in which boxes form a wall (``is_wall``). If y is as likely to be the vertical as z, and the file
+has more than a few boxes, the reading as a flat layer wins; else the user is asked for the vertical axis."""
 _MOST_BOXES: Final = 400
 _MOST_PLANS: Final = 12
 """Largest number of boxes, and largest number of plans, that are used to judge readings. The chosen reading applies to

@@ -2,10 +2,10 @@
 reads and writes files with readings (``--as FILE.toml``), and has options for reading (``Wishes``).
 
 Column names often allow several readings of a file's numbers. All possible readings are tried, and the most plausible
-one wins. In a plausible reading, boxes do not overlap or float, lie on other boxes, touch their neighbours and fit the
-carrier, and they have the sizes and densities of cartons. If two readings are almost equally plausible, and differ in
-more than a shift or a mirror image, they are a tie. In case of a tie, the user is asked or the file is refused. A tie
-is never decided silently.
+one wins. In a plausible reading, no box overlaps another box or floats; boxes lie on other boxes, touch their
+neighbours and fit the carrier; and they have the sizes and densities of cartons. If two readings are almost equally
+plausible, and differ in more than a shift or a mirror image, they are a tie. In case of a tie, the user is asked or the
+file is refused. A tie is never decided silently.
 """
 
 from __future__ import annotations

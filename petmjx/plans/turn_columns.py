@@ -163,7 +163,8 @@ def rotations_of_angles(angles: FloatArray) -> list[FloatArray]:
 
 
 def _in_degrees(values: list[float | None]) -> list[float | None]:
-    """Angles in radians as degrees. Quarter turns become whole multiples of 90 degrees. Other numbers are unchanged.
+    """Angles in radians as degrees. Quarter turns become whole multiples of 90 degrees. Numbers that are not in radians
+    are unchanged.
 
     Numbers are radians if some are not whole, none is more than a whole turn, and some turn a box. So a box that is
     turned by 1.5 radians counts as crooked, and not as nearly unturned.

@@ -126,7 +126,7 @@ class CommonPlacements(Generic[Tag]):
 
 def _n_common(worlds: Sequence[World[Any]]) -> int:
     """The number of first boxes that all worlds have in common. The number is always smaller than the number of boxes
-    of any world. It is −1 if not even the carriers are the same."""
+    of any world. The number is −1 if not even the carriers are the same."""
     most = min(len(world.keys) for world in worlds) - 2
     return next((n for n in range(most, -1, -1) if len({world.keys[n] for world in worlds}) == 1), -1)
 

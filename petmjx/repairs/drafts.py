@@ -389,7 +389,8 @@ class Rules:
         plan: the plan as it was.
         sim: options of the simulation. Boxes may overhang the carrier's edges as far as boxes of the plan do.
         max_height_mm: highest top of a box; the plan's own height if that is greater.
-        built: number of boxes that stand on the real pallet already: the first boxes of the plan. They stay unchanged.
+        built: number of boxes that stand on the real pallet already: the first boxes of the plan. These boxes stay
+            unchanged.
     """
 
     def __init__(self, plan: Plan, sim: Simulation, max_height_mm: float, built: int) -> None:

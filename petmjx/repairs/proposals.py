@@ -38,8 +38,8 @@ STEPS_MM: Final = (10.0, 20.0, 30.0, 45.0, 60.0, 80.0, 100.0, 130.0, 160.0, 200.
 """Lengths by which boxes are moved in any case, mm, however far a load is beyond an edge."""
 
 MOST_PLACES: Final = 24
-"""Largest number of other places for one box: the lowest places, and of places of equal height those with the largest
-support."""
+"""Largest number of other places that are proposed for one box: the lowest places, and of places of equal height those
+with the largest support."""
 
 SPOT_MM: Final = 10.0
 """Side of the squares into which the floor is divided, mm. Of the places with the same height in the same square, only
@@ -165,8 +165,8 @@ def _near(draft: Draft, rules: Rules, target: Target) -> list[int]:
 
 
 def _orders(draft: Draft, target: Target) -> Iterator[Proposal]:
-    """Other orders. Counterweights are placed before the box whose placement moves the load beyond the edge, or the box
-    is placed after the counterweights. A box is placed after supports that would come too late."""
+    """Changes of the packing order. Counterweights are placed before the box whose placement moves the load beyond the
+    edge, or the box is placed after the counterweights. A box is placed after supports that would come too late."""
     box, cause = target.box, target.cause
     at = draft.rank[cause]
     pile = [number for number in (*draft.above(box), *_neighbours(draft, box)) if draft.rank[number] > at]
@@ -186,8 +186,8 @@ def _orders(draft: Draft, target: Target) -> Iterator[Proposal]:
 
 
 def _earlier(draft: Draft, target: Target) -> Iterator[Proposal]:
-    """Other orders for a squeezed box (one that is lowered between two others): the squeezed box is placed before one
-    of the two others, or one of the two others is placed after the squeezed box."""
+    """Changes of the packing order for a squeezed box (one that is lowered between two others): the squeezed box is
+    placed before one of the two others, or one of the two others is placed after the squeezed box."""
     box = target.box
     for number, _, _ in _tight(draft, target):
         needed = [low for low in reversed(draft.below(box)) if draft.rank[low] > draft.rank[number]]
@@ -402,8 +402,9 @@ def _triple(values: FloatArray) -> tuple[float, float, float]:
 
 
 def _places(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposal]:
-    """Other places for boxes. A box with a free top is placed at the same time as before, or last. A floating box is
-    put where it would come to lie. Any other box is put elsewhere together with all boxes that stand on it alone."""
+    """Proposals of other places for boxes. A box with a free top is placed at the same time as before, or last. A
+    floating box is put where it would come to lie. Any other box is put elsewhere together with all boxes that stand on
+    it alone."""
     places: list[Place] = []
     for box in near:
         is_bare = draft.is_bare[box]

@@ -333,8 +333,8 @@ class Search(Candidates):
 
     def _rivals(self, queues: Sequence[list[Candidate]], states: Sequence[State], count: int) -> list[Candidate]:
         """Take candidates off the queues that may be chosen instead of the plans that stand. If worlds with errors are
-        simulated, any candidate may be chosen. If no worlds with errors are simulated, only candidates that statics
-        prefers to all of the shortest plans that stand may be chosen."""
+        simulated, any candidate may be chosen. If no worlds with errors are simulated, a candidate may be chosen only
+        if statics prefers it to all of the shortest plans that stand."""
         if not self.options.worlds:
             standing = shortest([state for state in states if state.trial.stands])
             fewest, best = len(standing[0].changes), min(self._risks(standing))
@@ -425,8 +425,9 @@ class Search(Candidates):
     def _remaining(self, state: State, parent: Node) -> tuple[Fault, ...]:
         """The expected faults of a changed plan, from its trial and the faults of the plan before the change. Faults
         that come before the fault of the box that falls now count as mended. If the box that falls now was no fault
-        before the change, the change has added a fault, and the later faults remain. If boxes were taken off and the
-        rest simulated instead, a trial would be needed for each fault of each changed plan."""
+        before the change, the change has added a fault, and the later faults remain. The faults are not counted by
+        simulations without the boxes that fall, because each changed plan would then need a trial for each of its
+        faults."""
         if state.trial.stands:
             return ()
         before, draft = parent.faults or (), state.draft
@@ -455,9 +456,9 @@ class Search(Candidates):
         return [state]
 
     def _shortened(self, states: Sequence[State], *, is_known: bool) -> Steps[tuple[list[State], list[State]]]:
-        """Two lists. The first list has all states; of these, states that stand when judged are scored, as far as
-        needed. The second list has the states that stand when scored, without their needless changes. ``is_known``: as
-        in ``_confirmed``."""
+        """Returns two lists of states. The first list has all states; of these, states that stand when judged are
+        scored, as far as needed. The second list has the states that stand when scored, without their needless changes.
+        ``is_known``: as in ``_confirmed``."""
         every, confirmed = yield from self._confirmed(states, is_known=is_known)
         return every, (yield from self._pruned(confirmed, judged=True))
 

@@ -222,8 +222,8 @@ class _Server:
 
 
 class _Pipe:
-    """The simulator in a process that runs searches. It sends drafts to the process that has the engine, and receives
-    their trials."""
+    """The simulator in a process that runs searches. The simulator sends drafts to the process that has the engine, and
+    receives the trials of these drafts."""
 
     def __init__(self) -> None:
         self._tasks, self._answers = own_pipes(NICE)

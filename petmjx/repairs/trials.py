@@ -75,7 +75,7 @@ SHEETS_MORE: Final = 2
 table."""
 
 MOST_LISTED: Final = 1024
-"""Largest number of worlds at once for an engine that takes no stream of jobs."""
+"""Largest number of worlds that are given at once to an engine that takes no stream of jobs."""
 
 SWITCH: Final = 4
 """Scores begin while drafts are being judged only if at least this many requests wait for them."""
