@@ -173,7 +173,7 @@ def _sorted_sizes(table: RawTable, names: Sequence[str] = ()) -> list[list[float
     """For each row, the numbers in columns of sizes, in ascending order.
 
     Args:
-        names: names of these columns, in capital letters; empty: all columns with sizes.
+        names: names of the columns that are used, in capital letters; empty: all columns with sizes are used.
     """
     sizes = {name for name, meaning in known_meanings(table.header).items() if meaning.kind == "size"}
     indices = [k for k, name in enumerate(table.header) if (name.upper() in names if names else name in sizes)]

@@ -307,7 +307,7 @@ def density_cost(density_kg_m3: float) -> float:
 
 
 def _squared(value: float, usual: float, spread: float) -> float:
-    """Half the square of the logarithmic distance from the usual value, measured in spreads."""
+    """Half the square of the logarithmic distance from the usual value, in multiples of ``spread``."""
     return (math.log(value / usual) / spread) ** 2 / 2 if value > 0 else 50.0
 
 

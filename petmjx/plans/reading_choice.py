@@ -438,7 +438,7 @@ def _is_likely(units: _Units) -> bool:
 def _other_mass(best: _Judged) -> str | None:
     """Another unit of masses that is plausible and that no column name excludes; None if there is none.
 
-    The other unit is only mentioned, because a factor on all masses hardly affects a verdict.
+    The other unit is only mentioned in a note, because a factor on all masses hardly affects a verdict.
     """
     first, *others = best.units
     rivals = (

@@ -192,7 +192,7 @@ def places_in(extraction: ColumnExtraction) -> Places | None:
                 named_up="z" if "height" in words else ""
             )
     if {"", "centre"} <= by_name.keys() and not (by_name["centre"].place <= by_name[""].place).any():
-        return by_name[""]._replace(anchor="corner")  # centres may be rounded, as in "center": {"x": 18} of 35 cm
+        return by_name[""]._replace(anchor="corner")  # centres may be rounded: "center": {"x": 18} of a box of 35 cm
     if by_name:
         return next(iter(by_name.values()))
     for index, meaning in enumerate(extraction.meanings):

@@ -241,8 +241,8 @@ def begins_section(title: str, first: str, above: Sequence[str] = ()) -> bool:
 
     Args:
         first: the title of the first boxes; "": they have none.
-        above: the lines above the header. The last of these lines is the title of the first boxes if it has a word of
-            the line between boxes.
+        above: the lines above the header. The last of these lines is the title of the first boxes if it shares a word
+            with the line between boxes.
     """
     words = {word for word in words_of(title) if not word.isdecimal()}
     if not first and above and words.intersection(words_of(above[-1])):

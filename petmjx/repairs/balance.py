@@ -224,8 +224,8 @@ class _Loads(NamedTuple):
 
 
 def _loads(box: IntArray, step: IntArray, edge_mm: FloatArray, perhaps: BoolArray) -> _Loads:
-    """The loads, one row for each box, from one row for each box and step: the distance ``edge_mm`` of the box's load
-    from the edge at this step. The rows are sorted by box and step."""
+    """Combine rows for each box and step into one row for each box. ``edge_mm`` has the distance of a box's load from
+    the edge at each step. The given rows are sorted by box and step."""
     begins = np.flatnonzero(np.diff(box, prepend=-1))
     if not len(begins):
         return _Loads(box, step, edge_mm, edge_mm, perhaps, perhaps)

@@ -144,7 +144,7 @@ class Draft:
         corners = self.corner_mm.copy()
         corners[list(boxes)] = corner_mm
         moved = self.moved.union(boxes) if anew else self.moved
-        # as ``replace`` does, in a third of the time
+        # as ``dataclasses.replace`` does, but in a third of the time
         return Draft(self.plan, self.size_mm, corners, self.turned, self.order, moved, self.sheet_kg, self.film_turns)
 
     def in_order(self, order: tuple[int, ...]) -> Draft:
@@ -386,7 +386,7 @@ class Rules:
     """Limits of a changed plan.
 
     Args:
-        plan: the plan as it was.
+        plan: the plan before the changes.
         sim: options of the simulation. Boxes may overhang the carrier's edges as far as boxes of the plan do.
         max_height_mm: highest top of a box; the plan's own height if that is greater.
         built: number of boxes that stand on the real pallet already: the first boxes of the plan. These boxes stay

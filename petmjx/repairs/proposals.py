@@ -452,7 +452,8 @@ def _places_of(draft: Draft, places: Sequence[Place]) -> Places:
 def resting_corners(
     draft: Draft, rules: Rules, box: int, below: int | None = None
 ) -> Iterator[tuple[bool, tuple[float, float, float]]]:
-    """Places of rest for a box on the carrier or on other boxes: whether it is turned, and its corner.
+    """Yield (whether the box is turned, the box's corner) for each place at which a box can rest on the carrier or on
+    other boxes.
 
     Args:
         below: number of the box below which the place must be; None if no box may be above the place.
