@@ -53,7 +53,7 @@ def label(
         typer.Option(
             "--explore",
             metavar="0…1",
-            help="Share of boxes for which a random place is tried before careful places.",
+            help="Share of boxes that are first tried at a random place, and not at a low place with enough support.",
         ),
     ] = 0.5,
     pallets: Annotated[

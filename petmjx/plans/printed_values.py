@@ -33,7 +33,7 @@ _RETURN: Final = re.compile(r"\s*(?:return\b)?")
 """The beginning of a file of Lua that returns a table."""
 _JSON_NAME: Final = re.compile(r'"[^"\n]*"(?:\s*:(?![A-Za-z])|\s*:(?:true|false|null|NaN)\b)')
 """A name in JSON. A text with such names is JSON, perhaps damaged, and is not read here. A colon directly before a
-letter does not show JSON, since in EDN such a colon is part of the next name."""
+letter shows JSON only if the word is true, false, null or NaN, since in EDN such a colon is part of the next name."""
 _OPEN: Final = re.compile(r"(?:Array\s*|[A-Za-z_][\w\\]* Object\s*|[#&]?([A-Za-z_][\w.:<>$]*)[ \t]*|&)?([\[({])")
 """A bracket, perhaps behind a name. PHP begins a new line between the name and the bracket. A pointer of Go begins with
 "&", a tag of EDN with "#"."""
