@@ -83,8 +83,9 @@ class Convention:
         of_turned: whether ``read`` is applied only to boxes that their orientation turns. Boxes that are not turned
             stay unchanged.
         of_some: whether ``read`` changes only those turned boxes that overlap fewer boxes after the change.
-        least_share: the convention is considered only if at least this share of the boxes that do not stand directly on
-            the carrier floats or overlaps, and at least one box by more than ``_SMALL_MM``.
+        least_share: the convention is considered only if two conditions hold. At least this share of the boxes that do
+            not stand directly on the carrier must float or overlap. At least one box must float or overlap by more than
+            ``_SMALL_MM``.
     """
 
     looks: str
@@ -361,9 +362,9 @@ def _overlapping_less(plan: Plan, size: FloatArray) -> NDArray[np.bool_]:
 
 
 def _is_mostly_odd(plan: Plan, least_share: float) -> bool:
-    """Whether at least the share ``least_share`` of the boxes that do not stand directly on the carrier floats or
-    overlaps, and at least one box of the plan by more than ``_SMALL_MM``. If all boxes stand directly on the carrier,
-    the share of all boxes counts."""
+    """Whether two conditions hold. At least the share ``least_share`` of the boxes that do not stand directly on the
+    carrier must float or overlap. At least one box of the plan must float or overlap by more than ``_SMALL_MM``. If all
+    boxes stand directly on the carrier, the share of all boxes counts."""
     gap, overlap = gaps_mm(plan.corner_mm, plan.size_mm), overlaps_mm(plan.corner_mm, plan.size_mm)
     above = plan.corner_mm[:, 2] > DEFAULT_TOLERANCE_MM
     above |= not above.any()

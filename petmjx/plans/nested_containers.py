@@ -118,9 +118,9 @@ def _at_same_places(groups: Sequence[Sequence[Mapping[str, Any]]]) -> bool:
 
 
 def fields_of_article(member: NestedBox, articles: Collection[int]) -> tuple[dict[str, Any], str]:
-    """The weight, the name and the sizes that a box lacks, from its article: an object "cargo" or "item" beside the
-    list of boxes, or the member of a list of articles that contains this list. The function also returns a note that
-    tells where weights or sizes are from; "" if the article gives none.
+    """The weight, the name and the sizes that a box lacks, taken from its article. The article is an object "cargo" or
+    "item" beside the list of boxes, or the member of a list of articles that contains the list of boxes. The function
+    also returns a note that tells where weights or sizes are from; "" if the article gives none.
 
     Args:
         articles: objects that are articles (``articles_around``).

@@ -56,8 +56,8 @@ _AHEAD: Final = 0.49
 """Smallest distance between a pallet and a box on it along the vertical axis, as a share of the pallet's height. If
 coordinates are those of centres, this share is little more than a half for a thin box."""
 _LEVEL: Final = 0.01
-"""Largest distance between the bottom of the lowest box and the deck at which the box counts as standing on the deck,
-as a share of the boxes' median height: 2 mm for cartons of 200 mm. Centres are often rounded to millimetres."""
+"""The lowest box counts as standing on the deck if the distance between its bottom and the deck is at most this share
+of the boxes' median height: 2 mm for cartons of 200 mm. Centres are often rounded to millimetres."""
 
 
 def placed_boxes(

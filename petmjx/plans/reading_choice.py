@@ -401,8 +401,8 @@ _THIN, _DENSE = 20.0, 2000.0
 """A unit of masses is plausible if it gives a density, in kg/m³, between these two values: those of crisps and of
 bricks."""
 _CONVERTED, _NOT_CONVERTED = 0.95, 0.6
-"""Lengths were converted to a unit if, read in this unit, at least the first share of them are whole millimetres, and,
-read in any other unit, at most the second share."""
+"""Lengths count as converted to a unit if two conditions hold. If they are read in this unit, at least the first share
+of the lengths are whole millimetres. If they are read in any other unit, at most the second share are."""
 
 
 def _fit(best: _Judged, unit: str, wishes: Wishes) -> int:

@@ -42,8 +42,8 @@ _FAR_SIDES: Final = word_set("right back rear far rechts hinten droite arriere d
 """Words for the sides of a box that are far from the origin. "back_right_top" is the far corner, whereas "top" alone
 may be any point of the top."""
 _NOT_PLACES: Final = tuple(map(word_set, ("offset offsets", "pick picked grasp source from")))
-"""Words in the names of columns that do not hold places if other columns do: those of offsets, which are relative to
-the box, and those of the places from which a robot takes boxes."""
+"""Words for offsets, which are relative to the box, and words for the places from which a robot takes boxes. A column
+with such a word in its name does not hold the places of boxes if other columns do."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -239,8 +239,8 @@ def _ends(matrix: FloatArray) -> bool:
 
 
 def bad_member(cell: Any) -> str:
-    """The text for messages about a bad matrix: a text in its place, or the index, from 0, of its first member that is
-    not a number; "" if the shape of the matrix is wrong."""
+    """The end of a message about a bad matrix: the text that stands in place of the matrix, or the first member that is
+    not a number, with its index from 0. The result is "" if only the shape of the matrix is wrong."""
     if isinstance(cell, str):
         return f', got "{printable_name(cell)}"'
     flat = [value for row in cell for value in (row if isinstance(row, list | tuple) else (row,))] if cell else []
