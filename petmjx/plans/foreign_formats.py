@@ -204,7 +204,7 @@ def sources_of_tables(raw_tables: Sequence[RawTable], kind: str) -> list[BoxSour
 
 
 def _without_unplaced(boxes: BoxList) -> BoxList:
-    """A list of boxes without the boxes that are not placed according to a column such as "placed"."""
+    """A list of boxes without those that a column such as "placed" says are not placed."""
     table, kept = boxes.table, rows_with_boxes(boxes.table)
     if len(kept) == len(table.rows):
         return boxes

@@ -54,8 +54,7 @@ _UNUSUAL: Final = 1.0
 weak wins only if every other layout costs at least twice as much: the right reading may be one that is not tried."""
 _SHIFTED: Final = 3.6
 """Cost of a reading with coordinates of corners if they are probably those of other points (``are_other_points``). With
-coordinates of centres, the cost is half as large, because the coordinates may also be those of the centres of tops,
-with y upwards."""
+coordinates of centres, the cost is half as large: perhaps they are those of tops, with y upwards."""
 _ON_SIDE: Final = 1.0
 """Cost of a reading in which boxes are listed from one side to the other, but not from the ground up: the axis of these
 sides may be the vertical. The cost is that of y upwards in a file that does not name the vertical."""

@@ -65,7 +65,7 @@ class Repaired:
             repair is known.
         share_before, share_after: shares of worlds with errors in which the two plans stand; None: the worlds were not
             simulated, or the time was up before all of them had ended.
-        n_trials: number of changed plans that were simulated.
+        n_trials: plans that were simulated.
         complete: whether the search came to its end. If the search is not complete, its time was up, and a longer
             search might find smaller changes.
         built_falls: whether boxes that stand already (``built``) fall before others are placed. If built boxes fall, no

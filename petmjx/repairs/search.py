@@ -368,8 +368,8 @@ class Search(Candidates):
         return [state for state in best if state.trial.stands] or [*scored]
 
     def _nearly(self, nodes: Sequence[Node]) -> Steps[list[State]]:
-        """Of the plans with a single fault, the shortest ones that stand when scored. In a plan that stands although it
-        fell when judged, a box tilts, but then leans on something."""
+        """Of the plans with a single fault, the shortest ones that stand when scored. In such a plan, a box tilts, but
+        then leans on something."""
         if self.options.profile is not None:
             return []
         chosen = sorted((node.state for node in nodes if node.n_faults <= 1), key=lambda state: len(state.changes))
