@@ -127,8 +127,9 @@ def score(
     Returns:
         The results, with ``.worlds``, ``.boxes`` and ``.attempts`` as data frames, and ``.info``. A world is one
         simulation of one plan, and has one row in ``.worlds``. With ``confidence`` or ``chain``, each plan has several
-        worlds with different errors, and the world without errors has the number 0 in the column ``variant``. With
-        ``confidence`` or ``chain``, the results also have ``.summary``, a data frame with rows about each plan.
+        worlds with different random errors (of placement, mass, size and friction), and the world without errors has
+        the number 0 in the column ``variant``. The results then also have ``.summary``, a data frame with rows about
+        each plan.
 
     Raises:
         InputError: the plans or options are unusable.
@@ -174,7 +175,7 @@ def sweep(
         progress: in a script, print the progress of the run on standard error every few seconds.
         batching: limits for the numbers of settled states and worlds (simulations of one plan each) in memory. The
             results do not depend on these limits.
-        options: fields of ``petmjx.Simulation``, which replace those of the sweep file, and fields of
+        options: fields of ``petmjx.Simulation``, which replace the values in the sweep file, and fields of
             ``petmjx.RunOptions``.
 
     Returns:

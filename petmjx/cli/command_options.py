@@ -86,7 +86,7 @@ def named_paths(texts: Sequence[str], option: str) -> dict[str, str]:
     name_parts = [text.partition("=") for text in texts if not Path(text).exists()]
     pairs = [(name, path) for name, _, path in name_parts if name and path]
     if pairs and len(pairs) < len(texts):
-        raise InputError(f"{option}: give each a name (NAME=PATH), or none")
+        raise InputError(f"{option}: give a name to each path (NAME=PATH), or to none")
     names = [name for name, _ in pairs]
     for number, name in enumerate(names):
         if name in names[:number]:

@@ -45,10 +45,10 @@ def figure(
     png: Png = None,
     overwrite: opt.Overwrite = False,
 ) -> None:
-    """Draw the answers of a run as a figure for a paper.
+    """Draw the results of a run as a figure for a paper.
 
-    For a search of the largest level survived, the figure shows the share of plans that survive each level, by
-    direction. For other sweeps, the figure shows the share of simulations in which plans stand, with intervals, for
+    For a search for the largest level that plans survive, the figure shows the share of plans that survive each level,
+    by direction. For other sweeps, the figure shows the share of simulations in which plans stand, with intervals, for
     each value that is varied. For a score with --confidence, the figure shows for each plan the share of simulations in
     which the plan stands.
 

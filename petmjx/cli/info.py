@@ -63,7 +63,7 @@ def info(
             print(printable(line))
     if write_as is not None:
         if len(readings) != 1:
-            summary = "no file was guessed" if not readings else f"{len(readings)} files were read in ways of their own"
+            summary = "no file needs guesses" if not readings else f"{len(readings)} files need guesses"
             raise InputError(f"--write-as: {summary}; name one file of another tool")
         ((source, reading),) = readings.items()
         with atomic_write(write_as) as hidden:

@@ -24,8 +24,8 @@ def kpis(
         typer.Option(
             "--run",
             metavar="DIR",
-            help="Run of these plans, which gives their verdicts and, if made with --check static, BED-BPP's own "
-            "rule of stability. May be given several times.",
+            help="Run of these plans, which gives their verdicts and, if made with --check static, the results of "
+            "BED-BPP's own rule of stability. May be given several times.",
         ),
     ] = None,
     out: Annotated[
@@ -41,8 +41,8 @@ def kpis(
             "--leaderboard",
             metavar="NAME",
             help="Check the plans as a submission to BED-BPP's leaderboard, and write it to --out (by default to the "
-            "current folder). NAME is SURNAME_ALGORITHM_TASK, with a date in front if it is not today's; the "
-            "task is offline3dbp, o3dbp or o3dbp-p-s.",
+            "current folder). NAME is SURNAME_ALGORITHM_TASK, with a date in front if the submission is not of today; "
+            "the task is offline3dbp, o3dbp or o3dbp-p-s.",
         ),
     ] = None,
     assume_stable: Annotated[

@@ -32,7 +32,14 @@ def label(
     n: Annotated[
         int, typer.Option("-n", metavar="N", help="Number of labels. Orders are used one after another.")
     ] = 10_000,
-    seed: Annotated[int, typer.Option("--seed", metavar="SEED", help="Seed of the orders and places.")] = 0,
+    seed: Annotated[
+        int,
+        typer.Option(
+            "--seed",
+            metavar="SEED",
+            help="Seed of the random orders and random places.",
+        ),
+    ] = 0,
     errors: Annotated[
         int | None,
         typer.Option(
@@ -42,7 +49,12 @@ def label(
         ),
     ] = None,
     explore: Annotated[
-        float, typer.Option("--explore", metavar="0…1", help="Share of boxes that go to a random place first.")
+        float,
+        typer.Option(
+            "--explore",
+            metavar="0…1",
+            help="Share of boxes that are first tried at a random place, and not at a low place with enough support.",
+        ),
     ] = 0.5,
     pallets: Annotated[
         int | None,
@@ -74,7 +86,7 @@ def label(
 
     The command writes a Parquet table for each split (train, validation, test). Orders with the same boxes are always
     in the same split. The command also writes a card that states what the tables contain, how they were made, and how
-    accurate simple rules and petmjx's own estimate are.
+    well simple rules, and petmjx's own estimate, predict the labels.
     """
     from petmjx.cli.run_command import RunInterrupted
     from petmjx.loop.label_files import write_labels
@@ -105,7 +117,7 @@ def label(
         with progress(max(count - n_before, 0), "label") as bar:
 
             def report(n_made: int) -> None:
-                bar.update(n_made - n_before, earlier if n_made < count else "until the last orders end")
+                bar.update(n_made - n_before, earlier if n_made < count else "completing the last orders")
 
             card = write_labels(labeller, count, out, progress=report, **outputs)
     except KeyboardInterrupt:
@@ -119,7 +131,8 @@ def label(
         )
     for name, shares in card["baselines"].items():
         print(
-            f"{name}: finds {shares['standing_found']:.1%} of what stands, {shares['falling_found']:.1%} of what falls"
+            f"{name}: finds {shares['standing_found']:.1%} of the boxes that stand, "
+            f"{shares['falling_found']:.1%} of those that fall"
         )
     if empty := [split for split, numbers in card["splits"].items() if not numbers["labels"]]:
         all_used = sum(numbers["orders"] for numbers in card["splits"].values()) >= source.count

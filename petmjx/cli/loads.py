@@ -37,7 +37,8 @@ def loads(
     as_json: opt.JsonOption = False,
     **losses: float,
 ) -> None:
-    """Find overloaded boxes: compare the force on the top of each box with the box's strength, at rest and at the peak.
+    """Find overloaded boxes: compare the force on the top of each box with the box's strength, both for the force at
+    rest and for the largest force (the peak).
 
     Strengths are given in newtons, or are computed by McKee's formula from the carton's board. A box loses a part of
     its strength if the walls of the boxes above do not stand on its walls, if its walls stick out beyond the box below,

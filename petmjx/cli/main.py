@@ -80,7 +80,7 @@ the function in this module have the same name as the command, with underscores.
 
 
 WIDTH = 110
-"""Largest width of the help, in columns."""
+"""Largest width of the help, in columns of characters."""
 
 
 class SectionedCommand(TyperCommand):
@@ -219,7 +219,8 @@ def _run(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[str] 
 
 
 def _usage_text(error: Exception) -> str:
-    """The text of a wrong usage. For a value of a wrong type, typer would pass on pydantic's text."""
+    """The text that explains an error of usage. If pydantic has refused the value of an option, the text is petmjx's
+    description of the fault, because typer's text would have pydantic's several lines."""
     names = getattr(getattr(error, "param", None), "opts", None)
     if not names or not isinstance(error.__cause__, ValidationError):
         return str(getattr(error, "format_message", error.__str__)())

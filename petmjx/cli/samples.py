@@ -71,9 +71,10 @@ def samples(
         typer.Option(
             "--packer",
             metavar="NAME",
-            help="baseline: lowest place first, by support; balanced: denser, and every box keeps its balance; "
-            "physical: denser still, of packings that stand in simulations, also with the errors of a robot; "
-            "learned: packs boxes in the sequence of the order, by weights trained with physics.  "
+            help="baseline: puts each box at the lowest place with enough support; balanced: packs more densely, and "
+            "keeps every box in balance; physical: packs more densely still, and chooses packings that stand in "
+            "simulations, also with the errors of a robot; learned: packs boxes in the sequence of the order, by "
+            "weights trained with simulations.  "
             "[default: baseline, with some loose plans]",
         ),
     ] = None,
@@ -240,5 +241,5 @@ def _write_physical(
     table = table[table["boxes"] > 0]
     print(f"{count_text(len(table), 'plan')} in {printable(str(out))}{totals}")
     standing = int((table["verdict"] == "stable").sum())
-    sure = f", {100 * table['share'].mean():.1f} % of worlds with errors" if table["n_worlds"].any() else ""
-    print(f"utilisation {table['utilisation'].mean():.3f}; {standing:,} stand placed exactly{sure}")
+    sure = f"; {100 * table['share'].mean():.1f} % of worlds with errors stand" if table["n_worlds"].any() else ""
+    print(f"utilisation {table['utilisation'].mean():.3f}; {standing:,} stand if placed exactly{sure}")

@@ -236,7 +236,7 @@ def _check_masses(carrier: OwnCarrier) -> None:
     for number, board in enumerate(carrier.boards):
         location = ("boards", number, "mass_kg")
         if carrier.mass_kg is None and board.mass_kg is None:
-            raise complaint("is missing: the board's mass; or give the carrier's mass_kg", *location)
+            raise complaint("is missing: give the mass of each board, or the carrier's mass_kg", *location)
         if carrier.mass_kg is not None and board.mass_kg is not None:
             raise complaint("contradicts the carrier's mass_kg: drop one of them", *location)
     for number, (board, mass_kg) in enumerate(zip(carrier.boards, carrier.masses_kg, strict=True)):

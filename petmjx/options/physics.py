@@ -88,9 +88,15 @@ class Physics(CheckedRecord):
     """
 
     cone: Cone = Field(Cone.ELLIPTIC, description="friction cone")
-    carrier_friction: Friction = Field((0.5, 0.005, 0.0001), description="friction of the carrier")
-    box_friction: Friction = Field((0.5, 0.005, 0.0001), description="friction of boxes")
-    floor_friction: Friction = Field((1.0, 0.005, 0.0001), description="friction of the floor")
+    carrier_friction: Friction = Field(
+        (0.5, 0.005, 0.0001),
+        description="the three coefficients of friction of the carrier",
+    )
+    box_friction: Friction = Field((0.5, 0.005, 0.0001), description="the three coefficients of friction of boxes")
+    floor_friction: Friction = Field(
+        (1.0, 0.005, 0.0001),
+        description="the three coefficients of friction of the floor",
+    )
     floor_z_m: Annotated[float, within(-20, 0)] = Field(
         -0.144, lt=0, description="z of the floor, m: a pallet's height below the carrier's top, which is at 0"
     )
@@ -115,13 +121,14 @@ class Physics(CheckedRecord):
         description="MuJoCo's solimp of contacts: impedance at first touch, impedance at full depth, and this depth, m",
     )
     impratio: Annotated[float, within(1, 10_000)] = Field(
-        100.0, description="MuJoCo's impratio: how many times stiffer friction is than pressure, with elliptic cones"
+        100.0,
+        description="MuJoCo's impratio: stiffness of friction / stiffness of the normal force, with elliptic cones",
     )
     slip_correction: bool = Field(
         True,
-        description="whether a contact keeps its pressure while it slides, with elliptic cones "
-        "(petmjx/world/contact_laws.py); if false, sliding raises the pressure, as in MuJoCo itself, and sliding "
-        "boxes hop",
+        description="whether the normal force of a contact stays the same while the contact slides, with elliptic "
+        "cones (petmjx/world/contact_laws.py); if false, sliding increases the normal force, as in MuJoCo itself, and "
+        "sliding boxes hop",
     )
     kinetic_friction_share: Annotated[float, within(0.1, 1)] = Field(
         1.0,

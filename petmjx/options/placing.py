@@ -60,8 +60,8 @@ class Placing(CheckedRecord):
     )
     tines_mm: Annotated[float, within(0, 1000), CliFlag("--tines-height-mm", "MM")] = Field(
         10.0,
-        description="tines: height of the edge that comes down last when the box is released, mm; the box is tilted by "
-        "at most half of tilt_deg",
+        description="tines: height of the edge that comes down last when the box is released, mm; the box is tilted "
+        "by at most half of thresholds.tilt_deg",
     )
 
     @model_validator(mode="before")

@@ -258,7 +258,7 @@ class RunOptions(CheckedRecord):
     record: Annotated[str | tuple[str, ...] | None, CliFlag("--record", "failed|all|ID,…", "--record-plans")] = Field(
         None,
         description="keep histories (motion, frame by frame) of the worlds that are not stable, of all worlds, or of "
-        "the plans with these ids; no other result changes; in Python also a list of ids",
+        "the plans with these ids; all other results stay the same; in Python also a list of ids",
     )
     record_interval_s: Annotated[float, within(0.0001, 3600), CliFlag("--record-interval", "S")] = Field(
         FRAME_INTERVAL_S, description="time between two frames of a history, s; each placement is a frame too"
@@ -269,17 +269,18 @@ class RunOptions(CheckedRecord):
     force_intervals: Annotated[bool, CliFlag("--force-intervals")] = Field(
         False,
         description="also compute, for each box at rest, the smallest and the largest force on its top that balance "
-        "and friction allow; takes a tenth of a second or more per world; changes no other result",
+        "and friction allow; this takes a tenth of a second or more per world; all other results stay the same",
     )
     keep: Annotated[Literal["all", "worlds"], CliFlag("--keep", "all|worlds")] = Field(
         "all",
         description="tables that are kept: all, or only worlds; in a large sweep, nearly all bytes are in the table "
-        "boxes; changes no other result",
+        "boxes; all other results stay the same",
     )
     orders: Annotated[File | None, CliFlag("--orders", "FILE")] = Field(
         None,
         description="file of the orders from which the plans were packed, in any form (docs/plan-format.md#orders): "
-        "counts the boxes that plans leave out, and the orders without a plan; changes no verdict",
+        "the run then reports how many boxes the plans leave out, and how many orders have no plan; the verdicts stay "
+        "the same",
     )
     strict: Annotated[bool, CliFlag("--strict")] = Field(
         False, description="stop at the first unusable plan instead of skipping it"

@@ -144,7 +144,10 @@ class Quiet(CheckedRecord):
         0.0001, ge=0, description="a box is still if the speed of its fastest point is at most this, m/s"
     )
     still_steps: Annotated[int, within(1, MOST_STEPS)] = Field(
-        50, ge=1, description="number of steps at the end of a world for which all boxes must have been still"
+        50,
+        ge=1,
+        description="a simulated pallet is at rest if all boxes were still for this number of steps at the end of its "
+        "world",
     )
     tremble_steps: Annotated[int, within(1, MOST_STEPS)] = Field(
         250,
@@ -238,14 +241,14 @@ class Simulation(CheckedRecord):
     total_time_factor: Annotated[float | None, within(1, 10)] = Field(
         None,
         gt=1,
-        description="with schedule fixed, one by one: length of the whole simulation as a multiple of the time for "
-        "placing; replaces rest_s",
+        description="with schedule fixed and check one-by-one: length of the whole simulation as a multiple of the "
+        "time for placing; replaces rest_s",
     )
     sample_interval_s: Annotated[float, within(0, LONGEST_S), CliFlag("--sample-interval", "S")] = Field(
         0.2, gt=0, description="time between two samples of the metrics, s"
     )
     rest_window_s: Annotated[float, within(0, LONGEST_S)] = Field(
-        0.2, gt=0, description="length of the window at the end over which rest_top_force_n is averaged, s"
+        0.2, gt=0, description="length of the window at the end of a world over which rest_top_force_n is averaged, s"
     )
     early_stop: Annotated[bool, CliFlag("--early-stop/--no-early-stop")] = Field(
         True,
@@ -280,8 +283,8 @@ class Simulation(CheckedRecord):
     iteration_limit: Annotated[int | None, within(1, MOST_ITERATIONS), CliFlag("--iteration-limit", "N")] = Field(
         None,
         gt=0,
-        description="largest number of solver iterations of a world; a drive has as many again; a world that has "
-        "taken so many ends, without a verdict unless a box has dropped or tilted too far; none: no limit",
+        description="largest number of solver iterations of a world; a drive has as many again; a world ends when it "
+        "has taken this number, and has no verdict then unless a box has dropped or tilted too far; none: no limit",
     )
     solver_tolerance: Annotated[float | None, within(0, 1)] = Field(
         None, gt=0, description="MuJoCo's opt.tolerance; none: the engine's own choice"

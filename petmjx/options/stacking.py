@@ -60,7 +60,9 @@ class Stacking(CheckedRecord):
         10.0, description="a wall stands on another wall, or on an edge below it, if their distance is at most this, mm"
     )
     humidity_percent: Annotated[float, within(0, 100), CliFlag("--humidity", "PERCENT")] = Field(
-        50.0, description="relative humidity of the air, %; above 50 %, boxes lose strength, at rest and at the peak"
+        50.0,
+        description="relative humidity of the air, %; above 50 %, boxes lose strength, for the force at rest and for "
+        "the largest force",
     )
     storage_days: Annotated[float, within(0, 180), CliFlag("--storage-days", "DAYS")] = Field(
         0.0, description="days under load, which reduce strength at rest; 0: boxes are loaded as briefly as in a press"

@@ -69,8 +69,8 @@ class Walls(CheckedRecord):
     )
     friction: Annotated[StrictFloat, Field(ge=0, le=100)] | None = Field(
         None,
-        description="coefficient of sliding friction between walls and boxes; by default the coefficient of boards "
-        "without their own: by materials, or physics.carrier_friction",
+        description="coefficient of sliding friction between walls and boxes; by default the same as for boards that "
+        "have no coefficient: friction by materials, else physics.carrier_friction",
     )
     material: Annotated[str, Field(max_length=100)] | None = Field(
         None,
@@ -111,8 +111,8 @@ class Walls(CheckedRecord):
         return tuple(side for side in self.sides or () if side not in self.open)
 
     def check_open(self) -> None:
-        """Check that every side in ``open`` has a wall, since only a wall can be open. The error names the field
-        ``walls`` of the record that holds this record."""
+        """Check that every side in ``open`` has a wall, since only a wall can be open. The error names the field as
+        ``walls.open``, because this record is the field ``walls`` of other records."""
         for at, side in enumerate(self.open):
             if side not in (self.sides or ()):
                 raise complaint(f"is {side}, but the carrier has no wall on this side", "walls", "open", at)

@@ -23,7 +23,7 @@ MAX_HEIGHT_MM = 2000.0
 
 @dataclass(frozen=True)
 class PackRules:
-    """The rules of the packer ``baseline``. Each plan may be packed with other rules.
+    """The rules of the packer ``baseline``. Different plans may be packed with different rules.
 
     Attributes:
         min_support: smallest share of a box's base that must rest on the carrier or on other boxes (0 to 1).

@@ -40,8 +40,8 @@ class PackingValue(NamedTuple):
     below_mm: float
     """Minus the height of the highest top, mm."""
     deep_kg_mm: float
-    """Minus the sum of mass × height over all boxes, kg·mm. Of two equally high packings, the packing with the lower
-    centre of mass stands better."""
+    """Minus the sum of mass × height of the middle over all boxes, kg·mm. Of two equally high packings, the packing
+    with the lower centre of mass stands better."""
 
     @classmethod
     def of(cls, filled: FullPacking) -> PackingValue:
@@ -163,7 +163,7 @@ def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fil
             if boxes in seen_packings:
                 continue
             seen_packings.add(boxes)
-            if number == 0:  # the known full packing contains the best candidate as its next box
+            if number == 0:  # the full packing that is known already has the best candidate as its next box
                 filled: RankedPacking | None = way.filled
             else:
                 filled = _full_packing(fills, packing, first, _worst(best, width, packing.n_items))

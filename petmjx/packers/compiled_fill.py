@@ -34,12 +34,13 @@ from petmjx.packers.pile_balance import (
 )
 
 GRAIN_MM: Final = 2.0**-10
-"""Length, mm. The sides of all boxes and the free space must be multiples of this length. Sums of areas are then exact,
-in whatever sequence the areas are added."""
+"""Length, mm, of which the sides of all boxes and the free space must be multiples. Sums of areas are then exact, in
+whatever sequence the areas are added."""
 
 POINTS, POINTS_PER_BOX, PLANES_PER_BOX = 64, 4, 16
-"""Capacities of the tables. There is room for ``POINTS`` corner points and for ``POINTS_PER_BOX`` further corner points
-per box, and for ``PLANES_PER_BOX`` edges of hulls per box. Piles of 80 boxes have 2 points and 5 edges per box."""
+"""Capacities of the tables that the compiled code uses. There is room for ``POINTS`` corner points and for
+``POINTS_PER_BOX`` further corner points per box, and for ``PLANES_PER_BOX`` edges of hulls per box. Piles of 80 boxes
+have 2 points and 5 edges per box."""
 
 _KINDS: Final = {np.float64: wp.float64, np.int32: wp.int32, np.bool_: wp.bool}
 

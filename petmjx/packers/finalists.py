@@ -51,8 +51,8 @@ def finalists(order: Order, options: PhysicalOptions) -> list[Finalist]:
     """For each free space between boxes in ``options.clearances_mm``, the best packing of an order. Packings are sorted
     by volume, then by utilisation, largest first.
 
-    If the packings with all free spaces leave boxes out, the best packing without free space is added. The list is
-    empty if there is no place for any box.
+    If each of these packings leaves boxes out, the best packing without free space is added. The list is empty if there
+    is no place for any box.
     """
     searched = partial(search, order.items, target_extent_mm(order.target), width=options.width, branch=options.branch)
     packings = {clearance: searched(clearance) for clearance in options.clearances_mm}

@@ -68,8 +68,8 @@ def free_space(surface: HeightMap, low: FloatArray, high: FloatArray) -> dict[st
 
 
 def _wider(highest: Heights, more: int) -> Heights:
-    """The largest height in each window that is wider by ``more`` cells than the windows of ``highest``. ``highest``
-    has the largest heights in the narrower windows, which must have ``more`` cells or more."""
+    """The largest height in each window of the height map, computed from ``highest``, the largest heights in narrower
+    windows. The new windows are wider by ``more`` cells. The narrower windows must be at least ``more`` cells wide."""
     wider: Heights = np.maximum(highest[:, : max(highest.shape[1] - more, 0)], highest[:, more:])
     return wider
 

@@ -1,4 +1,4 @@
-"""Hand-made plans (``HANDMADE``), and the numbers of the generated plans that come with petmjx, too.
+"""Hand-made plans (``HANDMADE``), and the numbers of those generated plans that also come with petmjx.
 
 ``python -m petmjx.packers.handmade_plans`` writes the file with all these plans.
 
@@ -23,8 +23,8 @@ from petmjx.plans.order_generator import Item
 BUNDLED_SEED = 0
 
 BUNDLED_INDICES = (3, 7, 13, 16, 38, 46, 92, 152, 189, 430, 443, 1349, 1784, 2112)
-"""Numbers of the generated plans. Seven of the plans with these numbers stand, and seven collapse (16, 46, 430, 443,
-1349, 1784, 2112). Three plans have 41 to 45 boxes, three have about 30, and eight have 14 to 20, so that a demo is
+"""Numbers of the generated plans that come with petmjx. Seven of these plans stand, and seven collapse (16, 46, 430,
+443, 1349, 1784, 2112). Three plans have 41 to 45 boxes, three have about 30, and eight have 14 to 20, so that a demo is
 quick."""
 
 

@@ -19,7 +19,7 @@ MOST_LOOK_AHEAD: Final = 200
 
 
 class Places(NamedTuple):
-    """c candidates for the next box: visible boxes at places on the pile.
+    """c candidates for the next box. Each candidate is a box that the packer sees, at a place on the pile.
 
     Attributes:
         point, shape: (c,) row and column of each candidate in the packing's table of candidates.
@@ -94,7 +94,7 @@ class ItemStream(Packing):
 
     @property
     def seen(self) -> list[int]:
-        """Numbers of the kinds of the visible boxes, in order of arrival."""
+        """Numbers of the kinds of the boxes that the packer sees, in order of arrival."""
         return self._coming[: self.look_ahead]
 
     @property
@@ -114,7 +114,7 @@ class ItemStream(Packing):
         return self._masses[: len(self.placed)]
 
     def worth(self, places: Places) -> FloatArray:
-        """(c,) value of each candidate's box as in the packer ``balanced``, without regard to the box's place, as mm of
+        """(c,) value of each candidate's box as in the packer ``balanced``, without regard to the box's place, in mm of
         height."""
         worths: FloatArray = self._worth[places.shape]
         return worths
@@ -145,13 +145,13 @@ class ItemStream(Packing):
 S = TypeVar("S", bound=ItemStream)
 
 Chooses = Callable[[S], NextCandidate | None]
-"""A function that makes one step of a packer: it returns the chosen candidate, or None if there is no place for any
-visible box."""
+"""A function that makes one step of a packer: it returns the chosen candidate, or None if there is no place for any box
+that the packer sees."""
 
 
 def pack_stream(stream: S, chooses: Chooses[S]) -> list[PlacedBox]:
-    """Place the boxes of a stream until no box is left. If there is no place for any visible box, the first visible box
-    is left out."""
+    """Place the boxes of a stream until no box is left. If there is no place for any box that the packer sees, the
+    first of these boxes is left out."""
     while stream.seen:
         chosen = chooses(stream)
         if chosen is None:
@@ -162,6 +162,7 @@ def pack_stream(stream: S, chooses: Chooses[S]) -> list[PlacedBox]:
 
 
 def by_taste(stream: ItemStream) -> NextCandidate | None:
-    """Choose the candidate that the packer ``balanced`` would choose if there were no boxes but the visible ones."""
+    """Choose the candidate that the packer ``balanced`` would choose if the order had only the boxes that the packer
+    sees now."""
     candidates = stream.next(1, kinds=stream.seen)
     return candidates[0] if candidates else None

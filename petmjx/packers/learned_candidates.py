@@ -138,7 +138,7 @@ class FourSidedStream(ItemStream):
         return twin
 
     def places(self, least_support: float = LEAST_SUPPORT) -> Places:
-        """All candidates for the visible boxes that have sufficient support and are not too high.
+        """All candidates with sufficient support that are not too high, for the boxes that the packer sees.
 
         The candidates are not checked for balance, which ``keeps_balance`` does later.
 
@@ -207,7 +207,7 @@ def lowest_first(stream: FourSidedStream) -> NextCandidate | None:
     The result is None if there is no candidate.
 
     The value of the candidate's box, as in the packer ``balanced``, is subtracted from the cost. This subtraction makes
-    a difference only if several boxes are visible.
+    a difference only if the packer sees several boxes.
     """
     places = stream.places()
     cost = cost_mm(stream, places) - stream.worth(places)

@@ -1,4 +1,4 @@
-"""Features of candidates for the packer ``learned``. A candidate is a visible box at a place.
+"""Features of candidates for the packer ``learned``. A candidate is a box that the packer sees, at a place on the pile.
 
 Features describe the place, its neighbours, and the pile with the box. All features are scaled to a magnitude of about
 1. No feature depends on boxes that the packer does not see.

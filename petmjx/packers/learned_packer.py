@@ -1,5 +1,5 @@
-"""The packer ``learned``. A candidate is a visible box at a place. Learned weights rank the candidates, and a small
-network predicts the probability that a candidate stands.
+"""The packer ``learned``. A candidate is a box that the packer sees, at a place on the pile. Learned weights rank the
+candidates, and a small network predicts the probability that a candidate stands.
 
 The packer was trained on generated orders only, with simulations (examples/train_packer). While the packer packs, it
 runs no simulation. The packer is deterministic: an order always gets the same plan.
@@ -41,8 +41,8 @@ CLEARANCE_MM: Final = 4.0
 
 MOST_PLACES: Final = 32
 LEAST_PLACES: Final = 6
-"""For each visible kind of box, only the lowest candidates are rated. The number of rated candidates per kind is
-``MOST_PLACES`` divided by the number of visible kinds, or ``LEAST_PLACES`` if that is larger."""
+"""For each kind of box that the packer sees, only the lowest candidates are rated. The number of rated candidates per
+kind is ``MOST_PLACES`` divided by the number of kinds that the packer sees, or ``LEAST_PLACES`` if that is larger."""
 
 SURE: Final = 0.98
 """A probability to stand that is high enough. The packer takes the best candidate whose probability is ``SURE`` or
@@ -127,7 +127,7 @@ class Policy:
         return surest if surest is not None and surest.chance >= LEAST_SURE else None
 
     def decide(self, stream: FourSidedStream) -> Decision | None:
-        """One step of the packer; None if there is no place for any visible box."""
+        """One step of the packer; None if there is no place for any box that the packer sees."""
         while (view := self.seen(stream)) is not None:
             places, rows = view
             chosen = self.take(stream, places, np.round(self.taste.scores(rows), SCORE_DECIMALS))
@@ -139,7 +139,7 @@ class Policy:
         return None
 
     def choose(self, stream: FourSidedStream) -> NextCandidate | None:
-        """The candidate that one step chooses; None if there is no place for any visible box."""
+        """The candidate that one step chooses; None if there is no place for any box that the packer sees."""
         decision = self.decide(stream)
         return None if decision is None else decision.chosen.next
 
@@ -191,7 +191,7 @@ def pack_learned(
     Args:
         items: the items in order of arrival.
         extent_mm: length and width of the target, mm.
-        look_ahead: number of boxes that the packer sees at a time. Any of these visible boxes may be placed next.
+        look_ahead: number of boxes that the packer sees at a time. Any of these boxes may be placed next.
         policy: the policy. If ``policy`` is None, the policy that comes with petmjx is used.
     """
     return pack_stream(

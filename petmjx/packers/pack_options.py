@@ -47,10 +47,10 @@ class PhysicalOptions(CheckedRecord):
     """Options of the packer ``physical``: how wide it searches for packings, and how it chooses among them."""
 
     width: Annotated[int, within(1, 256), CliFlag("--width", "N")] = Field(
-        2, description="packings that the search keeps at each step"
+        2, description="number of packings that the search keeps at each step"
     )
     branch: Annotated[int, within(1, 64), CliFlag("--branch", "N")] = Field(
-        3, description="candidates tried for each of these packings"
+        3, description="number of candidates that each step of the search tries for each kept packing"
     )
     clearances_mm: Annotated[
         tuple[float, ...], BeforeValidator(_split), AfterValidator(_clearances), CliFlag("--clearances", "MM,…")
@@ -60,14 +60,14 @@ class PhysicalOptions(CheckedRecord):
     )
     worlds: Annotated[int, AfterValidator(_worlds), CliFlag("--worlds", "N")] = Field(
         16,
-        description="worlds with errors of placement, size, mass and friction in which a packing is simulated, at "
-        "least 4; 0: only placed exactly",
+        description="number of worlds with errors of placement, size, mass and friction in which a packing is "
+        "simulated, at least 4; 0: packings are simulated only with boxes placed exactly",
     )
     least_share: Annotated[float, within(0, 1), CliFlag("--least-share", "0…1")] = Field(
         0.9, description="least share of the worlds with errors that must stand"
     )
     maximise: Annotated[Literal["utilisation", "share"], CliFlag("--maximise", "utilisation|share")] = Field(
         "utilisation",
-        description="what is maximised over the packings that stand: utilisation (with at least this share) or the "
-        "share of worlds that stand",
+        description="what is maximised: utilisation (over the packings that stand in at least least_share of the "
+        "worlds), or share (the share of worlds in which a packing stands)",
     )

@@ -145,7 +145,7 @@ class Balance:
             return let_down
         if let_down is None or tips(let_down.planes, let_down.load):
             return None
-        # All loads are compared at once: the load of each box of the pile with the edges of this box's hull.
+        # All loads are compared at once: the load of each box of the pile with the edges of the hull of its supports.
         if len(self._planes) and self._over_planes(let_down).max() > SLACK_KG_M:
             return None
         return let_down
@@ -177,9 +177,9 @@ class Balance:
         return Margins(let_down, min(box_margin, FAR_M), min(pile, FAR_M))
 
     def _over_planes(self, let_down: Rest) -> FloatArray:
-        """(k,) for each edge of a hull in the pile, moved inwards by the margin (see ``Rest.planes``), the scalar
-        product of the edge with the load that its box has after one more box is placed, kg·m. If the product is above
-        0, the load acts outside the moved edge."""
+        """(k,) a scalar product, kg·m, for each edge of a hull in the pile, moved inwards by the margin (see
+        ``Rest.planes``). The product is that of the edge and of the load that the box on this hull has after one more
+        box is placed. If the product is above 0, the load acts outside the moved edge."""
         assert let_down.passed is not None
         after = self._load[: self.n] + let_down.passed @ let_down.load
         excess: FloatArray = np.einsum("kc,kc->k", self._planes, after[self._owner])

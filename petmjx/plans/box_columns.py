@@ -51,7 +51,8 @@ class BoxColumns:
         geometries: possible choices of columns for sizes and places.
         turns: rotations; None: no column has rotations.
         weight: (n,) weights in the file's unit; None: no column has weights.
-        weight_unit: unit according to the name or the cells, for densities one of ``DENSITY_UNITS``; "": none is given.
+        weight_unit: unit of the weights according to the column's name or cells; for densities one of
+            ``DENSITY_UNITS``; "" if no unit is given.
         weight_is_density: whether ``weight`` has densities.
         plan, article, item_id, group: (n,) names; None: no column has them.
         sequence: (n,) packing order; None: no column has it. A column of running numbers is not taken as a packing
@@ -185,7 +186,7 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str], units: str, masses
 
 
 def _geometry_of(sizes: Sizes, places: Places) -> Geometry:
-    """Sizes and places together. If their units differ, both are converted to millimetres."""
+    """Sizes and places, joined into one ``Geometry``. If their units differ, both are converted to millimetres."""
     size, axes, size_unit, placed, columns = sizes
     place, place_unit, anchor, more, up = places
     if size_unit and place_unit and size_unit != place_unit:
@@ -229,7 +230,7 @@ def counting_columns(extraction: ColumnExtraction, used: Collection[str]) -> dic
 
 def rotations_in(extraction: ColumnExtraction) -> Turns | None:
     """The column of rotations. If no column is known to have rotations, and exactly one column of unknown meaning has
-    answers of yes and no, that column may have the rotations."""
+    cells of only yes and no, that column may have the rotations."""
     index = extraction.first("rotation", "rotation")
     if index is not None:
         return _rotations_of(extraction, index)

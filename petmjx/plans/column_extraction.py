@@ -1,4 +1,5 @@
-"""Extracts columns from a source (``ColumnExtraction``): meanings by names and cells, numbers in one unit, and names.
+"""Extracts the columns of a list of boxes (``ColumnExtraction``): the meaning of each column, by its name and cells;
+its numbers, converted to one unit; and the names of boxes and plans.
 
 Cells are converted to numbers. For each bad cell, an error line names the row and the column.
 """
@@ -110,8 +111,9 @@ class ColumnExtraction:
             self.fixed[role] = self.table.header.index(name)
 
     def _mean_by_cells(self) -> None:
-        """Meanings that cells show. An order without a number is the customer's order. Cells with a unit of mass are
-        weights, and cells that name the sizes along the axes are rotations, whatever the name of their column."""
+        """Determine meanings of columns from their cells. A column "order" without numbers has customers' orders, not a
+        packing order. Cells with a unit of mass are weights, and cells that name the sizes along the axes are
+        rotations, whatever the name of their column."""
         self.row_units: dict[bool, list[str]] = {}
         self.unit_columns: list[str] = []
         self.axis_columns: dict[str, int] = {}  # "x" or "y" → column of vectors along this axis of a box

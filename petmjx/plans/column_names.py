@@ -2,7 +2,7 @@
 
 A name may be the header of a sheet ("Länge [mm]", "Pos. X", "Gewicht (kg)"), or the path of a value in JSON
 ("position.x", "stackable.dx", "WHD[0]"). Words in English, German, French, Spanish, Italian and Polish are known, with
-and without accents, as are their usual letters (L, B, H).
+and without accents, and so are the letters that usually stand for sizes (L, B, H).
 """
 
 from __future__ import annotations
@@ -470,9 +470,10 @@ def _letter_of_weight(single: Mapping[int, str]) -> int | None:
 
 
 _PLACED_AXIS: Final = re.compile(r"(?:packed|placed|rotated|oriented)[\s_.-]?([xyz])", re.IGNORECASE)
-"""The size of a placed box along an axis, if other columns have its place: "PACKEDX"."""
+"""The name of a column with the size of a placed box along an axis, such as "PACKEDX", if other columns have the box's
+place."""
 _LENGTH_AXIS: Final = re.compile(r"len(?:gth)?[\s_.-]?([xyz])", re.IGNORECASE)
-"""The size of a box along an axis, if three columns have such names: "len_x"."""
+"""The name of a column with the size of a box along an axis, such as "len_x", if three columns have such names."""
 _NUMBERED: Final = re.compile(r"^(.*?[A-Za-z])[\s_.-]?([0-3])$")
 """A name that ends in a number: "dim1", "DIM-2", "size_3"."""
 
@@ -696,13 +697,14 @@ _CODES: Final = word_set("item cargo code codice codigo kod")
 _FIRST: Final[tuple[Kind, ...]] = (
     "density", "weight", "volume", "quantity", "layers", "rotation", "strength", "group", "sequence",
 )  # fmt: skip
-"""Kinds that a word decides, in the order in which they are tried: "density (kg/m3)" has a word for weights, too."""
+"""Kinds of columns that are recognised by a single word of the name, in the order in which the kinds are tried. The
+order matters: "density (kg/m3)" has a word for weights, too."""
 
 
 _SURE_ARTICLES: Final = word_set("sku article artikel artykul articulo articolo product produkt produit urun")
 """Words of names that mean an article, whatever other words a name has."""
 _AMOUNT: Final = re.compile(r"(?!mindest|max|rest|verpackung|inhalt|bestand|lager)[a-z]+(?:menge|anzahl|stuckzahl)$")
-"""German words for quantities that consist of several words: "Liefermenge", "Kartonanzahl"."""
+"""German compound words for quantities: "Liefermenge", "Kartonanzahl"."""
 
 
 def _kind_of(tail: list[str], path: list[str]) -> Kind | None:

@@ -35,10 +35,10 @@ from petmjx.plans.plan_warnings import (
 
 MOST_UNEXPLAINED: Final = 100
 ONE_IN: Final = 50
-"""Limits of the search. The search is limited because reading a plan in all conventions takes 2 ms. After
-``MOST_UNEXPLAINED`` odd plans that no convention explains, only one in ``ONE_IN`` of such plans is read in all
-conventions. All other such plans are read only in conventions that explain at least ``LEAST_SHARE`` of the odd plans so
-far."""
+"""Limits of the search for conventions. The search is limited because reading a plan in all conventions takes 2 ms.
+After ``MOST_UNEXPLAINED`` odd plans that no convention explains, only one in ``ONE_IN`` of such plans is read in all
+conventions. The other plans that no convention explains are read only in conventions that explain at least
+``LEAST_SHARE`` of the odd plans so far."""
 
 LIGHTEST_KG_M3: Final = 2.0
 HEAVIEST_KG_M3: Final = 20_000.0
@@ -62,7 +62,7 @@ coordinates separate even boxes that really overlap."""
 _MM3_PER_M3: Final = 1e9
 
 _MOST_ROUNDS: Final = 5
-"""Largest number of passes over the turned boxes. Two passes over the boxes are usually enough."""
+"""Largest number of passes over the turned boxes in ``_overlapping_less``. Two passes are usually enough."""
 
 _Layout = tuple[FloatArray, FloatArray]
 """Corners and sizes, (n, 3) each, mm, in packing order."""
@@ -80,11 +80,12 @@ class Convention:
             corners and sizes.
         least_odd: smallest number of floating boxes and overlaps that a plan must have before this convention may
             explain it. ``least_odd`` applies only if the lowest box does not float.
-        of_turned: whether ``read`` is applied only to boxes that their orientation turns. All other boxes are not
-            changed.
+        of_turned: whether ``read`` is applied only to boxes that their orientation turns. Boxes that are not turned
+            stay unchanged.
         of_some: whether ``read`` changes only those turned boxes that overlap fewer boxes after the change.
-        least_share: the convention is considered only if at least this share of the boxes that do not stand directly on
-            the carrier floats or overlaps, and at least one box by more than ``_SMALL_MM``.
+        least_share: the convention is considered only if two conditions hold. At least this share of the boxes that do
+            not stand directly on the carrier must float or overlap. At least one box must float or overlap by more than
+            ``_SMALL_MM``.
     """
 
     looks: str
@@ -130,7 +131,7 @@ _YZ: Final = ("y and z look swapped", "give heights as z")
 _MOST: Final = 0.5
 """Swapped y and z are considered only if at least this share of the boxes that do not stand directly on the carrier
 floats or overlaps. In a correct plan whose rows are flush in y, no box floats or overlaps even after y and z are
-swapped. So a few boxes that float or overlap are no evidence."""
+swapped. So a few boxes that float or overlap are no evidence that y and z are swapped."""
 _SMALL_MM: Final = 20.0
 """Gaps and overlaps up to this size come from sheets, rounded heights or careless packers, not from a convention."""
 
@@ -220,7 +221,8 @@ class _Search:
             self._add(unit[0], plan, unit[1])
             if unit[0].read is not None:
                 corner, size = unit[0].read(plan.corner_mm, plan.size_mm)
-                # ``kinds`` are left out: pallets have fixed sizes, so a plan with converted sizes would be refused.
+                # The kinds of boxes are left out, because boxes that are pallets have fixed sizes, so a plan with
+                # converted sizes would be refused.
                 plan = replace(plan, corner_mm=corner, size_mm=size, kinds=())
                 odd = check_layout(plan.plan_id, plan.source, corner, size, self.extent_mm)
         if odd is None:
@@ -360,9 +362,9 @@ def _overlapping_less(plan: Plan, size: FloatArray) -> NDArray[np.bool_]:
 
 
 def _is_mostly_odd(plan: Plan, least_share: float) -> bool:
-    """Whether at least the share ``least_share`` of the boxes that do not stand directly on the carrier floats or
-    overlaps, and at least one box of the plan by more than ``_SMALL_MM``. If all boxes stand directly on the carrier,
-    the share of all boxes counts."""
+    """Whether two conditions hold. At least the share ``least_share`` of the boxes that do not stand directly on the
+    carrier must float or overlap. At least one box of the plan must float or overlap by more than ``_SMALL_MM``. If all
+    boxes stand directly on the carrier, the share of all boxes counts."""
     gap, overlap = gaps_mm(plan.corner_mm, plan.size_mm), overlaps_mm(plan.corner_mm, plan.size_mm)
     above = plan.corner_mm[:, 2] > DEFAULT_TOLERANCE_MM
     above |= not above.any()

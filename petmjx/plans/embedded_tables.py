@@ -24,7 +24,8 @@ _COPY: Final = re.compile(
 )
 _CREATE: Final = re.compile(r"\bCREATE\s{1,9}TABLE\b[^(;]{0,300}?([\w.`\"\[\]]{1,200})\s{0,9}\(", re.IGNORECASE)
 _ROW: Final = re.compile(r"[\s,]{0,99}\(((?:'(?:[^'\\]|''|\\.)*+'|[^'()])*+)\)")
-"""The values of a row: "(1,'A (large)',0,0,0)". Possessive, so that the time is linear even for malicious texts."""
+"""The values of a row: "(1,'A (large)',0,0,0)". The quantifiers are possessive, so that the time of a search grows only
+linearly with the text, even for malicious texts."""
 _LINE_END: Final = re.compile(r"\s{0,99}\n\s{0,99}")
 _QUOTES: Final = '`"[] \t\r\n'
 _NOT_COLUMNS: Final = frozenset(("PRIMARY", "UNIQUE", "KEY", "INDEX", "CONSTRAINT", "FOREIGN", "CHECK"))
@@ -66,7 +67,8 @@ def rows_of_sql(text: str) -> dict[str, list[list[str]]]:
 def _table_of(
     tables: dict[str, list[list[str]]], statement: re.Match[str], text: str, bodies: Mapping[str, int]
 ) -> list[list[str]]:
-    """The rows so far of the table of a statement. A new table has the names of its columns.
+    """The rows, read so far, of the table that a statement names. The first row of a new table has the names of its
+    columns.
 
     Args:
         bodies: name of a table → where its columns stand in the text.
@@ -97,7 +99,7 @@ _MARKED: Final = re.compile(
 )
 _COMMAND: Final = re.compile(r"\\[a-zA-Z]+\*?(?:\[[^\]\n]{0,99}\]|\([^)\n]{0,99}\)|\{[^{}\n]{0,99}\})*")
 _END: Final = re.compile(r"\\\\(?:\[[^\]\n]{0,99}\])?")
-"""The end of a row, with the space below it."""
+"""The end of a row in LaTeX: two backslashes, possibly with the space below the row in brackets."""
 _COMMENT: Final = re.compile(r"(?<!\\)%.*")
 _ESCAPED: Final = re.compile(r"\\([_%&#$])")
 _AMPERSAND: Final = "\ue002"

@@ -56,8 +56,8 @@ def is_parquet(path: Path) -> bool:
 
 _N_NEEDED: Final = 5
 _COLUMN: Final = re.compile(rb"(plan_id|sequence|article|(length|width|height|weight)[\w/ ()]*|[xyz]_mm)")
-"""Names of columns. If the name of a file does not show that the file is a table, text with more than ``_N_NEEDED`` of
-these column names is recognised as a table."""
+"""Names of columns in tables of placements. If the name of a file does not show that the file is a table, text with
+more than ``_N_NEEDED`` of these column names is recognised as a table."""
 
 _JSON: Final = re.compile(rb"\s*+(\{\s*+[\"}]|\[\s*+[\"\[{\]])")
 """The beginning of JSON. No header of a table begins with these characters."""
@@ -97,7 +97,7 @@ _LOOKED_AT_TEXT: Final = 1 << 16
 _OWN_JSON: Final = re.compile(rb'"(item_sequence|length/mm)"')
 _OTHER_UNITS: Final = re.compile(rb'"length/(cm|dm|m|in|inch|ft)"')
 _OTHER_TOOLS: Final = (b"PK\x03\x04", b"\x93NUMPY")
-"""The first bytes of workbooks and of archives of arrays, and the first bytes of arrays."""
+"""The first bytes of ZIP files (workbooks, and archives of NumPy arrays), and the first bytes of NumPy arrays."""
 _MARKUP: Final = re.compile(rb"(?:\xef\xbb\xbf)?\s*<")
 """The beginning of XML, of a MuJoCo scene, and of a web page."""
 

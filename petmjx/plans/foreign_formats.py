@@ -93,11 +93,13 @@ _FIRST_COMMENTS: Final = re.compile(r"\A(?:\s|(?://|;)[^\n]*|/\*.*?\*/)++(?=[{\[
 """Comments above a value of JSON5, JavaScript or EDN."""
 _COMMENT: Final = re.compile(r'("(?:\\.|[^"\\\n])*+")|//[^\n]*+|/\*.*?(?:\*/|\Z)', re.DOTALL)
 _LAST_COMMA: Final = re.compile(r'("(?:\\.|[^"\\\n])*+")|,(?=\s*+[}\]])')
-"""A text in quotation marks, which is kept; or a comment, and a comma behind the last value of a list or object."""
+"""Both patterns also match a text in quotation marks, which is kept. Otherwise, ``_COMMENT`` matches a comment, and
+``_LAST_COMMA`` a comma behind the last value of a list or object."""
 
 
 def _blank(match: re.Match[str]) -> str:
-    """What replaces a comment, so that messages name the right line and column."""
+    """The replacement of a comment or comma: spaces and line ends of the same length, so that messages still name the
+    right line and column."""
     return match[1] if match.re.groups and match[1] else re.sub(r"[^\n]", " ", match[0])
 
 

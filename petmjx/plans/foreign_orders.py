@@ -53,7 +53,7 @@ def foreign_orders(data: bytes | bytearray, path: Path, source: str, reading: Or
         if (sheet := _sheet_of_deli(data)) is not None:
             return _orders_of(sheet, source, reading)
         raise
-    # plans of other tools do not keep these columns
+    # these columns would be lost if the file were read as plans of another tool
     has_properties = reading.for_episodes and not {*BOX_PROPERTIES}.isdisjoint(sources[0].boxes.table.header)
     if _has_three_places(sources[0]) and sources[0].boxes.has_sizes and not has_properties:
         return orders_of_plans(path, source, reading)
@@ -180,7 +180,7 @@ def _sheet_of_deli(data: bytes | bytearray) -> BoxSource | None:
     good_rows = [(number, row) for number, row in cells if all(cell_number(cell) is not None for cell in row)]
     table = RawTable(_LENGTHS, [row for _, row in good_rows], [f"row {number + 1}" for number, _ in good_rows])
     parts = tuple(str(number // SET_ITEMS + 1) for number in range(len(good_rows)))
-    notes = [f"in orders of {SET_ITEMS} boxes"]
+    notes = [f"divided into orders of {SET_ITEMS} boxes"]
     if left := len(cells) - len(good_rows):
         notes.append(f"{count_text(left, 'row')} without three sizes left out")
     return BoxSource(BoxList(table, "", parts), DELI, tuple(notes))

@@ -73,9 +73,11 @@ class PlanBuilder:
         self.faults = {row: f"{column} {text}" for row, (column, text) in self.columns.faults.items()}
         self._check_words(reading, candidate)
         if HALF_EXTENTS in reading.columns:
-            self.notes.append(f"{printable_name(reading.columns[HALF_EXTENTS])} and its like are half sizes")
+            self.notes.append(f"{printable_name(reading.columns[HALF_EXTENTS])} and columns like it hold half sizes")
         if LAST_CELLS in reading.columns:
-            self.notes.append(f"{printable_name(reading.columns[LAST_CELLS])} and its like are the last cells of boxes")
+            self.notes.append(
+                f"{printable_name(reading.columns[LAST_CELLS])} and columns like it hold last cells of boxes"
+            )
         self._note_quantities()
         size, low = placed_boxes(self.columns, reading, candidate, plans, self.wishes, self.notes)
         for row in rows_below_deck(low, plans, size):
@@ -106,7 +108,7 @@ class PlanBuilder:
             counters |= {counter} - {""}
         order_source = self._order_note(orders)
         if self.columns.unread and self.boxes.table.has_header and not self.columns.source.form.anchor:
-            self.notes.append(f"not read: {first_names(self.columns.unread, 4)}")
+            self.notes.append(f"columns not read: {first_names(self.columns.unread, 4)}")
         if set(orders.values()) == {"sequence"} and len(counters) == 1:
             reading = replace(reading, columns={**reading.columns, "sequence": counters.pop()})
         reading = replace(
@@ -166,7 +168,7 @@ class PlanBuilder:
         return names, lost, reading, candidate
 
     def _join_parts(self) -> None:
-        """Make one plan of the parts of the file."""
+        """Make one plan of all boxes of the file, which was divided into several plans before."""
         self.boxes = replace(self.boxes, parts=())
         self.columns = replace(self.columns, source=replace(self.columns.source, boxes=self.boxes))
 
@@ -195,7 +197,8 @@ class PlanBuilder:
             )
 
     def _note_quantities(self) -> None:
-        """Add a note about quantities above 1, unless they count the rows of an article. A row has only one place."""
+        """Add a note about quantities above 1, unless they count the rows of an article. A row is read as one box
+        whatever its quantity is, since it has only one place."""
         table, articles = self.boxes.table, self.columns.article or [""] * self.columns.n_boxes
         if self.columns.source.form == PACKINGSOLVER:  # the reader of this form adds a note about quantities itself
             return
@@ -238,7 +241,7 @@ class PlanBuilder:
             self.notes.append(f"rows are not in packing order{plans_text}: boxes are placed from the ground up")
             return "height"
         if "rows" in orders.values() or not orders:
-            self.notes.append("no sequence: the order of rows")
+            self.notes.append("no packing order: boxes are placed in the order of rows")
             return "rows"
         return "sequence"
 
@@ -255,7 +258,7 @@ class PlanBuilder:
         columns = self.columns
         article = columns.article or columns.item_id
         if columns.article is None:
-            self.notes.append("no article" + (": names of boxes" if article is not None else ""))
+            self.notes.append("no articles" + (": names of boxes instead" if article is not None else ""))
         if article is None:
             article = [""] * columns.n_boxes
         values: dict[str, Any] = {

@@ -88,7 +88,8 @@ def are_numbers(rows: Sequence[Sequence[Any]], least: int) -> bool:
 
 
 def geometric_names(header: Sequence[str]) -> tuple[str, ...]:
-    """The names of the columns that have sizes or places, sorted. All names if there are none."""
+    """The names of the columns that have sizes or places, sorted. If no column has sizes or places, the names of all
+    columns."""
     return tuple(sorted(header[index] for index in geometric_columns(header))) or tuple(header)
 
 
@@ -143,7 +144,8 @@ def names_unit(name: str) -> bool:
 
 
 def distinct_names(names: Sequence[str]) -> list[str]:
-    """Names without repetitions. An empty name becomes, for example, "column 3".
+    """The names, in which an unknown name that occurs again becomes, for example, "Note again", and an empty name
+    becomes, for example, "column 3".
 
     Raises:
         InputError: a known name occurs twice.

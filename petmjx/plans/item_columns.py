@@ -100,8 +100,8 @@ two meanings it has."""
 STRENGTH: Final = "strength_n"
 UPRIGHT: Final = "upright"
 BOX_PROPERTIES: Final = (STRENGTH, UPRIGHT)
-"""Columns that are read only for environments in which packers are trained (``OrderReading.for_episodes``). Columns for
-environments are recognised only under exactly these names."""
+"""Columns that are read only for environments in which packers are trained (``OrderReading.for_episodes``). These
+columns are recognised only under exactly these names."""
 SIZE_LETTERS: Final = "lwh"
 """The letters that the column ``upright`` may have: l for length, w for width, h for height."""
 
@@ -127,8 +127,8 @@ class ItemColumns:
         columns: role → name of its column.
         faults: row → (column, error text) of the first bad cell in the row.
         unread: names of columns that are not empty but are not used.
-        maybe_quantity: the unknown column that may have quantities, if no column is known to have them; "": there is
-            none.
+        maybe_quantity: the column with an unknown name that may have quantities, if no column is known to have them;
+            "": there is none.
         strength: (n,) loads that the boxes can bear, N, NaN if unknown; None: no column ``strength_n``, or not
             requested.
         upright: (n,) letters of the sizes that may be vertical; None: no column ``upright``, or not requested.
@@ -224,7 +224,7 @@ class _ItemExtraction(ColumnExtraction):
                 {"per layer": self.of_layer, "total weight": self.totals}.get(role, set()).add(index)
 
     def _take_names_of_orders(self) -> None:
-        """Determine the meanings of names that only orders have."""
+        """Determine the meanings of column names that only orders have."""
         kinds = {meaning.kind for meaning in self.meanings if meaning is not None}
         for index, name in enumerate(self.table.header):
             if name in self.unit_columns:

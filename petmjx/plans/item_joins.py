@@ -35,7 +35,8 @@ _MOST_BESIDE: Final = 20
 
 
 def with_items(sources: Sequence[BoxSource], path: Path | None, items: Path | None) -> BoxSource:
-    """The list of boxes that have places. Missing sizes and weights are added from a table of items."""
+    """The list of boxes with places, of all lists in a file. Missing sizes and weights are added from a table of
+    items."""
     best = sources[0]
     if items is not None:
         tables = sources_of_bytes(bytes_of(items), items)
@@ -101,8 +102,8 @@ def has_named_places(path: Path) -> bool:
 
 
 def _with_items_beside(best: BoxSource, path: Path) -> BoxSource:
-    """packingsolver's certificate with the weights from the file of items beside it, if the sizes in both files
-    agree."""
+    """packingsolver's certificate, with weights added from the file of items in the same folder if the sizes in both
+    files agree."""
     stem = re.sub(r"_?(solution|certificate|output|result)s?$", "", path.stem, flags=re.IGNORECASE)
     for name in dict.fromkeys((f"{path.stem}_items.csv", f"{stem}_items.csv", "items.csv")):
         beside = path.with_name(name)
@@ -155,7 +156,7 @@ def _with_columns(
 
     def cell(row: int, index: int) -> Any:
         number = cell_number(other.rows[row][index], ",") if other.decimal == "," else None
-        # numbers of the boxes' own table may have decimal points
+        # the text is converted to a number here, since the boxes' own table may have decimal points
         return other.rows[row][index] if number is None or number.unit else number.value
 
     table = best.boxes.table
@@ -172,7 +173,7 @@ def _sorted_sizes(table: RawTable, names: Sequence[str] = ()) -> list[list[float
     """For each row, the numbers in columns of sizes, in ascending order.
 
     Args:
-        names: names of these columns, in capital letters; empty: all columns with sizes.
+        names: names of the columns that are used, in capital letters; empty: all columns with sizes are used.
     """
     sizes = {name for name, meaning in known_meanings(table.header).items() if meaning.kind == "size"}
     indices = [k for k, name in enumerate(table.header) if (name.upper() in names if names else name in sizes)]

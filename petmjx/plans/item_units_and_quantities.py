@@ -48,13 +48,15 @@ give the units."""
 _DENSEST_KG_M3: Final = 1e6
 """Densities above this value come from damaged weights, so they are no evidence for or against a unit."""
 _BIN_PRIOR: Final = {"mm": 0.0, "cm": 0.0, "dm": 0.0}
-"""Possible units of test problems. In such problems, the side of a bin is 10 or 100 units, which stand for 1 m."""
+"""Unit of lengths that test problems of packing research may have → its cost (all are equally plausible). In such
+problems, the side of a bin is 10 or 100 units, which stand for 1 m."""
 _LIST_PRIOR: Final = {"cm": -1.5, "mm": 0.0, "m": 0.0}
-"""Possible units of lists of lengths. The unit is cm, as in RoboBPP's lists, unless the sizes indicate another unit."""
+"""Unit that lists of lengths may have → its cost; a smaller cost is more plausible. The unit is cm, as in RoboBPP's
+lists, unless the sizes indicate another unit."""
 ROW_LEAD: Final = 0.75
-"""A weight in a row is usually the weight of one box, even if the row stands for several boxes. But if the cost is
-lower by at least this value when weights are read as those of whole rows, both readings are possible. For example, a
-row of ten boxes may give each box 1,500 kg/m³ if the weight is that of one box."""
+"""A weight in a row is usually the weight of one box, even if the row stands for several boxes. But if the reading in
+which weights are those of whole rows has a cost that is lower by at least this value, both readings count as possible.
+For example, a row of ten boxes may give each box 1,500 kg/m³ if the weight is that of one box."""
 _FULL: Final = 1.02
 """Largest share of the area of an order's target (its carrier) that one layer of boxes may cover."""
 
@@ -201,7 +203,8 @@ class _OrderBuilder:
         return [name or stem for name in names]
 
     def _leave_out_empty_rows(self) -> None:
-        """Drop the faults of rows with the quantity 0, since they have no box. Adds a note."""
+        """Drop the faults of rows with the quantity 0, since these rows stand for no box, and add a note about the
+        rows."""
         empty = np.flatnonzero(self.columns.is_empty).tolist()
         for row in empty:
             self.faults.pop(row, None)
@@ -391,9 +394,9 @@ class _OrderBuilder:
             with np.errstate(invalid="ignore"):
                 if bool((cover[several] <= _FULL).all()):
                     raise self._layer_tie()
-            self.notes.append("quantities are of all layers")
+            self.notes.append("quantities count the boxes of all layers")
         elif per_layer:
-            self.notes.append("quantities are of each layer")
+            self.notes.append("quantities count the boxes of each layer")
         return (quantity * layers if per_layer else quantity).astype(np.int64)
 
     def _layer_tie(self) -> InputError:

@@ -1,4 +1,5 @@
-"""Reads JSON files of plans and orders. Unpacks within limits, and decodes one entry at a time."""
+"""Reads JSON files of plans and orders. The module unpacks gzip up to a limit of size, and decodes one entry (a plan or
+an order) at a time."""
 
 from __future__ import annotations
 
@@ -113,8 +114,8 @@ as much memory as its text."""
 _FIRST_WINDOW: Final = 1 << 15
 _SMALLEST_WINDOW: Final = 1 << 10
 _LONGEST_TOKEN: Final = 12
-"""Length in characters of the longest token, such as ``-Infinity`` or an escape, that the end of a window may cut.
-Strings and numbers are treated separately."""
+"""Length in characters of the longest token, such as ``-Infinity`` or an escape, that the end of a window (the part of
+the text that is decoded at once) may cut. Strings and numbers are treated separately."""
 
 
 class DuplicateFieldObject(dict[str, Any]):
@@ -131,8 +132,8 @@ class DuplicateFieldObject(dict[str, Any]):
 
 
 class MalformedPlans(InputError):
-    """Raised if a text is not JSON, or not an object. The error names the plan, the line and the column (in bytes),
-    both from 1."""
+    """Raised if a text is not JSON, or not an object. The error names the plan, the line and the column. Lines and
+    columns are counted from 1, columns in bytes."""
 
 
 class Entry(NamedTuple):
@@ -273,7 +274,7 @@ def any_integer(digits: str) -> int | float:
 
 
 def json_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """A JSON object from its fields, in order. An object with a repeated field is marked."""
+    """A JSON object from its fields, in order. If a field is repeated, the result is a ``DuplicateFieldObject``."""
     members = dict(pairs)
     return members if len(members) == len(pairs) else DuplicateFieldObject(pairs)
 

@@ -81,7 +81,9 @@ THREE_JS: Final = KnownForm("a three.js scene", anchor="centre", up="y", sizes="
 UNITY: Final = KnownForm("Unity", up="y")
 GLTF: Final = KnownForm("a glTF scene", "m", anchor="centre", up="y", sizes="placed")
 _OWN_NAMES: Final = frozenset(("plan_id", "sequence", "article", "orientation"))
-"""Further columns of petmjx's tables. Tables of other tools may have the same names for sizes and coordinates."""
+"""Further columns of petmjx's tables. A table with petmjx's names for sizes, weights and coordinates counts as petmjx's
+own only if it also has one of these columns, because tables of other tools may have the same names for sizes and
+coordinates."""
 OWN: Final = KnownForm("petmjx's table", "mm", "kg", "corner", "z", "item", "swap")
 BED_BPP: Final = KnownForm("BED-BPP", anchor="corner", up="z", sizes="item", rule="swap")
 _OF_CERTIFICATE: Final = frozenset(("type", "id", "bin", "lx", "ly", "lz"))

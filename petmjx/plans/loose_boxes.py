@@ -17,10 +17,11 @@ MOST_LOOKED_AT: Final = 200
 limit, a run of 10,003 plans would be delayed."""
 
 _LEVEL_MM: Final = 3.0
-"""A box is borne by the highest top under it, and by all tops that are lower by at most this length."""
+"""A box is borne by the highest top under it, and by all tops that are lower than this top by at most this length,
+mm."""
 
 _BESIDE_MM: Final = 1.0
-"""If two boxes overlap by at most this length along x or y, they stand beside each other."""
+"""If two boxes overlap by at most this length along x or y, mm, they stand beside each other."""
 
 
 class Statics(NamedTuple):

@@ -66,8 +66,8 @@ def fields_of_part(member: NestedBox) -> dict[str, Any]:
 
 
 def articles_around(members: Sequence[NestedBox]) -> frozenset[int]:
-    """The objects around boxes that are articles, by their ``id``. The object of an article holds the places of all
-    boxes of the article. Either all members of a list are articles, or none is.
+    """Python's ``id`` of each object around boxes that describes an article. The object of an article holds the places
+    of all boxes of the article. Either all members of a list are articles, or none is.
 
     The members of a list with a name such as "items" may also be pallets. The members are articles if they have sizes
     or a word for articles, and if no member has a word for pallets in its fields or its name. If each member has a box
@@ -118,9 +118,9 @@ def _at_same_places(groups: Sequence[Sequence[Mapping[str, Any]]]) -> bool:
 
 
 def fields_of_article(member: NestedBox, articles: Collection[int]) -> tuple[dict[str, Any], str]:
-    """The weight, the name and the sizes that a box lacks, from its article: an object "cargo" or "item" beside the
-    list of boxes, or the member of a list of articles that contains this list. The function also returns a note that
-    tells where weights or sizes are from; "" if the article gives none.
+    """The weight, the name and the sizes that a box lacks, taken from its article. The article is an object "cargo" or
+    "item" beside the list of boxes, or the member of a list of articles that contains the list of boxes. The function
+    also returns a note that tells where weights or sizes are from; "" if the article gives none.
 
     Args:
         articles: objects that are articles (``articles_around``).

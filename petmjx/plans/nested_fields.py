@@ -197,8 +197,8 @@ def _quantity(value: Mapping[str, Any]) -> Any:
 
 
 CORNER_NOISE: Final = 0.01
-"""Largest error of the corners of a box, as a share of its smallest side: cameras and floating-point numbers make
-errors."""
+"""Largest error of the corners of a box, as a share of the box's smallest side. Corners have errors if a camera has
+measured them, or because floating-point numbers are rounded."""
 
 
 def _ends_of_vertices(value: Sequence[Any]) -> tuple[list[Any], list[Any]] | None:

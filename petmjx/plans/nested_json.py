@@ -195,8 +195,8 @@ def _joined(group: Sequence[BoxList], names: Sequence[str]) -> BoxList:
     """Join lists of boxes into one list.
 
     Args:
-        names: for each list, the step in which its path differs from the others. The step that differs is the name of a
-            plan, unless it is the name of a layer.
+        names: for each list, the part of its path that differs from the paths of the other lists. This part is the name
+            of a plan, unless it is the name of a layer.
     """
     table = united([boxes.table for boxes in group])
     parts: list[str] = []
@@ -440,9 +440,9 @@ _FLOORS: Final = word_set("floor ground plane boden")
 
 
 def _with_zeros(flat: list[dict[str, Any]]) -> list[str]:
-    """Fill coordinates that are 0 and not written, as in JSON of protocol buffers. Some of x, some of y and some of z
-    must be missing, some boxes must lack only a part of their coordinates, and no coordinate may be written as 0.
-    Returns a note if coordinates were filled."""
+    """Fill in coordinates that are missing because they are 0, as in JSON of protocol buffers. Coordinates are filled
+    in only under these conditions: some of x, some of y and some of z must be missing, some boxes must lack only a part
+    of their coordinates, and no coordinate may be written as 0. Returns a note if coordinates were filled."""
     names = list(dict.fromkeys(name for row in flat for name in row))
     by_axis: dict[str, list[str]] = {}
     for name, meaning in known_meanings(names).items():
@@ -462,8 +462,8 @@ def _with_zeros(flat: list[dict[str, Any]]) -> list[str]:
 
 
 def _mark_long_lists(flat: list[dict[str, Any]]) -> None:
-    """Replace the last number of sizes and places that are lists of four numbers by an error text, if such lists have
-    three numbers in most rows: "[38.5, 22.7, 41,6]"."""
+    """Mark sizes and places that are lists of four numbers, such as "[38.5, 22.7, 41,6]", if they are lists of three
+    numbers in most rows. An error text replaces the last number of a marked list."""
     names = {name for row in flat for name in row if name.endswith("[3]")}
     for name in _named(sorted(names), ("size", "position", "low", "high")):
         long = [row for row in flat if name in row]

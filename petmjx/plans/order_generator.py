@@ -1,4 +1,5 @@
-"""Generates synthetic orders with BED-BPP's statistics: number of boxes, number of distinct articles, and cartons.
+"""Generates synthetic orders with BED-BPP's statistics: number of boxes, number of distinct articles, and sizes and
+masses of cartons.
 
 BED-BPP (Kagerer et al. 2023, "BED-BPP: Benchmarking dataset for robotic bin packing problems", Int. J. of Robotics
 Research 42(11)) has 10,003 grocery orders of 43±14 items for two targets. Here a catalogue of articles takes the place
@@ -28,8 +29,8 @@ TARGET_RANGE_MM = (100.0, 20_000.0)
 """Allowed range for the sides of a target."""
 
 MOST_ITEMS = 512
-"""Largest number of items of an order: twice the number of boxes in the largest plan. The packer's time grows with the
-third power of the number of items."""
+"""Largest number of items of an order: twice the number of boxes in the largest plan. The computing time of packers
+grows with the third power of the number of items."""
 
 MEAN_BOXES = 43.5
 STD_BOXES = 15.0
@@ -71,7 +72,8 @@ PACKER_STREAM = 2
 
 @dataclass(frozen=True)
 class _Family:
-    """A kind of cartons: its share, its ranges of length, width and height in mm, and its product groups."""
+    """A kind of cartons: its share of the articles, its ranges of length, width and height in mm, and its product
+    groups."""
 
     share: float
     length_mm: tuple[int, int]
@@ -116,7 +118,7 @@ class Item:
     com_mm: tuple[float, float, float] | None = field(default=None, kw_only=True)
     stiffness_n_mm: float | None = field(default=None, kw_only=True)
     kind: str = field(default="", kw_only=True)
-    # packers and matching do not use these two fields, so comparisons of items ignore them
+    # packers, and the matching of plans with orders, do not use these two fields, so comparisons of items ignore them
     strength_n: float | None = field(default=None, kw_only=True, compare=False)
     upright: str = field(default="", kw_only=True, compare=False)
 

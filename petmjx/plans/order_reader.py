@@ -43,7 +43,8 @@ if TYPE_CHECKING:
     from petmjx.plans.item_units_and_quantities import ForeignOrders, OrderReading
 
 _CONVERT: Final = "petmjx convert {file} --orders -o orders.json takes it, and writes orders that all commands read"
-"""Advice that is appended to errors of commands that have no options for reading orders."""
+"""Advice that is appended to an error about two possible readings, for commands that have no options for reading
+orders."""
 OF_PLAN: Final = "is a packing plan, not an order"
 _FRAME: Final = "orders"
 """Name of a data frame in messages."""

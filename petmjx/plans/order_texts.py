@@ -340,4 +340,4 @@ def _lengths(lines: Sequence[_Line]) -> BoxSource | None:
             rows.lost.append((line.place, f"must have three lengths, got {len(line)}"))
             continue
         rows.add(line.words, line, str(number // SET_ITEMS + 1) if several else "")
-    return rows.source(LENGTHS, (f"in orders of {SET_ITEMS} boxes",) if several else ())
+    return rows.source(LENGTHS, (f"divided into orders of {SET_ITEMS} boxes",) if several else ())

@@ -56,8 +56,8 @@ _AHEAD: Final = 0.49
 """Smallest distance between a pallet and a box on it along the vertical axis, as a share of the pallet's height. If
 coordinates are those of centres, this share is little more than a half for a thin box."""
 _LEVEL: Final = 0.01
-"""Largest distance between the bottom of the lowest box and the deck at which the box counts as standing on the deck,
-as a share of the boxes' median height: 2 mm for cartons of 200 mm. Centres are often rounded to millimetres."""
+"""The lowest box counts as standing on the deck if the distance between its bottom and the deck is at most this share
+of the boxes' median height: 2 mm for cartons of 200 mm. Centres are often rounded to millimetres."""
 
 
 def placed_boxes(
@@ -253,7 +253,7 @@ def masses_kg(
     name = columns.columns["total weight" if "total weight" in columns.columns else "weight"]
     mass = columns.weight * MASS_UNITS[unit]
     if counts is not None:
-        notes.append("weights are of rows")
+        notes.append("weights are those of whole rows")
         mass = mass / np.maximum(counts, 1)
     empty = np.isnan(mass) | ~(mass > 0)
     if wishes.density_kg_m3 is not None and empty.any():
@@ -282,10 +282,10 @@ def _density_factor(columns: BoxColumns | ItemColumns, length_unit: str, notes: 
     densities = columns.weight[~np.isnan(columns.weight)]
     largest, median = (densities.max(), float(np.median(densities))) if len(densities) else (math.inf, math.inf)
     if columns.weight_unit:
-        notes.append(f"weights by density, {columns.weight_unit.replace('3', '³')}")
+        notes.append(f"weights from densities in {columns.weight_unit.replace('3', '³')}")
         return DENSITY_UNITS[columns.weight_unit]
     if largest <= _RELATIVE:
-        notes.append("weights by density, relative to water")
+        notes.append("weights from densities relative to water")
         return _WATER_KG_M3
     imperial = LENGTH_UNITS[length_unit] in (LENGTH_UNITS["in"], LENGTH_UNITS["ft"])
     if imperial or median < _LEAST_KG_M3:
@@ -294,7 +294,7 @@ def _density_factor(columns: BoxColumns | ItemColumns, length_unit: str, notes: 
             f"{name} has densities in an unknown unit, {median:g} in the median; write their unit into the name of the "
             f'column, such as "{name} [kg/m3]" or "{name} [lb/ft3]"'
         )
-    notes.append("weights by density, kg/m³")
+    notes.append("weights from densities in kg/m³")
     return 1.0
 
 

@@ -244,7 +244,7 @@ OPTIONAL: Final = ("item_id", "product_group", "orientation", "order_sequence", 
 Without this column, ``sequence`` is used instead."""
 _TEXTS: Final = ("article", "item_id", "product_group", "material", "kind")
 NAMES: Final = ("plan_id", *_TEXTS)
-"""Columns of names. All columns that are not listed here have numbers."""
+"""Columns that have names, that is, texts. All columns that are not listed here have numbers."""
 _MAY_LACK: Final = ("item_id", "product_group", *_SELDOM)
 """Columns in which a value may be missing."""
 _ALIASES: Final = {
@@ -347,7 +347,7 @@ def table_plans(
 
 @dataclass(eq=False)
 class _TableReader:
-    """Reads one table. Rows with an unusable plan id belong to no plan."""
+    """Reads the plans in one table of placements. Rows with an unusable plan id belong to no plan."""
 
     table: Table
     source: str
@@ -454,7 +454,8 @@ class _TableReader:
 
     @cached_property
     def _sparse(self) -> dict[str, FloatArray]:
-        """The values of an optional number of placements. NaN if a value is unusable or missing."""
+        """Name of a field of ``SPARSE`` (numbers that placements may lack) → (n,) values of its column; NaN if a value
+        is unusable or missing."""
         columns = {}
         for name, known in SPARSE.items():
             if name in self.table.columns:
@@ -598,7 +599,7 @@ class _TableReader:
                 yield RefusedPlan(lost.plan_id, f"{self.source}:{plan} row {lost.number}: {lost.fault}")
 
     def _refused_before(self) -> dict[str, str]:
-        """Id of each plan that lacks a row → its fault."""
+        """Id of each plan that lacks a row → the fault of the row, or of the end of the table."""
         reasons: dict[str, str] = {}
         if self.table.end_fault and len(self._codes) and self._codes[-1] >= 0:
             reasons[self._plan_ids[self._codes[-1]]] = self.table.end_fault

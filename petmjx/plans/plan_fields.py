@@ -79,8 +79,8 @@ PALLETS: Final[Mapping[str, tuple[float, float, float]]] = {
 }
 """Kinds of items that are pallets, and so bear other boxes → their extents, mm. Carriers have the same names."""
 PALLET_SIZE_MM: Final = 1.0
-"""Largest difference between the sizes of an item and the sizes of its kind of pallet, mm. The value is one unit of the
-last digit of sizes in plans."""
+"""Largest difference between the sizes of an item and the sizes of its kind of pallet, mm. Sizes in plans are usually
+whole millimetres, so they may differ by one millimetre."""
 KINDS: Final = ("box", SHEET, *PALLETS)
 """Kinds of items; the default is a box."""
 KINDS_IN_WORDS: Final = f"{', '.join(KINDS[:-1])} or {KINDS[-1]}"
@@ -198,7 +198,8 @@ def orientation_fault(value: object) -> str | None:
 
 
 def sparse_fault(field: str, value: object) -> str | None:
-    """The error text for an optional number (`SPARSE`); None if it is good."""
+    """The error text for a value of a field of ``SPARSE`` (a number that placements may lack); None if the value is
+    good."""
     known = SPARSE[field]
     return None if value is None else coordinate_fault(field, value, known.low, known.high, known.units)
 

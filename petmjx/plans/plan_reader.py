@@ -272,7 +272,7 @@ class _PlanLoader:
         names: name → the same name, kept so that equal names share one string.
         unread: counts of the fields that petmjx ignores.
         unlisted: number of unusable entries of the current file that are counted but not listed.
-        most_skipped: largest length that ``found.skipped`` may reach in the current file.
+        most_skipped: largest length that ``found.skipped`` may reach while the current file is read.
     """
 
     options: RunOptions

@@ -37,7 +37,7 @@ class PalletSearch:
 
     Attributes:
         columns: the boxes of the file.
-        single_reading: the chosen reading if all boxes are one plan; None: not determined.
+        single_reading: the reading that is chosen if all boxes are taken as one plan; None: it was not chosen yet.
     """
 
     def __init__(self, columns: BoxColumns, wishes: Wishes) -> None:
@@ -45,8 +45,9 @@ class PalletSearch:
         self.single_reading: tuple[Reading, Candidate] | None = None
 
     def columns_with_pallets(self) -> tuple[BoxColumns, tuple[str, ...]]:
-        """The columns, and notes. If boxes would overlap as one plan, or the packing order repeats numbers, the column
-        that separates the pallets becomes the column of plans. Exactly one column must separate the pallets.
+        """The columns of the file, in which a column may have become that of plans, and notes about this. If boxes
+        would overlap as one plan, or the packing order repeats numbers, the column that separates the pallets becomes
+        the column of plans. Exactly one column must separate the pallets.
 
         Raises:
             InputError: the column does not have a word for pallets in its name, or several columns separate the

@@ -77,7 +77,7 @@ def usable_of(gathered: PlanSet, sim: Simulation, options: RunOptions, earlier_l
 
 
 def with_some_plan(plan_set: PlanSet) -> PlanSet:
-    """The same plans. Raises InputError if there are no plans."""
+    """The given set of plans, unchanged. Raises InputError if the set has no plans."""
     if not plan_set.plans:
         first = f"; the first: {plan_set.skipped[0].message}" if plan_set.skipped else ""
         raise InputError(f"no usable plan ({len(plan_set.skipped)} skipped){first}")

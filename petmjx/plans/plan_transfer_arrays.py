@@ -18,7 +18,7 @@ from petmjx.plans.plan import Plan
 
 _ARRAYS: Final = ("size_mm", "corner_mm", "mass_kg", "sequence", "orientation")
 _TEXTS: Final = ("item_ids", "articles", "product_groups")
-"""Fields of the plans that BED-BPP's JSON usually has."""
+"""Text fields that plans in BED-BPP's JSON usually have."""
 
 _DEFAULTS: Final[dict[str, Any]] = {field.name: field.default for field in fields(Plan)}
 _RARE: Final = tuple(name for name in _DEFAULTS if name not in (*_ARRAYS, *_TEXTS, "plan_id", "source"))
@@ -54,7 +54,7 @@ def plan_of_rows(
 
 
 class JoinedPlans(NamedTuple):
-    """Plans as columns.
+    """Plans as columns: one long array, or list of texts, for each field.
 
     Attributes:
         plan_ids, sources, box_counts: a value for each plan that has only the usual fields.

@@ -118,8 +118,8 @@ def _parse_columns(
 ) -> Plan | None:
     """Read all placements column by column; None if anything is wrong.
 
-    Whole columns are checked in C, since 10,003 plans have 3 million numbers. For a bad plan, `find_fault` makes the
-    same checks value by value, and produces the error text.
+    Whole columns are checked in C, since BED-BPP's 10,003 plans have 3 million numbers. For a bad plan, `find_fault`
+    makes the same checks value by value, and produces the error text.
     """
     try:
         items = [placement["item"] for placement in value]

@@ -121,7 +121,7 @@ def as_placements(plan: Plan) -> list[Placement]:
 
 
 def _sparse(plan: Plan, name: str) -> FloatArray:
-    """(n,) values of an optional number (`SPARSE`). NaN if a placement has none."""
+    """(n,) values of a field of ``SPARSE`` (a number that placements may lack); NaN for a placement that lacks it."""
     values: FloatArray | None = getattr(plan, name)
     return np.full(plan.n_boxes, np.nan) if values is None else values
 

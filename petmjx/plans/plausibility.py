@@ -26,9 +26,9 @@ Centres are often rounded to centimetres or half millimetres."""
 _SMALL_LOAD: Final = 160
 """Largest number of boxes that are used to judge a plan: its first boxes in packing order, from the ground up."""
 _CARTON_MM, _CARTON_SPREAD = 280.0, 0.75
-"""Geometric mean of a carton's sides, and its spread (in the logarithm), from BED-BPP's 1.5 million boxes."""
+"""Geometric mean of a carton's sides, and the standard deviation of its natural logarithm, from BED-BPP's boxes."""
 _CARTON_KG_M3, _DENSITY_SPREAD = 250.0, 1.1
-"""Density of cartons, and its spread."""
+"""Density of cartons, kg/m³, and the standard deviation of its natural logarithm."""
 _DECKS_MM: Final = (
     (1200.0, 800.0), (1200.0, 1000.0), (800.0, 600.0), (600.0, 400.0), (1219.2, 1016.0), (1100.0, 1100.0),
     (1140.0, 1140.0), (1200.0, 1200.0), (1000.0, 1000.0), (800.0, 700.0), (5898.0, 2352.0), (12032.0, 2352.0),
@@ -210,9 +210,9 @@ def are_other_points(layout: Layout, mm: float, point: Sequence[float]) -> bool:
     """Whether coordinates that were read as those of a certain point of each box are probably those of another one,
     with z or y upwards.
 
-    Two conditions must hold. Read as another point, the load begins at a corner of the deck, or is symmetric to the
-    origin, along both horizontal axes. Read as the given point, it does neither. The origin may be a corner of the
-    deck, or the middle of a deck.
+    Two conditions must hold. If coordinates are read as those of the other point, the load begins at a corner of the
+    deck, or is symmetric to the origin, along both horizontal axes. If coordinates are read as those of the given
+    point, neither is true of the load. The origin may be a corner of the deck, or the middle of a deck.
 
     Args:
         mm: millimetres of a unit of the layout.
@@ -307,7 +307,7 @@ def density_cost(density_kg_m3: float) -> float:
 
 
 def _squared(value: float, usual: float, spread: float) -> float:
-    """Half the square of the logarithmic distance from the usual value, measured in spreads."""
+    """Half the square of the logarithmic distance from the usual value, in multiples of ``spread``."""
     return (math.log(value / usual) / spread) ** 2 / 2 if value > 0 else 50.0
 
 
@@ -366,7 +366,7 @@ def load_fit(side_mm: float, load_mm: FloatArray, deck_mm: FloatArray, known: bo
 
 _WHOLE_MM: Final = 0.03
 """A length counts as whole millimetres if it differs from whole millimetres by at most this length, mm. Lengths in
-inches have three decimals, so they are not exact."""
+inches have three decimals, so they are not exact after a conversion to millimetres."""
 
 
 def converted_share(lengths_mm: FloatArray) -> float:

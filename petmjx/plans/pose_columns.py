@@ -37,7 +37,8 @@ three digits."""
 
 
 def pose_choices(extraction: ColumnExtraction) -> list[Geometry]:
-    """Geometries from matrices, or from positions and rotations."""
+    """The possible geometries (sizes and places of all boxes) from columns of matrices, or of positions and
+    rotations."""
     header, n = extraction.table.header, len(extraction.table.rows)
     sizes = sizes_in(extraction)
     matrix = next(

@@ -32,8 +32,8 @@ _BEGINS: Final = re.compile(
 _RETURN: Final = re.compile(r"\s*(?:return\b)?")
 """The beginning of a file of Lua that returns a table."""
 _JSON_NAME: Final = re.compile(r'"[^"\n]*"(?:\s*:(?![A-Za-z])|\s*:(?:true|false|null|NaN)\b)')
-"""A name in JSON. A text with such names is JSON, perhaps damaged, and is not read here. In EDN, the colon is part of
-the next name."""
+"""A name in JSON. A text with such names is JSON, perhaps damaged, and is not read here. A colon directly before a
+letter shows JSON only if the word is true, false, null or NaN, since in EDN such a colon is part of the next name."""
 _OPEN: Final = re.compile(r"(?:Array\s*|[A-Za-z_][\w\\]* Object\s*|[#&]?([A-Za-z_][\w.:<>$]*)[ \t]*|&)?([\[({])")
 """A bracket, perhaps behind a name. PHP begins a new line between the name and the bracket. A pointer of Go begins with
 "&", a tag of EDN with "#"."""
@@ -85,7 +85,7 @@ _MESSAGES: Final = re.compile(
 """The beginning of messages of protocol buffers as text: "boxes { sku: ..."."""
 _FIELD: Final = re.compile(r"#[^\n]*|\"(?:\\.|[^\"\\\n])*+\"?|(?<!\w)([A-Za-z_]\w{0,99})[ \t]{0,9}(:?[ \t]{0,9}\{|:)")
 """A field of a message of protocol buffers: "boxes {" or "sku:"; or a comment, or a text in quotation marks, which may
-contain the like."""
+contain something that looks like a field."""
 _RULES: Final = re.compile(r"^(?:[-=]{3,}|[#%][^\n]*)$", re.MULTILINE)
 """Lines between named arrays that hold no values."""
 
@@ -130,7 +130,7 @@ def _with_separator(field: re.Match[str]) -> str:
 
 
 def _repeated_names(value: Any) -> set[str]:
-    """The names of lists of objects in a value."""
+    """The names under which a nested value has a list of objects anywhere."""
     if isinstance(value, list):
         return set().union(*map(_repeated_names, value))
     names: set[str] = set()
@@ -141,7 +141,8 @@ def _repeated_names(value: Any) -> set[str]:
 
 
 def _with_lists(value: Any, names: Collection[str]) -> Any:
-    """A value in which each object with one of these names is a list of one object."""
+    """A copy of a nested value in which each single object under one of these names is replaced by a list with this
+    object, so that all values under the name are lists."""
     if isinstance(value, list):
         return [_with_lists(inner, names) for inner in value]
     if not isinstance(value, dict):
@@ -193,7 +194,7 @@ def _fields_of_title(title: str) -> Mapping[str, str]:
 
 
 def _pairs_of_line(line: str) -> Mapping[str, Any]:
-    """The named values of a line; empty if it also has other values, or a damaged one."""
+    """The named values of a line; empty if the line also has values without names, or a damaged value."""
     pairs: dict[str, Any] = {}
     at, end = len(line) - len(line.lstrip()), len(line) if len(line) <= _LONGEST_LINE else 0
     while at < end:
@@ -260,7 +261,7 @@ def values_of_blocks(text: str) -> Any:
 
 
 def _value(text: str, at: int, depth: int, decimal_marks: str = "") -> tuple[Any, int]:
-    """The value at a position of a text, and the position behind it."""
+    """The value at a position of a text, and the position behind the value."""
     if depth > _DEEPEST:
         raise _fault(text, at, "brackets are nested too deeply")
     if (opened := _OPEN.match(text, at)) is not None:
@@ -276,8 +277,8 @@ def _value(text: str, at: int, depth: int, decimal_marks: str = "") -> tuple[Any
 
 
 def _value_of_name(text: str, at: int, depth: int, decimal_marks: str = "") -> tuple[Any, int]:
-    """The value behind a name and its sign; "" if the line ends, or the next name follows. Brackets and quoted
-    texts may stand on the next line.
+    """The value behind a name and the sign after the name (":", "=" or "=>"); "" if the line ends there, or the next
+    name follows. Brackets and quoted texts may stand on the next line.
 
     Args:
         decimal_marks: letters that may end a number without being a unit.
@@ -305,7 +306,7 @@ def _inside(text: str, at: int, kind: str, close: str, depth: int) -> tuple[Any,
     """
     pairs: dict[str, Any] = {}
     repeated: set[str] = set()
-    """Names of several objects, as of boxes in messages of protocol buffers."""
+    """Names that stand before several objects each, such as "boxes" in messages of protocol buffers."""
     items: list[Any] = []
     places: list[int] = []
     begin = at
@@ -360,8 +361,8 @@ def _has_objects(value: Any) -> bool:
 
 
 def _scalar(text: str, decimal_marks: str = "") -> Any:
-    """A number, true, false or nothing; else the text. "0.4m" is a length, and so a text, unless "m" is one of the
-    ``decimal_marks``: then it is the number 0.4."""
+    """The number, truth value or None that a text stands for; else the text itself. "0.4m" is a length, and so a text,
+    unless "m" is one of the ``decimal_marks``: then it is the number 0.4."""
     if text.lower() in _CONSTANTS:
         return _CONSTANTS[text.lower()]
     if (number := _NUMBER.fullmatch(text)) is not None and (number[1] not in ("m", "M") or number[1] in decimal_marks):

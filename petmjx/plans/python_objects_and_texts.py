@@ -120,7 +120,7 @@ def source_of_printed(text: str) -> BoxSource | None:
                 places.append(f"line {first_line}")
                 parts.append(part)
             else:
-                lost.append((f"line {first_line}", "has no three sizes and coordinates"))
+                lost.append((f"line {first_line}", "lacks sizes or coordinates"))
         fields.clear()
 
     for number, line in enumerate(text.splitlines(), start=1):

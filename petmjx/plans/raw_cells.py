@@ -170,7 +170,8 @@ def cell_text(cell: Any) -> str:
 
 _TRIPLE_LETTER: Final = re.compile(r"""["']?\b([xyzlwhdbt])\b["']?\s*[=:]\s*""", re.IGNORECASE)
 _USUAL_ORDER: Final = {"".join(sorted(letters)): letters for letters in ("xyz", "lwh", "lbh")}
-"""The order of three numbers with letters before them: "H=200 L=400 B=300"."""
+"""Letters before three numbers in one cell ("H=200 L=400 B=300"), in alphabetical order → the letters in the order in
+which the numbers are returned."""
 
 
 def cell_triple(cell: Any, decimal: str = ".") -> list[CellNumber] | None:

@@ -62,7 +62,8 @@ class RawTable:
 
 
 def united(tables: Sequence[RawTable]) -> RawTable:
-    """One table with the rows of several tables. A column that a table lacks is empty in its rows."""
+    """One table with the rows of several tables. A column that one of the tables lacks is empty in the rows of that
+    table."""
     first = tables[0]
     header = tuple(dict.fromkeys(name for table in tables for name in table.header))
     rows: list[tuple[Any, ...]] = []

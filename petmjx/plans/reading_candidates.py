@@ -183,8 +183,9 @@ def _turning_axis(turn: FloatArray) -> str:
 def _pairs(
     geometry: Geometry, up: str, columns: BoxColumns, wishes: Wishes
 ) -> list[tuple[tuple[int, int, int], float]]:
-    """Pairs (assignment, prior). An assignment has the indices of the sizes that lie along the file's first, second and
-    third axis. The prior is the cost of the assignment before any numbers are considered."""
+    """Pairs of an assignment of sizes to axes, and the prior of the assignment. An assignment has the indices of the
+    sizes that lie along the file's first, second and third axis. The prior is the cost of the assignment before any
+    numbers are considered."""
     axes = geometry.axes
     if len(wishes.along) == 3:
         names = [role_of(axis) for axis in axes]

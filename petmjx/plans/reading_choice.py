@@ -59,8 +59,8 @@ _ON_SIDE: Final = 1.0
 """Cost of a reading in which boxes are listed from one side to the other, but not from the ground up: the axis of these
 sides may be the vertical. The cost is that of y upwards in a file that does not name the vertical."""
 _OF_WALL: Final = 2.0
-"""Cost of a reading in which boxes form a wall (``is_wall``). If y is as likely to be the vertical as z, and there are
-not few boxes, the reading as a flat layer wins; else the vertical is asked for."""
+"""Cost of a reading in which boxes form a wall (``is_wall``). If y is as likely to be the vertical as z, and the file
+has more than a few boxes, the reading as a flat layer wins; else the user is asked for the vertical axis."""
 _MOST_BOXES: Final = 400
 _MOST_PLANS: Final = 12
 """Largest number of boxes, and largest number of plans, that are used to judge readings. The chosen reading applies to
@@ -392,15 +392,16 @@ def _are_large_cells(best: _Judged) -> bool:
 
 
 _FEW_CELLS: Final = 5
-"""Boxes are hardly drawn on a grid of millimetres, centimetres or inches if most have a side of fewer cells."""
+"""If most boxes have a side of fewer cells of a grid than this, the cells are hardly millimetres, centimetres or
+inches."""
 _TRIED: Final = ("mm", "cm", "m", "in")
 """Units of lengths that are tried. Two such units are a tie if boxes and load fit a carrier in both units."""
 _THIN, _DENSE = 20.0, 2000.0
 """A unit of masses is plausible if it gives a density, in kg/m³, between these two values: those of crisps and of
 bricks."""
 _CONVERTED, _NOT_CONVERTED = 0.95, 0.6
-"""Lengths were converted to a unit if, read in this unit, at least the first share of them are whole millimetres, and,
-read in any other unit, at most the second share."""
+"""Lengths count as converted to a unit if two conditions hold. If they are read in this unit, at least the first share
+of the lengths are whole millimetres. If they are read in any other unit, at most the second share are."""
 
 
 def _fit(best: _Judged, unit: str, wishes: Wishes) -> int:
@@ -436,7 +437,7 @@ def _is_likely(units: _Units) -> bool:
 def _other_mass(best: _Judged) -> str | None:
     """Another unit of masses that is plausible and that no column name excludes; None if there is none.
 
-    The other unit is only mentioned, because a factor on all masses hardly affects a verdict.
+    The other unit is only mentioned in a note, because a factor on all masses hardly affects a verdict.
     """
     first, *others = best.units
     rivals = (

@@ -2,10 +2,10 @@
 reads and writes files with readings (``--as FILE.toml``), and has options for reading (``Wishes``).
 
 Column names often allow several readings of a file's numbers. All possible readings are tried, and the most plausible
-one wins. In a plausible reading, boxes do not overlap or float, lie on other boxes, touch their neighbours and fit the
-carrier, and they have the sizes and densities of cartons. If two readings are almost equally plausible, and differ in
-more than a shift or a mirror image, they are a tie. In case of a tie, the user is asked or the file is refused. A tie
-is never decided silently.
+one wins. In a plausible reading, no box overlaps another box or floats; boxes lie on other boxes, touch their
+neighbours and fit the carrier; and they have the sizes and densities of cartons. If two readings are almost equally
+plausible, and differ in more than a shift or a mirror image, they are a tie. In case of a tie, the user is asked or the
+file is refused. A tie is never decided silently.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ class Reading:
         """What the columns of far corners hold, in words; "" if there are none."""
         name = next((self.columns[role] for role in ("x (far)", "corners") if role in self.columns), "")
         are_cells = LAST_CELLS in self.columns
-        return name and f"{name} and its like are {'the last cells' if are_cells else 'the ends'} of boxes"
+        return name and f"{name} and columns like it hold {'the last cells' if are_cells else 'the ends'} of boxes"
 
     def line(self) -> str:
         """The reading as one line of text."""

@@ -42,8 +42,8 @@ _FAR_SIDES: Final = word_set("right back rear far rechts hinten droite arriere d
 """Words for the sides of a box that are far from the origin. "back_right_top" is the far corner, whereas "top" alone
 may be any point of the top."""
 _NOT_PLACES: Final = tuple(map(word_set, ("offset offsets", "pick picked grasp source from")))
-"""Words in the names of columns that do not hold places if other columns do: those of offsets, which are relative to
-the box, and those of the places from which a robot takes boxes."""
+"""Words for offsets, which are relative to the box, and words for the places from which a robot takes boxes. A column
+with such a word in its name does not hold the places of boxes if other columns do."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +192,7 @@ def places_in(extraction: ColumnExtraction) -> Places | None:
                 named_up="z" if "height" in words else ""
             )
     if {"", "centre"} <= by_name.keys() and not (by_name["centre"].place <= by_name[""].place).any():
-        return by_name[""]._replace(anchor="corner")  # centres may be rounded, as in "center": {"x": 18} of 35 cm
+        return by_name[""]._replace(anchor="corner")  # centres may be rounded: "center": {"x": 18} of a box of 35 cm
     if by_name:
         return next(iter(by_name.values()))
     for index, meaning in enumerate(extraction.meanings):

@@ -100,7 +100,7 @@ class _CsvReader:
         self.lost: list[LostRow] = []
         self._lost_numbers: list[int] = []
         """The numbers (positions) of the rows that Arrow could not use. Rows are counted in the text that Arrow
-        received, without its damaged lines."""
+        received, from which damaged lines had been removed."""
         self._plans_with_lost: set[str | None] = set()
         self._delimiter, self._names, self._plan_column = delimiter, names, plan_column
 

@@ -236,13 +236,14 @@ def part_role(title: str) -> str:
 
 
 def begins_section(title: str, first: str, above: Sequence[str] = ()) -> bool:
-    """Whether a line between boxes is the title of the boxes below it, and no remark: it is like the title of the first
-    boxes, or, if these have none, it has a number or letter and a word for pallets, orders, layers or stacks.
+    """Whether a line between boxes is the title of the boxes below it, and no remark. A title must be like the title of
+    the first boxes. If the first boxes have no title, the line must have a number or letter, and a word for pallets,
+    orders, layers or stacks.
 
     Args:
         first: the title of the first boxes; "": they have none.
-        above: the lines above the header. The last of these lines is the title of the first boxes if it has a word of
-            the line between boxes.
+        above: the lines above the header. The last of these lines is the title of the first boxes if it shares a word
+            with the line between boxes.
     """
     words = {word for word in words_of(title) if not word.isdecimal()}
     if not first and above and words.intersection(words_of(above[-1])):
@@ -277,8 +278,9 @@ def _lost_lines(lines: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
 
 
 def _is_title(row: Sequence[Any], geometric: Sequence[int], pallet_columns: Sequence[int]) -> bool:
-    """Whether a row of several cells is the title of a section: it has no number, and its words say only that boxes are
-    not placed; or it begins with a text that has a word for pallets or orders, and most sizes and places are missing.
+    """Whether a row of several cells is the title of a section. There are two kinds of such rows. A row of the first
+    kind has no number, and its words say only that boxes are not placed. A row of the second kind begins with a text
+    that has a word for pallets or orders, and most sizes and places are missing.
 
     Args:
         pallet_columns: columns whose cells name pallets in every row, so that a cell there is no title.
@@ -314,7 +316,8 @@ _BOXES_OF_TITLES: Final = word_set(
     "cajas articulo articulos scatola scatole articolo articoli pudelko pudelka artykul artykuly list of the not "
     "placed packed"
 )
-"""Words that may stand in the title of a section of boxes that are not placed, in addition to the words that say so."""
+"""Words that may stand in the title of a section of boxes that are not placed, in addition to the words that say that
+the boxes are not placed."""
 
 
 def _n_numbers(row: Sequence[Any], geometric: Sequence[int]) -> int:

@@ -61,7 +61,7 @@ def _known_in_lines(text: str) -> int:
 def tables_of_text(data: bytes | bytearray) -> list[RawTable]:
     """The tables in a text with separators: CSV of any locale, or columns separated by white space.
 
-    A table begins with its header. Titles between tables become names of the tables' parts.
+    A table begins with its header. A title between tables becomes the name of the plan or layer below it.
 
     Raises:
         InputError: the text contains no table. The error does not name the file.
@@ -96,7 +96,7 @@ def tables_of_text(data: bytes | bytearray) -> list[RawTable]:
     if delimiter is None:
         delimiter = _delimiter_of(text)
     if delimiter not in (",", "\t"):
-        notes.append("fields between white space" if delimiter == _SPACES else f"fields between {delimiter}")
+        notes.append("fields between white space" if delimiter == _SPACES else f'fields between "{delimiter}"')
     rows = list(_fields(text, delimiter))
     if len(rows) > MOST_ROWS:
         raise InputError(f"has more than {MOST_ROWS:,} rows")
@@ -147,7 +147,7 @@ _BOX_DRAWING: Final = str.maketrans(
         **dict.fromkeys((chr(code) for code in range(0x250C, 0x2570) if chr(code) not in "═║"), "+"),
     }
 )
-"""Frames of printed tables, as their forms in ASCII."""
+"""Characters for frames of printed tables → the characters of ASCII that replace them."""
 
 
 def _without_unclosed(text: str, lost: list[tuple[str, str]], begin: int) -> str:

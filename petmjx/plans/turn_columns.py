@@ -163,7 +163,8 @@ def rotations_of_angles(angles: FloatArray) -> list[FloatArray]:
 
 
 def _in_degrees(values: list[float | None]) -> list[float | None]:
-    """Angles in radians as degrees. Quarter turns become whole multiples of 90 degrees. Other numbers are unchanged.
+    """Angles in radians as degrees. Quarter turns become whole multiples of 90 degrees. Numbers that are not in radians
+    are unchanged.
 
     Numbers are radians if some are not whole, none is more than a whole turn, and some turn a box. So a box that is
     turned by 1.5 radians counts as crooked, and not as nearly unturned.
@@ -238,8 +239,8 @@ def _ends(matrix: FloatArray) -> bool:
 
 
 def bad_member(cell: Any) -> str:
-    """The text for messages about a bad matrix: a text in its place, or the index, from 0, of its first member that is
-    not a number; "" if the shape of the matrix is wrong."""
+    """The end of a message about a bad matrix: the text that stands in place of the matrix, or the first member that is
+    not a number, with its index from 0. The result is "" if only the shape of the matrix is wrong."""
     if isinstance(cell, str):
         return f', got "{printable_name(cell)}"'
     flat = [value for row in cell for value in (row if isinstance(row, list | tuple) else (row,))] if cell else []

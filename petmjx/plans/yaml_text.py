@@ -40,7 +40,7 @@ _ESCAPES: Final = {
     **{letter: letter for letter in '"/\\ '}, "0": "\0", "a": "\a", "b": "\b", "e": "\x1b", "f": "\f", "n": "\n",
     "r": "\r", "t": "\t", "v": "\v", "N": "\x85", "_": "\xa0", "L": "\u2028", "P": "\u2029",
 }  # fmt: skip
-"""Letter behind a backslash in double quotes → what both stand for."""
+"""Letter after a backslash in a text in double quotes → the character that backslash and letter together stand for."""
 _DEEPEST: Final = 50
 """Largest depth of values that are read."""
 _FORMATS: Final = {".toml": "TOML", ".yaml": "YAML", ".yml": "YAML"}

@@ -1,9 +1,10 @@
-"""Checks drafts of plans by statics: finds the loads beyond the edge of their supports at each step of building, and
-measures how harmful they are.
+"""Checks drafts of plans by statics: finds, for each step at which a box is placed, the boxes whose load acts beyond
+the edge of their supports, and measures how harmful these loads are. The load of a box is its weight and all forces on
+its top.
 
-The balance of a draft takes a fifth of a millisecond, a simulation a tenth of a second and more. So the balance tells
-which of many changes are worth a simulation. The balance never decides whether a plan stands: a box whose load is
-beyond an edge may lean on a neighbour, and stand.
+The computation of a draft's balance takes a fifth of a millisecond, a simulation a tenth of a second and more. So the
+balance tells which of many changes are worth a simulation. The balance never decides whether a plan stands: a box whose
+load is beyond an edge may lean on a neighbour, and stand.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ AT_ONCE: Final = 128
 """Number of drafts whose balances are computed at once."""
 
 DEEP_MM: Final = 50.0
-"""The weight of a load increases from 1 on the edge to 2 at this distance beyond the edge, mm. Further beyond the edge,
-the weight of a load stays 2."""
+"""The weight of a load in ``Balance.trouble`` is 1 if the load acts on the edge of its supports, and increases to 2 at
+this distance beyond the edge, mm. Further beyond the edge, the weight stays 2."""
 
 SAFE_MM: Final = 12.0
 """A load is safe if it is inside the edges of its supports by at least this distance, mm. If a robot places two boxes,
@@ -39,8 +40,8 @@ lands on top of a neighbour. Of 24 generated plans that stand without errors, 8 
 the 8 plans that fall with errors, and in none of the others, a box has at most 4 mm of room."""
 
 PERHAPS: Final = 0.5
-"""Weight of a load that is beyond an edge if supports share loads in one way, but possibly inside if they share loads
-in another way."""
+"""Factor on the weight of a load in ``Balance.trouble`` if it is uncertain whether the load is beyond an edge, because
+this depends on how the supports share loads."""
 
 
 class Balance(NamedTuple):
@@ -83,7 +84,7 @@ class Balance(NamedTuple):
         return squeezed
 
     def depth_of(self, box: int) -> float:
-        """Distance of a box's load beyond an edge, mm; 0: inside."""
+        """Distance of a box's load beyond an edge, mm; 0 if the load is never beyond an edge."""
         rows = np.flatnonzero(self.box == box)
         return float(self.depth_mm[rows[0]]) if len(rows) else 0.0
 
@@ -127,7 +128,7 @@ def balances_with_last(drafts: Sequence[Draft], before: Sequence[Balance], sim: 
 
 
 def _bearing(drafts: Sequence[Draft], sim: Simulation) -> Bearing:
-    """The contacts of drafts in packing order."""
+    """The contacts between the boxes of drafts. The boxes are in packing order."""
     scenes = scenes_of(drafts, sim)
     return bearing_in_order(find_bearings(scenes, [scene.target for scene in scenes]))
 
@@ -190,11 +191,12 @@ class _Loads(NamedTuple):
     and steps continue from one draft to the next.
 
     Attributes:
-        box: (k,) the boxes, sorted.
-        step: (k,) first step at which the load is beyond an edge; without meaning if it is always inside.
-        least_mm, last_mm: (k,) smallest and last distance from the edge, mm; negative beyond.
-        is_sure: (k,) whether the load is beyond an edge in every possible sharing of loads among supports.
-        perhaps: (k,) whether the last load depends on how supports share loads.
+        box: (k,) numbers of the boxes, ascending.
+        step: (k,) first step at which the load is beyond an edge; without meaning if the load is never beyond an edge.
+        least_mm, last_mm: (k,) smallest distance of the load from the edge over all steps, and the distance at the last
+            step, mm; negative beyond the edge.
+        is_sure: (k,) whether the load is beyond an edge at some step, however the supports share loads.
+        perhaps: (k,) whether the load at the last step depends on how the supports share loads.
     """
 
     box: IntArray
@@ -205,12 +207,12 @@ class _Loads(NamedTuple):
     perhaps: BoolArray
 
     def take(self, rows: slice, first: int) -> _Loads:
-        """Some rows of the loads, with boxes and steps that are counted from ``first``."""
+        """The given rows of the loads. In the result, the numbers of boxes and steps are counted from ``first``."""
         some = self.of(rows)
         return some._replace(box=some.box - first, step=some.step - first)
 
     def of(self, rows: slice | IntArray) -> _Loads:
-        """Some rows."""
+        """The given rows of the loads."""
         return _Loads._make(values[rows] for values in self)
 
     @classmethod
@@ -222,7 +224,8 @@ class _Loads(NamedTuple):
 
 
 def _loads(box: IntArray, step: IntArray, edge_mm: FloatArray, perhaps: BoolArray) -> _Loads:
-    """The loads from their distances from edges at all steps, sorted by box and step."""
+    """Combine rows for each box and step into one row for each box. ``edge_mm`` has the distance of a box's load from
+    the edge at each step. The given rows are sorted by box and step."""
     begins = np.flatnonzero(np.diff(box, prepend=-1))
     if not len(begins):
         return _Loads(box, step, edge_mm, edge_mm, perhaps, perhaps)
@@ -268,7 +271,7 @@ def _loads_with_last(bearing: Bearing, before: _Loads) -> _Loads:
 def _missing_room(drafts: Sequence[Draft], *, only_last: bool = False) -> list[FloatArray]:
     """For each draft, (n,) numbers that tell how little room each box has, in packing order. Each of the axes x and y
     along which the box is lowered between two others adds a number from 1 (no room) to 0 (``ROOM_MM`` of room or more).
-    ``only_last``: (1,) number of the last box alone."""
+    With ``only_last``, the number is computed only for the last box, as a (1,) array."""
     results: dict[int, FloatArray] = {}
     for n in {len(draft.order) for draft in drafts}:
         numbers = [k for k, draft in enumerate(drafts) if len(draft.order) == n]

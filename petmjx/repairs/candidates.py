@@ -25,8 +25,9 @@ from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.requests import Asked, Steps, Trial
 
 PILE: Final = 4.0
-"""A box that falls is taken off together with all boxes that need it. ``PILE`` boxes that are taken off together count
-as one needed change: there is no other place for a large pile, and a large pile hides further faults."""
+"""A box that falls is taken off together with all boxes that need it. A repair is expected to need one change for every
+``PILE`` boxes that are taken off together (at least one change), because no single place has room for a large pile, and
+because a large pile hides further faults."""
 
 AT_ONCE: Final = 8
 """Number of changed plans that are judged at once. Statics ranks changes well: usually one of the first stands, or
@@ -43,8 +44,8 @@ class State:
 
     Attributes:
         draft: the changed plan.
-        changes: the changes.
-        trial: its simulation.
+        changes: the changes that turned the plan into the draft.
+        trial: the simulation of the changed plan in the world without errors.
         errors: number of a world with errors → the trial in this world. The dictionary has only worlds in which the
             plan was judged.
     """
@@ -95,7 +96,7 @@ class Fault(NamedTuple):
     """A fault of a plan.
 
     Attributes:
-        box: number of the box that falls once the boxes of all faults before are taken off.
+        box: number of the box that falls once the boxes of all earlier faults are taken off.
         weight: expected number of changes that mend the fault.
     """
 
@@ -205,7 +206,7 @@ MOST_RANKED: Final = 168
 """Largest number of allowed changes of a plan that are kept: the most promising ones."""
 
 PER_WEAKNESS: Final = 1.0
-"""Weight in the ranking of what makes a plan fall only with errors (``Balance.weakness``). Loads beyond edges have the
+"""Weight of ``Balance.weakness``, the risk that a plan falls with errors, in the ranking. Loads beyond edges have the
 weight 1."""
 
 PER_COST: Final = 0.3
@@ -252,7 +253,7 @@ class Candidates:
         self._seen: set[bytes] = set()
         self._known: dict[bytes, Trial] = {}  # key of each draft that was judged → its trial
         self._falls: dict[bytes, Trial] = {}  # key of the placements up to an early fall → the trial
-        self._held_mm: dict[int, float] = {}  # box → largest distance of its load beyond an edge with which it held
+        self._held_mm: dict[int, float] = {}  # box → largest depth beyond an edge at which it did not fall
         self._in_worlds: dict[bytes, dict[int, Trial]] = {}  # key of a draft → number of a world → trial
 
     # ------------------------------------------------------------------ proposals
@@ -340,8 +341,8 @@ class Candidates:
 
     def _causes(self, state: State) -> list[Target]:
         """Why a plan fails, the likeliest causes first. For a plan that falls only with errors, these are the causes of
-        its falls in worlds with errors, first those of the most worlds. If the plan falls only with errors, loads that
-        are nearer to an edge than ``SAFE_MM`` also count as beyond the edge."""
+        its falls in worlds with errors; the causes that occur in the most worlds come first. If the plan falls only
+        with errors, loads that are nearer to an edge than ``SAFE_MM`` also count as beyond the edge."""
         lost = sorted(state.lost.values(), key=lambda trial: trial.n_held) or [state.trial]
         (balance,) = balances([state.draft], self.sim, spare_mm=SAFE_MM if state.lost else 0.0)
         often = Counter(trial.culprit for trial in lost)
@@ -403,20 +404,21 @@ class Candidates:
         return [self._known[key] for key in keys]
 
     def _falls_early(self, key: bytes) -> bool:
-        """Whether a draft with this key falls as a draft that was judged: both begin with the same placements, and the
-        judged draft fell before its next box was placed."""
-        longer = key[:-1]  # a draft that has no box after the fall of the judged draft waits longer at its end
+        """Whether a draft with this key must fall like a draft that was judged before: both begin with the same
+        placements, and the judged draft fell before its next box was placed."""
+        longer = key[:-1]  # without a further box, the draft would wait longer at its end than the judged draft did
         return longer.startswith((*self._falls,))
 
     def _scored(self, states: Sequence[State]) -> Steps[list[State]]:
-        """States that were judged, with their scores."""
+        """The states with new trials: their drafts, which were only judged before, are now simulated as in a score."""
         self.n_trials += len(states)
         requests = [Asked(state.draft, is_judged=False, judged=state.trial) for state in states]
         trials = (yield requests) if requests else []
         return [replace(state, trial=trial) for state, trial in zip(states, trials, strict=True)]
 
     def _judged(self, batch: Sequence[Candidate]) -> Steps[list[State]]:
-        """The states of candidates that are only judged."""
+        """Judge candidates: simulate each of them once, at most until a box tilts too far (``Asked.is_judged``).
+        Returns their states."""
         trials = yield from self._simulated([c.draft for c in batch], judged=True)
         return [State(c.draft, c.changes, trial) for c, trial in zip(batch, trials, strict=True)]
 

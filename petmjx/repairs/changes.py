@@ -169,8 +169,8 @@ class Turn(_OfBox):
 
 @dataclass(frozen=True)
 class Place(_OfBox):
-    """A box gets another place, and perhaps another turn, together with the boxes on it (``others``). In the packing
-    order, these boxes are then placed directly after, or directly before, another box."""
+    """A box gets another place, and perhaps another orientation, together with the boxes on it (``others``). All these
+    boxes are then placed directly after, or directly before, another box in packing order."""
 
     kind: ClassVar[Kind] = Kind.PLACE
     corner_mm: tuple[float, float, float]

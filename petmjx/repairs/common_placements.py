@@ -49,7 +49,7 @@ class Placement(Generic[Tag]):
 
     Attributes:
         job: the job; it pauses if there are several worlds.
-        n_boxes: number of boxes that it places before it pauses.
+        n_boxes: number of boxes that the job places before it pauses.
     """
 
     job: Job
@@ -125,14 +125,14 @@ class CommonPlacements(Generic[Tag]):
 
 
 def _n_common(worlds: Sequence[World[Any]]) -> int:
-    """The number of first boxes that all worlds have in common, less than the number of boxes of any world; −1: not
-    even the carriers are the same."""
+    """The number of first boxes that all worlds have in common. The number is always smaller than the number of boxes
+    of any world. The number is −1 if not even the carriers are the same."""
     most = min(len(world.keys) for world in worlds) - 2
     return next((n for n in range(most, -1, -1) if len({world.keys[n] for world in worlds}) == 1), -1)
 
 
 def _bytes_of(state: Any) -> int:
-    """Memory of a state: the arrays of a tree of tuples."""
+    """Memory of the arrays in a state, which is a tree of tuples, in bytes."""
     if isinstance(state, tuple):
         return sum(_bytes_of(part) for part in state)
     return int(np.asarray(state).nbytes)

@@ -1,8 +1,8 @@
 """A plan while it is being changed (``Draft``), and the limits of changed plans (``Rules``).
 
-A draft keeps the numbers that boxes have in the plan, whatever their order is now. Sheets that are added get the next
-numbers after those of the boxes. A draft is allowed if no fault of its layout is worse than in the plan: boxes that
-overlap, that float when they are placed, that reach beyond the carrier, or that would be placed under a box that
+A draft keeps the numbers that boxes have in the plan, whatever their order is now. Tie sheets that are added get the
+next numbers after those of the boxes. A draft is allowed if no fault of its layout is worse than in the plan: boxes
+that overlap, that float when they are placed, that reach beyond the carrier, or that would be placed under a box that
 already stands. So a plan with such faults can be repaired step by step, but no fault ever becomes worse. A box that is
 moved aside or turned must not end inside a wall.
 """
@@ -27,10 +27,11 @@ from petmjx.world.carrier_boards import has_walls
 from petmjx.world.scene import carrier_of
 
 TOLERANCE_MM: Final = DEFAULT_TOLERANCE_MM
-"""Gaps and overlaps up to this count as touching, as in the warnings about a plan."""
+"""Largest gap or overlap, mm, of two boxes that count as touching, as in the warnings about a plan."""
 
 _ROUNDING_MM: Final = 1e-6
-"""A fault counts as worse than in the plan only if it is larger by more than this: sums of millimetres are rounded."""
+"""A fault counts as worse than in the plan only if it is larger by more than this length, mm, because sums of lengths
+have rounding errors."""
 
 IntArray = NDArray[np.intp]
 BoolArray = NDArray[np.bool_]
@@ -38,16 +39,17 @@ BoolArray = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Draft:
-    """A changed plan. Rows are the n boxes of the plan in its order, then the added sheets, m in all.
+    """A changed plan. The arrays have m rows: one for each of the n boxes of the plan, in the plan's order, then one
+    for each added tie sheet.
 
     Attributes:
         plan: the plan before the changes.
-        size_mm, corner_mm: (m, 3) extents and front-left-bottom corners.
+        size_mm, corner_mm: (m, 3) extents and front-left-bottom corners, mm.
         turned: (m,) whether a box is turned by 90° from its orientation in the plan.
         order: numbers of the boxes that are placed, in packing order.
         moved: numbers of the boxes with another place or orientation than in the plan. The plan's directions of
             approach no longer hold for moved boxes.
-        sheet_kg: masses of the added sheets.
+        sheet_kg: masses of the added tie sheets, kg.
         film_turns: turns of film around the pallet.
     """
 
@@ -79,7 +81,7 @@ class Draft:
 
     @cached_property
     def high_mm(self) -> FloatArray:
-        """(m, 3) back-right-top corners."""
+        """(m, 3) back-right-top corners, mm."""
         high_mm: FloatArray = self.corner_mm + self.size_mm
         return high_mm
 
@@ -97,7 +99,7 @@ class Draft:
 
     @cached_property
     def on_top(self) -> BoolArray:
-        """(m, m) whether the column's box lies on the row's."""
+        """(m, m) whether the column's box lies directly on the row's box."""
         low, high = self.corner_mm.T, (self.corner_mm + self.size_mm).T
         shared = (shared_length(low[0], high[0]) > TOLERANCE_MM) & (shared_length(low[1], high[1]) > TOLERANCE_MM)
         lies = shared & meets(low[2], high[2], TOLERANCE_MM) & np.less.outer(low[2], low[2])
@@ -112,7 +114,7 @@ class Draft:
 
     @cached_property
     def bears(self) -> BoolArray:
-        """(m, m) whether the column's box lies on the row's, directly or through others."""
+        """(m, m) whether the column's box lies on the row's box, directly or on boxes between them."""
         bears = self.on_top.copy()
         for box in np.argsort(-self.corner_mm[:, 2], kind="stable"):  # a box lies only on boxes with lower bottoms
             bears[box] |= bears[bears[box]].any(axis=0)
@@ -129,20 +131,20 @@ class Draft:
         return [column.nonzero()[0].tolist() for column in self.on_top.T]
 
     def above(self, box: int) -> list[int]:
-        """Numbers of the boxes that lie on a box, directly or through others."""
+        """Numbers of the boxes that lie on a box, directly or on boxes between them."""
         return _closure(self._on_each, box)
 
     def below(self, box: int) -> list[int]:
-        """Numbers of the boxes that bear a box, directly or through others."""
+        """Numbers of the boxes that bear a box, directly or through boxes between them."""
         return _closure(self._under_each, box)
 
     def with_places(self, boxes: Sequence[int], corner_mm: FloatArray, *, anew: bool = True) -> Draft:
-        """The draft with other corners of some boxes. ``anew``: whether the plan's directions of
-        approach no longer hold for these boxes, so that they count as ``moved``."""
+        """The draft in which the given boxes have other corners. ``anew``: whether the plan's directions of approach no
+        longer hold for these boxes, so that they count as ``moved``."""
         corners = self.corner_mm.copy()
         corners[list(boxes)] = corner_mm
         moved = self.moved.union(boxes) if anew else self.moved
-        # as ``replace`` does, in a third of the time
+        # as ``dataclasses.replace`` does, but in a third of the time
         return Draft(self.plan, self.size_mm, corners, self.turned, self.order, moved, self.sheet_kg, self.film_turns)
 
     def in_order(self, order: tuple[int, ...]) -> Draft:
@@ -178,8 +180,8 @@ class Draft:
         return self.in_order(tuple(number for number in self.order if number != box))
 
     def with_sheet(self, size_mm: FloatArray, corner_mm: FloatArray, mass_kg: float, before: int) -> Draft | None:
-        """The draft with a further sheet, placed before a box, and with all boxes at or above its height raised by its
-        thickness."""
+        """The draft with a further tie sheet, which is placed before the box ``before``. All boxes at or above the
+        sheet's height are raised by the sheet's thickness."""
         if before not in self.order:
             return None
         corners = self.corner_mm.copy()
@@ -281,12 +283,14 @@ class Oddities(NamedTuple):
     a part of the same area, seen from above.
 
     Attributes:
-        row, other: (k,) the pairs: which of the r boxes, and the number of the other box.
+        row, other: (k,) the pairs: the position of one box among the r boxes, and the number of the other box in the
+            draft.
         overlap_mm: (k,) depth by which the two overlap, along the axis of least depth; at most 0: no overlap.
         blocks: (k,) whether the box is above the place of the other box, and is placed before the other box.
         is_blocked: (k,) whether the other box is above the place of the box, and is placed before the box.
         gap_mm: (r,) height of the box above its support when it is placed.
-        outside_mm: (r,) distance by which the box reaches beyond the limits of the rules.
+        outside_mm: (r,) distance by which the box reaches beyond the limits of ``Rules``: the edges of the carrier, or
+            of the plan if it overhangs, and the largest height.
         through_mm: (r,) depth by which the box reaches through a wall of the carrier.
     """
 
@@ -301,11 +305,11 @@ class Oddities(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Other places of b boxes of a draft in k ways.
+    """Other places of b boxes of a draft: k alternatives.
 
     Attributes:
         boxes: (k, b) numbers of the boxes.
-        corner_mm, size_mm: (k, b, 3) their corners and extents.
+        corner_mm, size_mm: (k, b, 3) their corners and extents, mm.
         turned: (k, b) whether they are turned by 90° from their orientations in the plan.
         rank: (k, b) their positions in packing order, compared with the positions of the other boxes.
     """
@@ -323,7 +327,8 @@ class _Limits(NamedTuple):
     Attributes:
         overlap_mm: (m, m) depth by which two boxes may overlap.
         gap_mm, through_mm: (m,) as in ``Oddities``.
-        blocked: (m, m) whether the row's box may be placed before the column's box although it is above its place.
+        blocked: (m, m) whether the row's box may be placed before the column's box, although the row's box is above the
+            column's place.
     """
 
     overlap_mm: FloatArray
@@ -366,7 +371,8 @@ class _Layouts(NamedTuple):
         return np.isfinite(self.rank)
 
     def beside(self, number: IntArray, box: IntArray) -> tuple[IntArray, IntArray]:
-        """(k,) and (k,) the pairs of ``Oddities`` for r boxes. ``number``, ``box``: (r,) of each draft and box."""
+        """The k pairs of ``Oddities`` for r boxes, as the (k,) arrays ``row`` and ``other``. ``number``, ``box``: (r,)
+        number of the draft of each box, and of the box."""
         pairs = self.is_placed[number]
         pairs[np.arange(len(number)), box] = False
         for low, high in zip(self.low[:2], self.high[:2], strict=True):
@@ -380,10 +386,11 @@ class Rules:
     """Limits of a changed plan.
 
     Args:
-        plan: the plan as it was.
+        plan: the plan before the changes.
         sim: options of the simulation. Boxes may overhang the carrier's edges as far as boxes of the plan do.
         max_height_mm: highest top of a box; the plan's own height if that is greater.
-        built: number of boxes that stand already. Boxes that stand already stay unchanged.
+        built: number of boxes that stand on the real pallet already: the first boxes of the plan. These boxes stay
+            unchanged.
     """
 
     def __init__(self, plan: Plan, sim: Simulation, max_height_mm: float, built: int) -> None:
@@ -550,7 +557,7 @@ class Rules:
         return self._last_bears[1]
 
     def _bears_closely(self, draft: Draft) -> BoolArray:
-        """As ``_may_bear``."""
+        """The result of ``_may_bear``, computed anew."""
         layouts, rows = _Layouts.of([draft]), draft.rows
         row, other = layouts.beside(np.zeros_like(rows), rows)
         box = rows[row]

@@ -1,4 +1,5 @@
-"""Changes that may repair a plan (``proposals``): the cause of its failure determines boxes and changes.
+"""Changes that may repair a plan (``proposals``). The cause of the plan's failure determines which boxes are changed,
+and how.
 
 A load beyond an edge involves several boxes: the box that has the load, the box whose placement moves the load beyond
 the edge, the supports, and the boxes on top. All boxes that a load involves are moved, turned, exchanged, or placed
@@ -27,23 +28,25 @@ MOST_TARGETS: Final = 4
 """Largest number of causes of a failure for which changes are proposed."""
 
 MOST_NEAR: Final = 8
-"""Largest number of boxes around a cause that are moved, turned and exchanged."""
+"""Largest number of boxes that are moved, turned and exchanged because of one cause."""
 
 SPARE_MM: Final = (2.0, 6.0, 12.0, 25.0)
-"""How far inside the edge a load is moved. A robot's places have an error of 2 mm (docs/confidence.md)."""
+"""Distances inside the edge, mm, to which a load that is beyond the edge is moved, each by a proposal of its own. When
+a robot places a box, the error has a standard deviation of 2 mm (docs/confidence.md)."""
 
 STEPS_MM: Final = (10.0, 20.0, 30.0, 45.0, 60.0, 80.0, 100.0, 130.0, 160.0, 200.0)
-"""Other lengths by which boxes are moved."""
+"""Lengths by which boxes are moved in any case, mm, however far a load is beyond an edge."""
 
 MOST_PLACES: Final = 24
-"""Largest number of other places for one box: the lowest places, and of places of equal height those with the largest
-support."""
+"""Largest number of other places that are proposed for one box: the lowest places, and of places of equal height those
+with the largest support."""
 
 SPOT_MM: Final = 10.0
-"""Places that differ by less than this along x and along y count as one place."""
+"""Side of the squares into which the floor is divided, mm. Of the places with the same height in the same square, only
+the first is proposed."""
 
 LEAST_SUPPORT: Final = 0.5
-"""Smallest supported share of a base at another place."""
+"""Smallest supported share of a box's base at a place that is proposed for the box."""
 
 MOST_TOGETHER: Final = 12
 """Largest number of boxes that are moved together, or lifted off together and put elsewhere."""
@@ -53,10 +56,11 @@ class Target(NamedTuple):
     """A cause of a failure.
 
     Attributes:
-        box: number of the box that does not hold.
+        box: number of the box that fails: its load is beyond the edge of its supports, it floats or overlaps, or it
+            falls.
         cause: number of the box whose placement moves the load beyond the edge; equal to ``box`` if its own weight is
             beyond the edge.
-        depth_mm: distance of the load beyond the edge; 0: by statics, the load is inside.
+        depth_mm: distance of the load beyond the edge; 0 if the load is inside by statics.
         is_squeezed: whether the box needs room beside it, since it falls with errors and is lowered between two others.
     """
 
@@ -151,8 +155,8 @@ def _makers(
 
 
 def _near(draft: Draft, rules: Rules, target: Target) -> list[int]:
-    """Boxes to change for a cause: the box that does not hold, the box whose placement moves the load beyond the edge,
-    the supports, and the boxes on top."""
+    """Boxes to change for a cause: the box that fails, the box whose placement moves the load beyond the edge, the
+    supports, and the boxes on top."""
     box = target.box
     supports = np.flatnonzero(draft.on_top[:, box]).tolist()
     riders = sorted(np.flatnonzero(draft.on_top[box]).tolist(), key=lambda rider: draft.rank[rider])
@@ -161,8 +165,8 @@ def _near(draft: Draft, rules: Rules, target: Target) -> list[int]:
 
 
 def _orders(draft: Draft, target: Target) -> Iterator[Proposal]:
-    """Other orders. Counterweights are placed before the box whose placement moves the load beyond the edge, or the box
-    is placed after the counterweights. A box is placed after supports that would come too late."""
+    """Changes of the packing order. Counterweights are placed before the box whose placement moves the load beyond the
+    edge, or the box is placed after the counterweights. A box is placed after supports that would come too late."""
     box, cause = target.box, target.cause
     at = draft.rank[cause]
     pile = [number for number in (*draft.above(box), *_neighbours(draft, box)) if draft.rank[number] > at]
@@ -182,8 +186,8 @@ def _orders(draft: Draft, target: Target) -> Iterator[Proposal]:
 
 
 def _earlier(draft: Draft, target: Target) -> Iterator[Proposal]:
-    """Other orders for a squeezed box (one that is lowered between two others): the squeezed box is placed before one
-    of the two others, or one of the two others is placed after the squeezed box."""
+    """Changes of the packing order for a squeezed box (one that is lowered between two others): the squeezed box is
+    placed before one of the two others, or one of the two others is placed after the squeezed box."""
     box = target.box
     for number, _, _ in _tight(draft, target):
         needed = [low for low in reversed(draft.below(box)) if draft.rank[low] > draft.rank[number]]
@@ -313,7 +317,7 @@ def _free_ways_mm(draft: Draft, box: int, riders: Sequence[int]) -> tuple[float,
 
 
 def _turns(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposal]:
-    """Boxes turned about their middles, and about one of their corners."""
+    """Turns of boxes about their middles, and about one of their corners."""
     turns: list[Turn] = []
     for box in near:
         x, y = draft.corner_mm[box, :2].tolist()
@@ -339,8 +343,8 @@ def _turns(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposal
 
 
 def _exchanges(draft: Draft, rules: Rules, near: Sequence[int], done: Collection[int]) -> Iterator[Proposal]:
-    """Boxes exchanged with any other box that is not ``done``. After the exchange, both boxes are turned or not, and
-    stand at the left or the right of the other's place."""
+    """Exchanges of each box with any other box that is not in ``done``. After the exchange, both boxes are turned or
+    not, and stand at the left or the right of the other's place."""
     others = [other for other in draft.order if rules.built <= other < draft.plan.n_boxes and other not in done]
     pairs = [(box, other) for box in near for other in others if other != box and (other not in near or other > box)]
     places, turns = _exchanged_places(draft, np.array(pairs, np.intp).reshape(-1, 2))
@@ -353,8 +357,9 @@ def _exchanges(draft: Draft, rules: Rules, near: Sequence[int], done: Collection
 
 
 def _exchanged_places(draft: Draft, pairs: IntArray) -> tuple[Places, BoolArray]:
-    """The places of pairs of boxes after their exchange, and (k, 2) whether each of the two is turned by it. Exchanges
-    without an effect, and of boxes of too different sizes, are left out. ``pairs``: (p, 2) the boxes."""
+    """The places of pairs of boxes after their exchange, and (k, 2) whether each of the two is turned by the exchange.
+    Exchanges without an effect, and exchanges of boxes whose sizes are too different, are left out. ``pairs``: (p, 2)
+    the boxes."""
     size, mass = draft.size_mm[pairs], draft.mass_kg[pairs]
     differ = np.abs(size[:, 0] - size[:, 1])
     uneven = differ[:, 2] > TOLERANCE_MM
@@ -397,8 +402,9 @@ def _triple(values: FloatArray) -> tuple[float, float, float]:
 
 
 def _places(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposal]:
-    """Other places for boxes. A box with a free top is placed at the same time as before, or last. A floating box is
-    put where it would come to lie. Any other box is put elsewhere together with all boxes that stand on it alone."""
+    """Proposals of other places for boxes. A box with a free top is placed at the same time as before, or last. A
+    floating box is put where it would come to lie. Any other box is put elsewhere together with all boxes that stand on
+    it alone."""
     places: list[Place] = []
     for box in near:
         is_bare = draft.is_bare[box]
@@ -446,7 +452,8 @@ def _places_of(draft: Draft, places: Sequence[Place]) -> Places:
 def resting_corners(
     draft: Draft, rules: Rules, box: int, below: int | None = None
 ) -> Iterator[tuple[bool, tuple[float, float, float]]]:
-    """Places of rest for a box on the carrier or on other boxes: whether it is turned, and its corner.
+    """Yield (whether the box is turned, the box's corner) for each place at which a box can rest on the carrier or on
+    other boxes.
 
     Args:
         below: number of the box below which the place must be; None if no box may be above the place.
@@ -458,7 +465,8 @@ def resting_corners(
     low, high = low[lower], high[lower]
 
     def fits(z: FloatArray) -> BoolArray:
-        """Whether the box has room between each height and its ceiling, or reaches exactly to the box above."""
+        """For each height of the box's bottom: whether its top is not too high or, if it must be under the box
+        ``below``, whether its top reaches exactly to that box."""
         if below is None:
             return np.asarray(z + draft.size_mm[box, 2] <= rules.high_mm[2] + TOLERANCE_MM)
         return np.asarray(np.abs(z + draft.size_mm[box, 2] - ceiling) <= TOLERANCE_MM)
@@ -503,8 +511,8 @@ def _rests(
     high: FloatArray,
     fits: Callable[[FloatArray], BoolArray],
 ) -> Iterator[tuple[float, float, float]]:
-    """Corners of a box that rests on others or on the carrier with ``LEAST_SUPPORT`` of its base, the lowest first, and
-    at each height those with the largest support.
+    """Corners of a box that rests on others or on the carrier with at least the share ``LEAST_SUPPORT`` of its base.
+    The lowest corners come first, and at each height those with the largest support.
 
     Args:
         x, y: where the corner may be, mm.
@@ -562,7 +570,7 @@ def _props(draft: Draft, rules: Rules, target: Target) -> Iterator[Proposal]:
 
 
 def _sheets(draft: Draft, thick_mm: float, kg_m2: float) -> Iterator[Proposal]:
-    """Sheets at heights that no box crosses."""
+    """Tie sheets at heights that no box crosses."""
     rows = list(draft.order)
     low, high = draft.corner_mm[rows], draft.high_mm[rows]
     for height in np.unique(np.round(high[:, 2], 1)).tolist():
@@ -591,7 +599,7 @@ def lifted_with(draft: Draft, box: int) -> list[int]:
 
 
 def _omissions(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposal]:
-    """Boxes left out, with all boxes that would lose their support."""
+    """Omissions of boxes. Each box is left out together with all boxes that would lose their support without it."""
     for box in near:
         left = lifted_with(draft, box)
         if len(left) < len(draft.order) and min(left) >= rules.built:

@@ -1,8 +1,8 @@
-"""Plans that are built anew, beginning with the box that does not hold (``rebuilds``), if single changes do not help.
+"""Plans that are built anew from the box that fails onwards (``rebuilds``), if single changes do not help.
 
-Boxes keep their places as long as statics has no objection. A box that loses its supports, or whose load would go
-beyond an edge, is put elsewhere, in its turn or after all others. So a plan with many faults is mended in a few trials,
-with one change for each box that is put elsewhere.
+Boxes keep their places as long as statics finds no load beyond an edge. A box that loses its supports, or whose load
+would go beyond an edge, is put elsewhere, at its position in the packing order or after all others. So a plan with many
+faults is mended in a few trials, with one change for each box that is put elsewhere.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class Failure(NamedTuple):
 
     Attributes:
         causes: why it fails, the likeliest first.
-        n_held: number of boxes that stood before it failed. Statics does not judge the boxes that stood.
+        n_held: number of boxes that stood before the plan failed. Statics does not judge these boxes.
     """
 
     draft: Draft
@@ -114,8 +114,8 @@ def _piles(failure: Failure, rules: Rules, leaves_out: bool) -> Iterator[_Pile]:
 
 
 def _side_by_side(parts: Sequence[Judging[Result]], rules: Rules, sim: Simulation) -> list[Result]:
-    """The results of parts (``Judging``) whose piles are judged together. Statics judges only when all parts wait for
-    statics."""
+    """The results of several generators (``Judging``) whose piles are judged together. Statics judges only when all
+    generators wait for statics."""
     results: dict[int, Result] = {}
     answers: dict[int, Any] = dict.fromkeys(range(len(parts)))
     requests: dict[int, PileRequest] = {}

@@ -61,8 +61,8 @@ class Repaired:
         plan: the repaired plan; the plan itself if it stands already, or if no repair is known.
         changes: the changes, in order. Each change is needed: without it, the plan falls, or is not allowed (boxes
             overlap, float, …), or stands in too few worlds with errors (``RepairOptions.share``).
-        trial_before, trial_after: the simulations of the plan and of the repaired plan; after: None if no repair is
-            known.
+        trial_before, trial_after: the simulations of the plan and of the repaired plan. ``trial_after`` is None if no
+            repair is known.
         share_before, share_after: shares of worlds with errors in which the two plans stand; None: the worlds were not
             simulated, or the time was up before all of them had ended.
         n_trials: plans that were simulated.
@@ -108,7 +108,7 @@ class Repaired:
         """The plan with all changes but one; None if the others are impossible without it.
 
         Raises:
-            InputError: no such change.
+            InputError: there is no change with this number.
         """
         if not 0 <= number < len(self.changes):
             raise InputError(f"number must be from 0 to {len(self.changes) - 1}, {shown_value(number)}")
@@ -170,7 +170,7 @@ class Repairs:
         each: the result for each plan, in the order of the input.
         skipped: a line for each unreadable plan.
         how: the options of the simulation, for pages and pictures.
-        notes: a line for each doubt about plans and options, as a score has them.
+        notes: the warnings about plans and options, one line each, as a score reports them.
     """
 
     each: tuple[Repaired, ...]
@@ -256,7 +256,7 @@ def repair(
 
     Args:
         plans: as for ``petmjx.score``.
-        watch: function that is called with two numbers: of the plans that are done, and of all plans.
+        watch: function that is called with the number of plans whose search has ended, and the number of all plans.
         options: ``forbid``, ``built``, ``most_move_mm``, ``max_height_mm``, ``most_changes``, ``trials``, ``seconds``,
             ``worlds``, ``share``, ``sheet_mm``, ``sheet_kg_m2``, ``profile``, ``level``, ``direction_deg``,
             ``most_turns`` (docs/repair.md); ``errors``, a sweep file; fields of ``petmjx.Simulation``; ``engine``,
@@ -265,7 +265,7 @@ def repair(
     Raises:
         InputError: plans or options are unusable.
         EngineUnavailable: the requested engine cannot run here.
-        RepairInterrupted: Ctrl-C; it has the plans that are done.
+        RepairInterrupted: Ctrl-C was pressed. The exception holds the results of the plans whose search has ended.
     """
     of_simulation, of_run, sure, of_repair = sorted_options(options, Confidence, RepairOptions)
     if other := next((name for name in of_run if name not in (*OF_RUN, *OF_READING)), None):

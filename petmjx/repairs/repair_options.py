@@ -59,8 +59,8 @@ class RepairOptions(CheckedRecord):
     )
     trials: Annotated[int, within(1, 1_000_000), CliFlag("--trials", "N")] = Field(
         600,
-        description="largest number of changed plans that are judged; with a profile, a sixth of this number; if boxes "
-        "must be left out, half as many plans more",
+        description="largest number of changed plans that the search simulates for each plan; with a profile, a sixth "
+        "of this number; if boxes must be left out, half as many again",
     )
     seconds: Annotated[float | None, within(0.1, 10_000_000), CliFlag("--seconds", "S", default="no limit")] = Field(
         None,
@@ -70,13 +70,13 @@ class RepairOptions(CheckedRecord):
     )
     worlds: Annotated[int, AfterValidator(_worlds), CliFlag("--worlds", "N")] = Field(
         8,
-        description="worlds with errors of placement, size, mass and friction in which the plan and its repair are "
-        "simulated, at least 4; 0: none",
+        description="number of worlds with errors of placement, size, mass and friction in which the plan and its "
+        "repair are simulated, at least 4; 0: none",
     )
     share: Annotated[float, within(0, 1), CliFlag("--share", "SHARE")] = Field(
         0.75,
-        description="share of worlds with errors in which a repair shall stand; without a profile, further changes are "
-        "made to reach it; 0: no further changes",
+        description="share of worlds with errors in which a repair shall stand; without a profile, further changes "
+        "are made to reach this share; 0: no further changes",
     )
     sheet_mm: Annotated[float, within(0.1, 100), CliFlag("--sheet-mm", "MM")] = Field(
         3.0, description="thickness of a tie sheet, mm"
@@ -85,7 +85,9 @@ class RepairOptions(CheckedRecord):
         0.5, description="mass of a tie sheet by its area, kg/m²: single-wall board has about 0.5"
     )
     profile: Annotated[str | None, CliFlag("--profile", "NAME", default="at rest")] = Field(
-        None, description="profile that the pallet must survive, such as eumos-40509; by default it must stand at rest"
+        None,
+        description="profile that the pallet must survive, such as eumos-40509; by default the pallet must only stand "
+        "at rest",
     )
     level: Annotated[float, within(0, 1000), CliFlag("--level", "LEVEL")] = Field(
         1.0, gt=0, description="strength of the profile: a level in g, or a scale"

@@ -1,4 +1,5 @@
-"""What a search requests of an engine, and what it is sent: drafts and their trials.
+"""What a search for repairs requests of an engine (the simulation of drafts), and what the search is sent in return
+(the trials of these drafts).
 
 This module imports nothing of engines or tables, so that the processes of searches start fast.
 """
@@ -65,13 +66,13 @@ class Trial(NamedTuple):
 
     @property
     def progress(self) -> tuple[int, int]:
-        """How far a plan gets: number of boxes before the first one that crossed a limit, and number of placed boxes
-        that crossed none."""
+        """How far a plan gets: number of boxes placed before a box crossed a limit, and number of placed boxes that
+        crossed no limit."""
         return self.n_held, self.n_placed - len(self.fallen)
 
 
 class OutOfTime(Exception):
-    """The time for the search is up; the results known so far count."""
+    """The time for the search is up, so the results found so far are final."""
 
 
 class Together(NamedTuple):

@@ -54,8 +54,8 @@ FIRST_AT_ONCE: Final = 4
 WIDE_AT_ONCE: Final = (8, 16, 24, 48)
 """Number of changed plans that are judged at once on a GPU in the first four rounds of a search, and then in each round
 as in the fourth. The longer a search takes, the more a GPU waits for it, since other searches have ended. So a search
-on a GPU goes on in fewer rounds with more plans each: four rounds spend the trials of ``ALONE``. The numbers do not
-depend on other searches, and neither do the results."""
+on a GPU goes on in fewer rounds with more plans each: the first four rounds use up the share ``ALONE`` of the trials.
+These numbers of plans do not depend on other searches, and neither do the results."""
 
 MOST_LIFTED: Final = 3
 """The boxes of at most this many faults are taken off one after the other. For each of these faults, the search waits
@@ -69,15 +69,16 @@ LATE_AT_ONCE: Final = 2 * AT_ONCE
 """Number of changed plans that are judged at once after single changes alone (``ALONE``) were in vain."""
 
 PAIR: Final = 2
-"""Once a repair with one change more than this number is known, a repair with this number of changes is sought widely.
-A wide search for repairs with more than ``PAIR`` changes takes too many trials."""
+"""Once a repair with ``PAIR`` + 1 changes is known, the search for a repair with ``PAIR`` changes is wide: it judges
+more changes of the plan (``PAIRS_AT_ONCE``). A wide search for repairs with more than ``PAIR`` changes takes too many
+trials."""
 
 PAIRS: Final = 0.2
-"""Share of all trials in which a repair with ``PAIR`` changes is sought widely."""
+"""Share of all trials that the wide search for a repair with ``PAIR`` changes may take."""
 
 PAIRS_AT_ONCE: Final = 24
-"""Number of changes of the plan itself that are judged at once, if repairs with ``PAIR`` changes are sought widely.
-The first change of a repair with ``PAIR`` changes often has a worse rank by statics."""
+"""Number of changes of the plan itself that are judged at once in the wide search for a repair with ``PAIR`` changes.
+The first change of such a repair often has a bad rank by statics."""
 
 SHORTER: Final = 0.04
 """Once a repair is known, a shorter one is sought in this share of all trials."""
@@ -167,7 +168,7 @@ class Search(Candidates):
         return FIRST_AT_ONCE if self.before is None else LATE_AT_ONCE if is_late else AT_ONCE
 
     def begin(self, before: Trial) -> None:
-        """Note the simulation of the plan as it is."""
+        """Record the simulation of the unchanged plan."""
         self.before = before
         if before.stands:
             self.repairs, self.complete = (State(self._start, (), before),), True
@@ -183,7 +184,7 @@ class Search(Candidates):
         elif trial.culprit is not None and max(trial.culprit + 1, trial.n_placed) <= self.rules.built:
             yield from self._begun_with_built(trial)
         if not (self._stands or self.built_falls):
-            # a plan that falls is changed where it fell when it was judged, as changed plans are
+            # a plan that falls is changed where it fell when judged, as all changed plans are
             known = trial if is_scored and not trial.stands else self.before or trial
             yield from self._mended(State(self._start, (), known))
             if self.before is None:
@@ -197,13 +198,14 @@ class Search(Candidates):
         self.complete = True
 
     def _begun(self, judged: Trial) -> Steps[None]:
-        """Score the plan as it is, and note its score at once: the time may be up before the search ends."""
+        """Score the unchanged plan, and record its score at once, because the time may be up before the search ends."""
         (scored,) = yield from self._scored([State(self._start, (), judged)])
         self.begin(scored.trial)
 
     def _begun_with_built(self, judged: Trial) -> Steps[None]:
-        """A built box fell when no other boxes were placed: score the plan as it is, and the built boxes alone.
-        Every changed plan begins with the same placements, so no change helps if the built boxes fall alone."""
+        """Score the unchanged plan, and the boxes that are already built as a plan of their own. The method is called
+        if a built box fell before any other box was placed. Every changed plan begins with the same placements, so no
+        change helps if the built boxes fall alone."""
         alone = replace(self._start, order=self._start.order[: self.rules.built])
         parts: list[Steps[Any]] = [self._begun(judged)] if self.before is None else []
         *_, (trial,) = yield Together([*parts, self._simulated([alone])])
@@ -244,8 +246,8 @@ class Search(Candidates):
     # ------------------------------------------------------------------ film
 
     def _wrapped(self, start: State) -> Steps[list[State]]:
-        """The plan with the fewest turns of film with which it survives the profile; empty: it survives with no allowed
-        number of turns."""
+        """The plan with the fewest turns of film with which it survives the profile. The list is empty if the plan
+        survives with no allowed number of turns."""
         low, high = math.floor(self.film_turns), self.options.most_turns
         best: list[State] = []
         turns = high
@@ -300,7 +302,7 @@ class Search(Candidates):
             if self.before is None:
                 parts.append(self._begun(self._known[key_of(self._start)]))
             states, *_ = yield Together(parts)
-            if any(state.trial.stands for state in states):  # others may stand in more worlds with errors
+            if any(state.trial.stands for state in states):  # further candidates may stand in more worlds with errors
                 if not self.is_wide:
                     next_candidates = self._rivals(queues, states, last - self.n_trials)
                     batch, states = batch + next_candidates, states + (yield from self._judged(next_candidates))
@@ -331,8 +333,8 @@ class Search(Candidates):
 
     def _rivals(self, queues: Sequence[list[Candidate]], states: Sequence[State], count: int) -> list[Candidate]:
         """Take candidates off the queues that may be chosen instead of the plans that stand. If worlds with errors are
-        simulated, any candidate may be chosen. If no worlds with errors are simulated, only candidates that statics
-        prefers to all of the shortest plans that stand may be chosen."""
+        simulated, any candidate may be chosen. If no worlds with errors are simulated, a candidate may be chosen only
+        if statics prefers it to all of the shortest plans that stand."""
         if not self.options.worlds:
             standing = shortest([state for state in states if state.trial.stands])
             fewest, best = len(standing[0].changes), min(self._risks(standing))
@@ -421,10 +423,11 @@ class Search(Candidates):
         return tuple(faults)
 
     def _remaining(self, state: State, parent: Node) -> tuple[Fault, ...]:
-        """The expected faults of a changed plan, from its trial and the faults of the plan before the change. The
-        faults before that of the box that falls count as mended. If the box that falls was no fault before the change,
-        the change has added a fault, and the later faults remain. If boxes were taken off and the rest simulated
-        instead, a trial would be needed for each fault of each changed plan."""
+        """The expected faults of a changed plan, from its trial and the faults of the plan before the change. Faults
+        that come before the fault of the box that falls now count as mended. If the box that falls now was no fault
+        before the change, the change has added a fault, and the later faults remain. The faults are not counted by
+        simulations without the boxes that fall, because each changed plan would then need a trial for each of its
+        faults."""
         if state.trial.stands:
             return ()
         before, draft = parent.faults or (), state.draft
@@ -453,8 +456,9 @@ class Search(Candidates):
         return [state]
 
     def _shortened(self, states: Sequence[State], *, is_known: bool) -> Steps[tuple[list[State], list[State]]]:
-        """Two lists: all states, with the scores of those that stand when judged, as far as needed; and those that
-        stand when scored, without their needless changes. ``is_known``: as in ``_confirmed``."""
+        """Returns two lists of states. The first list has all states; of these, states that stand when judged are
+        scored, as far as needed. The second list has the states that stand when scored, without their needless changes.
+        ``is_known``: as in ``_confirmed``."""
         every, confirmed = yield from self._confirmed(states, is_known=is_known)
         return every, (yield from self._pruned(confirmed, judged=True))
 
@@ -494,9 +498,9 @@ class Search(Candidates):
         self.repairs = tuple(different[k] for k in sorted(range(len(ranks)), key=ranks.__getitem__))
 
     def _strengthened(self) -> Steps[None]:
-        """Put the repair first that stands in the most worlds with errors. Then change the repair that stands most
-        often further, until it stands in the wanted share of the worlds with errors. The repair is changed where it
-        falls in these worlds, just as a plan that falls without errors is changed where it falls."""
+        """Put the repair first that stands in the most worlds with errors. Then change this repair further, until it
+        stands in the wanted share of the worlds with errors. The repair is changed where it falls in these worlds, just
+        as a plan that falls without errors is changed where it falls."""
         options = self.options
         wanted = math.ceil(options.share * ERROR_WORLDS)
         compared: list[State] = []

@@ -1,6 +1,6 @@
 """Searches of many plans: parts of a search run side by side, and searches run in several processes.
 
-Proposals and statics take as long as a GPU takes for the trials, and more. So searches are dealt out to processes. Each
+Proposals and statics take at least as long as the trials on a GPU. So searches are distributed over processes. Each
 process sends the drafts that its searches need, and gets the trials of each request as soon as they are known. The
 process that has the engine simulates the drafts of all searches in one stream. Which worlds are simulated at the same
 time changes no result: the outcome of a world does not depend on other worlds.
@@ -65,7 +65,7 @@ class Tasks:
     """Searches, and their parts that run side by side.
 
     Attributes:
-        requests: ticket and drafts of the requests that were not sent yet.
+        requests: (ticket, drafts) of each request that was not sent yet. A ticket identifies a request.
     """
 
     def __init__(self, searches: Iterable[Steps[Any]]) -> None:
@@ -222,7 +222,8 @@ class _Server:
 
 
 class _Pipe:
-    """The simulator of a process of searches: the other process, which has the engine, simulates."""
+    """The simulator in a process that runs searches. The simulator sends drafts to the process that has the engine, and
+    receives the trials of these drafts."""
 
     def __init__(self) -> None:
         self._tasks, self._answers = own_pipes(NICE)
@@ -258,8 +259,8 @@ class _Pipe:
 
 
 def main() -> None:
-    """The program of a process of searches: the first message has its searches, all others the answers to their
-    requests."""
+    """The program of a process that runs searches. The first message to the process has the searches; all later
+    messages have answers to requests of the searches."""
     pipe = _Pipe()
     searches = pipe.searches()
     if searches is not None:

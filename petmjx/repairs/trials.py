@@ -75,7 +75,7 @@ SHEETS_MORE: Final = 2
 table."""
 
 MOST_LISTED: Final = 1024
-"""Largest number of worlds at once for an engine that takes no stream of jobs."""
+"""Largest number of worlds that are given at once to an engine that takes no stream of jobs."""
 
 SWITCH: Final = 4
 """Scores begin while drafts are being judged only if at least this many requests wait for them."""
@@ -413,7 +413,7 @@ class TrialStream:
         """Request the trials of at least one draft.
 
         Args:
-            ticket: comes back with the answer.
+            ticket: a value that the answer returns, so that the answer can be assigned to the request.
         """
         request = _Request(ticket, drafts)
         self._n_open += 1
@@ -487,7 +487,7 @@ class TrialStream:
                 stream.followed()
 
     def _feed(self, stream: JobStream[Placement[tuple[_Request, int]]], queue: _Queue, lane: Lane) -> None:
-        """Give the engine what waits in a queue, unless the engine is needed for other queues."""
+        """Give the engine the drafts that wait in a queue, unless the engine is needed for other queues."""
         n_others = sum(len(other.entries) for other in self._queues.values() if other is not queue)
         if not queue.entries or n_others >= max(SWITCH, self._n_open / 4):
             return
@@ -564,7 +564,8 @@ def _trial_of(outcome: Outcome, order: tuple[int, ...], sim: Simulation) -> Tria
 
 
 def _trial(world: Any, fallen: Sequence[int], order: tuple[int, ...]) -> Trial:
-    """A trial from a row of ``worlds``. Rows of boxes become numbers of the plan."""
+    """A trial from a row of ``worlds``. The rows of boxes in the draft are converted to the numbers of the boxes in the
+    plan."""
     culprit = world["culprit"]
     has_culprit = not pd.isna(culprit)
     return Trial(

@@ -114,7 +114,7 @@ def test_a_file_may_have_walls_and_options_change_them() -> None:
         (changed("mass_kg = 1.3", "mass_kg = true"), "boards[0].mass_kg must be a finite number, got True"),
         (
             changed("mass_kg = 1.3\n", ""),
-            "boards[0].mass_kg is missing: the board's mass; or give the carrier's mass_kg",
+            "boards[0].mass_kg is missing: give the mass of each board, or the carrier's mass_kg",
         ),
         (
             changed("friction = 0.4", "mass_kg = 12"),

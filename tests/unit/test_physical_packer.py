@@ -401,7 +401,8 @@ def test_the_command_says_what_it_made(
         f"order tall: 1 of 3 boxes is left out: item 2: {NO_PLACE}",
         f"order none: 2 of 2 boxes are left out: items 1, 2: {NO_PLACE}",
         f"2 plans in {out}; 3 boxes of 2 orders left out",
-        f"utilisation {packed.orders['utilisation'].mean():.3f}; 2 stand placed exactly, 100.0 % of worlds with errors",
+        f"utilisation {packed.orders['utilisation'].mean():.3f}; 2 stand if placed exactly; "
+        "100.0 % of worlds with errors stand",
     ]
     assert run(*how, "--clearances", "3,x") == 2
     assert "--clearances must be numbers separated by commas, got '3,x'" in only_line(capsys.readouterr().err)
