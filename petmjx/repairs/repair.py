@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any, Final
@@ -24,7 +25,7 @@ from petmjx.repairs.drafts import Draft
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.requests import Asked, Trial
 from petmjx.repairs.search import Search
-from petmjx.repairs.search_processes import run_searches
+from petmjx.repairs.search_processes import PER_THREAD, SearchProcesses
 from petmjx.repairs.trials import OF_RUN, SEARCHED, Question, Share, TimeLimit, TrialStream
 from petmjx.results.notebook_tables import ShownColumn, block_as_html, table_as_html
 from petmjx.results.plan_lookup import plans_in_place
@@ -66,8 +67,9 @@ class Repaired:
         share_before, share_after: shares of worlds with errors in which the two plans stand; None: the worlds were not
             simulated, or the time was up before all of them had ended.
         n_trials: plans that were simulated.
-        complete: whether the search came to its end. If the search is not complete, its time was up, and a longer
-            search might find smaller changes.
+        complete: whether the search came to its end. If the search is not complete, its time was up or its trials were
+            spent, and a longer search might find smaller changes.
+        trials_spent: whether the search ended because its trials were spent before a repair with all boxes was found.
         built_falls: whether boxes that stand already (``built``) fall before others are placed. If built boxes fall, no
             repair was sought.
     """
@@ -81,6 +83,7 @@ class Repaired:
     share_after: Share | None
     n_trials: int
     complete: bool = True
+    trials_spent: bool = False
     built_falls: bool = False
 
     @property
@@ -129,13 +132,21 @@ class Repaired:
             return f"{name}: stands as it is"
         first = "" if trial.culprit is None else f", first box {trial.culprit}"
         fails = f"{name}: {trial.verdict} ({trial.reason}{first})"
-        spent = "" if self.complete else ", then the seconds for the search were spent"
+        spent = "" if self.complete else f", then {self._limit} for the search were spent"
         if self.built_falls:
             return f"{fails}; no repair was sought: the boxes that are built already fall by themselves"
         if not self.stands:
             return f"{fails}; no repair is known ({count_text(self.n_trials, 'plan')} simulated{spent})"
         text = f"{fails}; stands after {count_text(len(self.changes), 'change')}"
-        return text if self.complete else f"{text}; the seconds for the search were spent: some may not be needed"
+        if self.complete:
+            return text
+        doubt = "all boxes might be kept" if self.trials_spent else "some may not be needed"
+        return f"{text}; {self._limit} for the search were spent: {doubt}"
+
+    @property
+    def _limit(self) -> str:
+        """What ended a search that is not complete."""
+        return "the trials" if self.trials_spent else "the seconds"
 
     def row(self) -> dict[str, Any]:
         """The row of ``Repairs.table``."""
@@ -306,10 +317,12 @@ def _repaired(plans: Iterable[Plan], question: Question, options: RepairOptions)
     while group := list(islice(waiting, AT_ONCE)):
         searches = [Search(plan, question.sim, options, question.film_turns, question.is_wide) for plan in group]
         try:
-            if question.is_wide and options.profile is None:
-                _begin(searches, question)
-            stream = TrialStream(question, limit, SEARCHED if options.worlds else 1.0)
-            run_searches([search for search in searches if not search.complete], stream, question.threads)
+            most = question.threads * PER_THREAD if question.is_wide else question.threads
+            with closing(SearchProcesses(len(searches), most)) as processes:
+                if question.is_wide and options.profile is None:
+                    _begin(searches, question)
+                stream = TrialStream(question, limit, SEARCHED if options.worlds else 1.0)
+                processes.run([search for search in searches if not search.complete], stream)
             _begin(searches, question)
             results = _with_shares(searches, question, options, limit)
         except KeyboardInterrupt:  # the engine was stopped at an unknown point, so it simulates nothing more
@@ -368,6 +381,7 @@ def _repaired_by(search: Search, state: State | None, before: Share | None, afte
         share_before=before,
         share_after=after,
         n_trials=search.n_trials,
-        complete=search.complete,
+        complete=search.complete and not search.trials_spent,
+        trials_spent=search.complete and search.trials_spent,
         built_falls=search.built_falls,
     )

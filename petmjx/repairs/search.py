@@ -68,6 +68,11 @@ faults everywhere, so it is built anew."""
 LATE_AT_ONCE: Final = 2 * AT_ONCE
 """Number of changed plans that are judged at once after single changes alone (``ALONE``) were in vain."""
 
+BUILT_ANEW: Final = 0.2
+"""Share of all trials in which plans are built anew: on a GPU, four rounds. Almost always, the first or second round
+finds a plan that stands. Each round takes seconds of statics, so the few plans without such a repair would keep all
+others waiting."""
+
 PAIR: Final = 2
 """Once a repair with ``PAIR`` + 1 changes is known, the search for a repair with ``PAIR`` changes is wide: it judges
 more changes of the plan (``PAIRS_AT_ONCE``). A wide search for repairs with more than ``PAIR`` changes takes too many
@@ -75,6 +80,10 @@ trials."""
 
 PAIRS: Final = 0.2
 """Share of all trials that the wide search for a repair with ``PAIR`` changes may take."""
+
+SURPLUS: Final = 1.0
+"""In this wide search, plans are also changed further that seem to need this many changes too many: one change may mend
+two of the faults that were counted."""
 
 PAIRS_AT_ONCE: Final = 24
 """Number of changes of the plan itself that are judged at once in the wide search for a repair with ``PAIR`` changes.
@@ -84,8 +93,8 @@ SHORTER: Final = 0.04
 """Once a repair is known, a shorter one is sought in this share of all trials."""
 
 MOST_NEARLY: Final = 2
-"""Largest number of plans that are scored before plans are built anew. Plans with a single fault are scored if they
-fell when they were judged because a box tilted."""
+"""Largest number of plans that are scored before plans are built anew (``Search._nearly``). On a GPU, no plan that
+falls when judged is scored: such plans hardly ever stand (none of 24), and their scores keep all searches waiting."""
 
 MOST_ANEW: Final = 2
 """Largest number of changed plans that are built anew at once. Each changed plan is built anew in up to sixteen ways.
@@ -141,6 +150,8 @@ class Search(Candidates):
             repair is needed: without it, the plan falls, is not allowed, or stands in too few worlds with errors.
         n_trials: number of plans that were simulated.
         complete: whether the search has ended. Before the search ends, repairs may have needless changes.
+        trials_spent: whether all trials were spent before a repair with all boxes was found, although further changes
+            could be tried.
         built_falls: whether boxes that stand already (``built``) fall before others are placed. If built boxes fall, no
             repair is sought.
     """
@@ -148,12 +159,13 @@ class Search(Candidates):
     before: Trial | None = None
     repairs: tuple[State, ...] = ()
     complete: bool = False
+    trials_spent: bool = False
     built_falls: bool = False
 
     def take(self, other: Search) -> None:
         """Take over the results that the same search has reached in another process."""
         self.before, self.repairs, self.n_trials = other.before, other.repairs, other.n_trials
-        self.complete, self.built_falls = other.complete, other.built_falls
+        self.complete, self.trials_spent, self.built_falls = other.complete, other.trials_spent, other.built_falls
 
     @property
     def _scale(self) -> int:
@@ -275,19 +287,24 @@ class Search(Candidates):
         ways = Counter(_kind_of(node.state) for node in nodes)
         standing: list[State] = []
         judged: list[State] = []  # states that stand
+        doubtful: list[State] = []  # states of which this is in doubt
         is_late = is_widened = False
         n_rounds = 0
+        queues: list[list[Candidate]] = []
         while self.n_trials < last and not self._stands:
             nodes.sort(key=lambda node: node.key)
             useful = nodes
             if standing:  # only shorter repairs are of use
                 fewest = len(standing[0].changes)
-                useful = [n for n in nodes if len(n.state.changes) < fewest - 1 and n.n_promised < fewest]
+                limit = fewest + (SURPLUS if is_widened else 0.0)
+                useful = [n for n in nodes if len(n.state.changes) < fewest - 1 and n.n_promised < limit]
             if not (standing or is_late) and self.n_trials >= alone:
                 is_late = True
-                standing = yield from self._nearly(nodes)
+                standing = yield from self._nearly(nodes, doubtful)
                 if standing:
                     break
+                if Kind.PLACE in kinds:
+                    last = min(last, self.n_trials + int(BUILT_ANEW * most_trials))
             at_once = self._at_once(n_rounds, is_late=is_late)
             unchanged = [node for node in nodes if node.queue and not node.state.changes]
             if standing and fewest == PAIR + 1 and unchanged and not is_widened:
@@ -306,7 +323,8 @@ class Search(Candidates):
                 if not self.is_wide:
                     next_candidates = self._rivals(queues, states, last - self.n_trials)
                     batch, states = batch + next_candidates, states + (yield from self._judged(next_candidates))
-                judged += [state for state in states if state.trial.stands]
+                doubtful += [state for state in states if self._is_doubtful(state)]
+                judged += [state for state in states if state.trial.stands and not self._is_doubtful(state)]
             states, shortened = yield from self._shortened(states, is_known=bool(standing))
             if shortened and not standing:
                 last = min(last, self.n_trials + int(SHORTER * most_trials))
@@ -322,11 +340,14 @@ class Search(Candidates):
                 if is_short and not state.trial.stands and ways[kind := _kind_of(state)] < PER_WAY:
                     ways[kind] += 1
                     nodes.append(node)
+        if not standing and doubtful:
+            standing = yield from self._nearly((), doubtful)
+        self.trials_spent |= not (standing or self._stands) and (self.n_trials >= last or any(queues))
         if standing and self.options.worlds and options.profile is None:
             fewest = len(standing[0].changes)
             nodes = sorted((n for n in nodes if len(n.state.changes) == fewest - 1), key=lambda node: node.key)
             further = yield from self._judged(batch_of(self._queues(nodes, kinds, anew=False), MORE_TO_COMPARE))
-            judged += [state for state in further if state.trial.stands]
+            judged += [state for state in further if state.trial.stands and not self._is_doubtful(state)]
             standing = yield from self._compared(standing, [one for one in judged if len(one.changes) == fewest])
         nodes.sort(key=lambda node: (node.n_expected, node.key))
         return standing, [Node(node.state, node.faults) for node in nodes[:BEAM]]
@@ -367,13 +388,21 @@ class Search(Candidates):
             best[k] = state
         return [state for state in best if state.trial.stands] or [*scored]
 
-    def _nearly(self, nodes: Sequence[Node]) -> Steps[list[State]]:
-        """Of the plans with a single fault, the shortest ones that stand when scored. In such a plan, a box tilts, but
-        then leans on something."""
+    def _is_doubtful(self, state: State) -> bool:
+        """Whether a plan stands when judged, but would need a score, because it still moves, or needs further attempts
+        (docs/rules.md, section 9). On a GPU, such a score would keep all searches waiting."""
+        return self.is_wide and self.options.profile is None and state.trial.stands and not state.trial.is_score
+
+    def _nearly(self, nodes: Sequence[Node], doubtful: list[State]) -> Steps[list[State]]:
+        """The shortest plans that stand when scored. Scored are plans with a single fault: in such a plan, a box tilts,
+        but may lean on something. On a GPU, the plans ``doubtful`` are scored instead (``_is_doubtful``). Scored ones
+        are taken off this list."""
         if self.options.profile is not None:
             return []
-        chosen = sorted((node.state for node in nodes if node.n_faults <= 1), key=lambda state: len(state.changes))
-        scored = yield from self._scored(chosen[:MOST_NEARLY])
+        falling = [node.state for node in nodes if node.n_faults <= 1]
+        chosen = sorted(doubtful if self.is_wide else falling, key=lambda state: len(state.changes))[:MOST_NEARLY]
+        doubtful[:] = [state for state in doubtful if state not in chosen]
+        scored = yield from self._scored(chosen)
         return shortest([state for state in scored if state.trial.stands])
 
     def _queues(self, nodes: Sequence[Node], kinds: frozenset[Kind], *, anew: bool) -> list[list[Candidate]]:
@@ -442,18 +471,25 @@ class Search(Candidates):
     def _stripped(self, state: State) -> Steps[list[State]]:
         """The state without the boxes that fall. Boxes that fall are left out one by one, with all boxes on them, until
         the remaining boxes stand. The result is empty if a box that is already built, or the last box, would have to be
-        left out. The loop always ends, since each step leaves out a box."""
-        while not state.trial.stands:
-            lifted = lifted_with(state.draft, _lost(state.draft, state.trial))
-            if min(lifted) < self.rules.built or len(lifted) >= len(state.draft.order):
-                return []
-            changes = (*state.changes, *map(LeaveOut, lifted))
-            draft = applied(self._start, changes)
-            if draft is None:
-                return []
-            (trial,) = yield from self._simulated([draft])
-            state = State(draft, changes, trial)
-        return [state]
+        left out. The loop always ends, since each step leaves out a box. On a GPU, plans are judged before they are
+        scored, since scores of plans that fall would keep all searches waiting."""
+        is_judged = self.is_wide and self.options.profile is None
+        while True:
+            while not state.trial.stands:
+                lifted = lifted_with(state.draft, _lost(state.draft, state.trial))
+                if min(lifted) < self.rules.built or len(lifted) >= len(state.draft.order):
+                    return []
+                changes = (*state.changes, *map(LeaveOut, lifted))
+                draft = applied(self._start, changes)
+                if draft is None:
+                    return []
+                (trial,) = yield from self._simulated([draft], judged=is_judged)
+                state = State(draft, changes, trial)
+            if not is_judged:
+                return [state]
+            (state,) = yield from self._scored([state])
+            if state.trial.stands:
+                return [state]
 
     def _shortened(self, states: Sequence[State], *, is_known: bool) -> Steps[tuple[list[State], list[State]]]:
         """Returns two lists of states. The first list has all states; of these, states that stand when judged are
@@ -465,7 +501,7 @@ class Search(Candidates):
     def _confirmed(self, states: Sequence[State], *, is_known: bool) -> Steps[tuple[list[State], list[State]]]:
         """Score states that stand when judged, those with the fewest changes first, until some of them also stand when
         scored. Returns all states, and those that stand when scored. With a drive, nothing is scored here, because all
-        trials are scores.
+        trials are scores. Plans of which it is in doubt whether they stand are not scored here.
 
         Args:
             is_known: whether a repair is known. If a repair is known, only the first states are scored: if these fall,
@@ -474,6 +510,7 @@ class Search(Candidates):
         every = list(states)
         numbers = [k for k, state in enumerate(states) if state.trial.stands]
         safest = [numbers[n] for n in self._safest([states[k] for k in numbers])]
+        safest = [k for k in safest if not self._is_doubtful(states[k])]
         queue = sorted(safest, key=lambda k: len(states[k].changes))
         if self.options.profile is not None:
             return every, [states[k] for k in queue]

@@ -9,7 +9,6 @@ time changes no result: the outcome of a world does not depend on other worlds.
 from __future__ import annotations
 
 import pickle
-import queue
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
@@ -23,6 +22,11 @@ from petmjx.repairs.search import Search
 PLANS_EACH: Final = 4
 """Smallest number of plans per process. A process needs half a second of CPU time to start, so fewer plans are not
 worth a further process."""
+
+PER_THREAD: Final = 3
+"""Largest number of processes per CPU thread, if a GPU simulates. Each process runs its searches in turn, and searches
+differ much in length. With more processes than threads, the operating system shares the threads among the searches that
+are left, and threads do not wait while searches wait for trials. A process takes about 30 MB."""
 
 NICE: Final = 5
 """Niceness (lower priority) of the processes. The process that has the engine keeps its priority, because it must keep
@@ -114,26 +118,33 @@ class Tasks:
                 self._n_requests += 1
 
 
-def run_searches(searches: Sequence[Search], simulator: Simulator, processes: int) -> None:
-    """Run searches to their ends, or until the time is up.
+class SearchProcesses:
+    """Processes that run searches. The processes start at once, so this process can meanwhile do other work.
 
     Args:
-        processes: largest number of processes. If there are too few searches for two processes, this process runs all
-            searches.
+        n_searches: largest number of searches. If there are too few for two processes, this process runs all searches.
+        most: largest number of processes.
     """
-    processes = min(processes, len(searches) // PLANS_EACH)
-    if processes < 2:
-        _run_here(searches, simulator)
-        return
-    parts = [list(searches[k::processes]) for k in range(processes)]
-    children = [Child(__name__) for _ in parts]
-    try:
+
+    def __init__(self, n_searches: int, most: int) -> None:
+        n_processes = min(most, n_searches // PLANS_EACH)
+        self._children = [Child(__name__) for _ in range(n_processes if n_processes > 1 else 0)]
+
+    def run(self, searches: Sequence[Search], simulator: Simulator) -> None:
+        """Run searches to their ends, or until the time is up."""
+        children = self._children[: len(searches) // PLANS_EACH]
+        if len(children) < 2:
+            _run_here(searches, simulator)
+            return
+        parts = [list(searches[k :: len(children)]) for k in range(len(children))]
         for child, part in zip(children, parts, strict=True):
             child.tasks.put(pickle.dumps(part))
         for number in _Server(children, parts, simulator).serve():
             _run_here(parts[number], simulator)
-    finally:
-        for child in children:
+
+    def close(self) -> None:
+        """End the processes."""
+        for child in self._children:
             child.end()
 
 
@@ -190,10 +201,10 @@ class _Server:
         """Take the messages that have arrived; returns whether there was any."""
         any_message = False
         for number in sorted(self._working):
-            with suppress(queue.Empty):
-                while number in self._working:
-                    self._take(number, self._children[number].answers.get_nowait())
-                    any_message = True
+            answers = self._children[number].answers
+            while number in self._working and not answers.empty():
+                self._take(number, answers.get_nowait())
+                any_message = True
         return any_message
 
     def _take(self, number: int, message: Any) -> None:

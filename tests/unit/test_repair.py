@@ -6,6 +6,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -29,8 +30,8 @@ from petmjx.repairs.rebuilds import Failure, rebuilds
 from petmjx.repairs.repair import Repaired
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.requests import Asked, OutOfTime, Steps, Together, Trial, TrialAnswer
-from petmjx.repairs.search import WIDE_AT_ONCE, Search
-from petmjx.repairs.search_processes import Tasks, run_searches
+from petmjx.repairs.search import ALONE, BUILT_ANEW, SURPLUS, WIDE_AT_ONCE, Search
+from petmjx.repairs.search_processes import SearchProcesses, Tasks
 from petmjx.repairs.trials import Question, TimeLimit, TrialStream
 
 FAST_TRIALS = {"engine": "mujoco", "threads": 1}
@@ -647,6 +648,27 @@ def test_a_box_that_is_lowered_between_two_others_gets_room() -> None:
     assert [balance.squeezed for balance in balances(drafts, Simulation())] == [(), ()]
 
 
+@pytest.mark.parametrize(("is_wide", "judged"), [(False, [False, False]), (True, [True, True, False])])
+def test_boxes_are_left_out_until_the_rest_stands(is_wide: bool, judged: list[bool]) -> None:
+    """The tops of two stacks fall. A GPU judges each plan, and only scores the plan that stands when judged."""
+    plan, requests = make_plan(boxes=[*stack(2), *stack(2, at_mm=(0.0, 500.0))]), list[Asked]()
+
+    def ask(some: list[Asked]) -> list[Trial]:
+        requests.extend(some)
+        return [trial_of(one.draft) for one in some]
+
+    def trial_of(draft: Draft) -> Trial:
+        if falls := [box for box in (1, 3) if box in draft.order]:
+            return Trial("unstable", "tilt", falls[0], (falls[0],), falls[0] + 1, falls[0], -1.0)
+        return Trial("stable", "", None, (), 2, 2, 1.0)
+
+    start = Draft.of(plan)
+    search = Search(plan, Simulation(), RepairOptions(worlds=0), is_wide=is_wide)
+    (left,) = result_of(search._stripped(State(start, (), trial_of(start))), ask)
+    assert [change.boxes for change in left.changes] == [(1,), (3,)]
+    assert [one.is_judged for one in requests] == judged
+
+
 def test_a_box_that_is_left_out_pushes_no_others() -> None:
     draft = Draft.of(make_plan(boxes=[((200, 200, 200), (200 * k, 0, 0), 5) for k in range(3)]))
     gap, rules = draft.without(1), Rules(make_plan(), Simulation(), 2000.0, 0)
@@ -848,7 +870,7 @@ def test_two_changes_are_sought_widely_once_three_are_known() -> None:
         if draft.corner_mm[1, 1] > 0 and draft.corner_mm[1, 0] == start.corner_mm[1, 0]:
             falls = [box for box in falls if box == 5]
         if not falls:
-            return Trial("stable", "", None, (), 6, 6, 1.0)
+            return Trial("stable", "", None, (), 6, 6, 1.0, is_score=True)
         return Trial("unstable", "tilt", falls[0], (falls[0],), falls[0] + 1, falls[0] + 1, -1.0)
 
     def ask(some: list[Asked]) -> list[Trial]:
@@ -861,6 +883,61 @@ def test_two_changes_are_sought_widely_once_three_are_known() -> None:
     known = next(k for k, drafts in enumerate(requests) if any(trial_of(draft).stands for draft in drafts))
     assert max(map(len, requests[:known])) <= 2 * AT_ONCE < max(map(len, requests[known + 1 :]))
     assert len(search.repairs[0].changes) == 2
+
+
+@pytest.mark.parametrize(("surplus", "n_changes"), [(0.0, 3), (SURPLUS, 2)])
+def test_one_change_may_mend_two_faults(surplus: float, n_changes: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three boxes fall. Once box 4 is moved to the left, with boxes 1 and 5, a move of box 3 mends the fault of box 5,
+    too. But after the first of these two moves, box 3 falls, and two faults seem to be left."""
+    monkeypatch.setattr("petmjx.repairs.search.SURPLUS", surplus)
+    plan = make_plan(
+        boxes=[*stack(2, 230.0), *stack(2, 230.0, at_mm=(0.0, 400.0)), *stack(2, 230.0, at_mm=(600.0, 0.0))]
+    )
+    start = Draft.of(plan)
+
+    def trial_of(draft: Draft) -> Trial:
+        (balance,) = balances([draft], Simulation())
+        falls = [box for box in (1, 3, 5) if box in balance.box]
+        if draft.corner_mm[4, 0] < start.corner_mm[4, 0]:
+            falls = [box for box in falls if box == 3]
+        if not falls:
+            return Trial("stable", "", None, (), 6, 6, 1.0, is_score=True)
+        return Trial("unstable", "tilt", falls[0], (falls[0],), falls[0] + 1, falls[0] + 1, -1.0)
+
+    options = RepairOptions(worlds=0, forbid=("exchange", "place", "turn", "order", "sheet"))
+    search = Search(plan, Simulation(), options, is_wide=True)
+    result_of(search.run(), lambda some: [trial_of(one.draft) for one in some])
+    assert len(search.repairs[0].changes) == n_changes
+
+
+@pytest.mark.parametrize("is_score", [True, False])
+def test_a_gpu_scores_plans_in_doubt_before_plans_are_built_anew(is_score: bool) -> None:
+    """A plan that stands when judged is a repair at once, if its judgement is a score. If it still moves, it is scored
+    only if nothing else was found with single changes."""
+    plan, scored = make_plan(boxes=stack(2, 230.0)), list[int]()
+    falls = Trial("unstable", "tilt", 1, (1,), 2, 2, -1.0)
+    stands = Trial("stable", "", None, (), 2, 2, 1.0, is_score=is_score)
+    n_judged = 0
+
+    def ask(some: list[Asked]) -> list[Trial]:
+        nonlocal n_judged
+        if some[0].is_judged:
+            n_judged += len(some)
+        else:
+            scored.append(n_judged)
+        return [
+            falls if len(balance.box) else stands for balance in balances([one.draft for one in some], Simulation())
+        ]
+
+    search = Search(plan, Simulation(), RepairOptions(worlds=0, forbid=("place",)), is_wide=True)
+    search.begin(falls)
+    result_of(search.run(), ask)
+    assert search.repairs[0].trial.stands
+    assert len(search.repairs[0].changes) == 1
+    if is_score:
+        assert scored[0] <= 2 * WIDE_AT_ONCE[0]
+    else:
+        assert scored[0] >= ALONE * search.options.trials
 
 
 def test_only_safer_plans_are_judged_beside_one_that_stands() -> None:
@@ -998,7 +1075,8 @@ def test_searches_in_several_processes_end_as_in_one() -> None:
     ends = []
     for processes in (1, 2):
         searches = [Search(plan, Simulation(), RepairOptions(worlds=0)) for plan in plans]
-        run_searches(searches, Simulated(ask), processes)
+        with closing(SearchProcesses(len(searches), processes)) as some:
+            some.run(searches, Simulated(ask))
         ends.append([([state.changes for state in s.repairs], s.n_trials, s.before, s.complete) for s in searches])
     assert ends[0] == ends[1]
     assert all(changes for changes, *_ in ends[0])
@@ -1012,8 +1090,8 @@ def test_searches_in_several_processes_end_as_in_one() -> None:
             trial._replace(verdict="stable") if draft.plan.plan_id == "0" else trial for (draft, *_), trial in trials
         ]
 
-    with pytest.raises(KeyboardInterrupt):
-        run_searches(searches, Simulated(ask_until_stopped), 2)
+    with closing(SearchProcesses(len(searches), 2)) as some, pytest.raises(KeyboardInterrupt):
+        some.run(searches, Simulated(ask_until_stopped))
     assert [search.complete for search in searches[::2]] == [True, False, False, False]
 
 
@@ -1066,6 +1144,31 @@ def test_a_search_whose_seconds_are_spent_says_so() -> None:
     assert "the seconds for the search were spent" in result.headline
     assert not result.row()["complete"]
     assert repaired(stack(2), seconds=0.1).complete, "a plan that stands needs no search"
+
+
+def test_a_search_whose_trials_are_spent_says_so() -> None:
+    """If all trials are spent before a box is left out, more trials might find a repair with all boxes. Sheets do not
+    help here, and all of them were tried: more trials would find nothing."""
+    few = repaired(TWO_FAULTS, forbid=[kind for kind in Kind if kind not in (Kind.MOVE, Kind.LEAVE_OUT)], trials=6)
+    assert (few.stands, few.complete, few.trials_spent, len(few.left_out)) == (True, False, True, 1)
+    assert few.headline.endswith("the trials for the search were spent: all boxes might be kept")
+    all_tried = repaired(TWO_FAULTS, forbid=[kind for kind in Kind if kind not in (Kind.SHEET, Kind.LEAVE_OUT)])
+    assert (all_tried.complete, all_tried.trials_spent, len(all_tried.left_out)) == (True, False, 3)
+
+
+@pytest.mark.parametrize("forbid", [(), ("place",)])
+def test_plans_are_built_anew_in_a_share_of_the_trials(forbid: tuple[str, ...]) -> None:
+    """Whatever is changed, the last box of a plan falls. If no box may be put elsewhere, no plan is built anew."""
+    plan = make_plan(boxes=[*stack(6), *stack(6, 30.0, at_mm=(0.0, 500.0))])
+    falls = Trial("unstable", "tilt", 11, (11,), 12, 11, -1.0)
+    search = Search(plan, Simulation(), RepairOptions(worlds=0, forbid=forbid), is_wide=True)
+    search.begin(falls)
+    node = Node(State(Draft.of(plan), (), falls), (Fault(11, 1.0),))
+    standing, _ = result_of(search._changed([node], search.options.kinds, 200), lambda some: [falls] * len(some))
+    assert standing == []
+    assert search.trials_spent
+    most = int(ALONE * 200) + WIDE_AT_ONCE[-1] + int(BUILT_ANEW * 200)
+    assert search.n_trials == 200 if forbid else search.n_trials <= most < 200
 
 
 def test_a_load_that_nothing_bears_has_no_weakness() -> None:
