@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.engines.mjx.frame_recorder import Recorder
-from petmjx.engines.mjx.jax_setup import jit_between_slices
 from petmjx.engines.mjx.outcomes import is_paused, started_states
 from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.timetable import Timetable
@@ -35,8 +34,6 @@ compiled programs, although the legs differ in length."""
 
 MOST_KEPT = 16
 """Number of results that ``_going_on`` (compiled programs) and ``_state_shapes`` each keep for later calls."""
-
-_fresh_state = jit_between_slices(fresh_state, static_argnames=("all_placed", "rest_steps"))
 
 
 @dataclass
@@ -110,7 +107,7 @@ def tables(
         for row, job in enumerate(jobs):
             if not job.settles:
                 ends[row] = timetable.static_end if static else timetable.one_by_one_end[job.scene.n_boxes]
-    fresh = partial(_fresh_state, all_placed=static, rest_steps=timetable.rest_steps)
+    fresh = partial(fresh_state, all_placed=static, rest_steps=timetable.rest_steps)
     paused = any(is_paused(job) for job in jobs)
     if not paused and all(isinstance(job.start, State) for job in jobs):
         # no job needs a fresh state, so the program for fresh states need not be compiled
@@ -174,7 +171,8 @@ def let_go(bodies: FreeBodies, sim: Simulation, rows: int, width: int) -> tuple[
 def _going_on(sim: Simulation, timetable: Timetable, width: int) -> Callable[[State, Worlds], State]:
     """The program that lets paused placements continue. The program is kept for later calls with the same options,
     width and timetable object."""
-    return jit_between_slices(Rules(sim, timetable, width, driven=False).go_on_in_kernels)
+    going_on: Callable[[State, Worlds], State] = jax.jit(Rules(sim, timetable, width, driven=False).go_on_in_kernels)
+    return going_on
 
 
 def round_up(n: int, granule: int = GRANULE) -> int:

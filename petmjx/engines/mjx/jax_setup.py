@@ -10,16 +10,12 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Callable
-from typing import Any, ParamSpec, TypeVar
+from typing import Any
 
 import jax
 
 from petmjx.common.compile_caches import VARIABLES, cache_folder, why_not_written
 from petmjx.common.machine import jax_devices
-
-P = ParamSpec("P")
-T = TypeVar("T")
 
 MIN_COMPILE_S = 0.0
 """Programs that compile in less than this time (s) are not cached. With 0, all programs are cached, since a run has
@@ -35,15 +31,6 @@ CPU_COMPILER_OPTIONS = {
 }
 """XLA's options for large programs on a CPU. An option is left out if the installed jaxlib does not have it."""
 
-GPU_COMPILER_OPTIONS = {
-    # XLA launches the kernels of a program as one CUDA graph. With graphs, a call of such a program returns only when
-    # the time slice that the GPU computes has ended (median 58 ms of the slice's 100 ms), so the next slice starts too
-    # late. Without graphs, the call returns after 1.2 ms (jaxlib 0.11.2, H200).
-    "xla_gpu_enable_command_buffer": "",
-}
-"""XLA's options for small programs that are called between the time slices of a GPU. An option is left out if the
-installed jaxlib does not have it."""
-
 
 def set_up_jax() -> None:
     """Start JAX's devices, and turn on JAX's cache of compiled programs unless the user has set a usable folder for
@@ -53,35 +40,6 @@ def set_up_jax() -> None:
     if config.jax_compilation_cache_dir is None or (VARIABLES["jax"] in os.environ and why_not_written("jax")):
         config.update("jax_compilation_cache_dir", str(cache_folder("jax")))
         config.update("jax_persistent_cache_min_compile_time_secs", MIN_COMPILE_S)
-
-
-def jit_between_slices(function: Callable[P, T], **options: Any) -> Callable[P, T]:
-    """``jax.jit`` for a small program that is called between time slices, while a GPU computes the next slice.
-
-    Do not call such a program within another jitted function: JAX accepts compiler options only for the outermost
-    jitted function. The first call of the program starts JAX's devices; this function does not start them.
-
-    Args:
-        options: options of ``jax.jit``.
-    """
-
-    @functools.cache
-    def jitted() -> Callable[P, T]:
-        program: Callable[P, T] = jax.jit(function, compiler_options=_gpu_compiler_options(), **options)
-        return program
-
-    @functools.wraps(function)
-    def call(*args: P.args, **kwargs: P.kwargs) -> T:
-        return jitted()(*args, **kwargs)
-
-    return call
-
-
-@functools.cache
-def _gpu_compiler_options() -> dict[str, str]:
-    if jax.default_backend() == "cpu":
-        return {}
-    return {option: value for option, value in GPU_COMPILER_OPTIONS.items() if _has_option(option, value)}
 
 
 @functools.cache
@@ -96,7 +54,7 @@ def compiler_options() -> dict[str, bool]:
     return {option: value for option, value in CPU_COMPILER_OPTIONS.items() if _has_option(option, value)}
 
 
-def _has_option(option: str, value: bool | str) -> bool:
+def _has_option(option: str, value: bool) -> bool:
     try:
         jax.jit(lambda x: x + 1).lower(0.0).compile(compiler_options={option: value})
     except jax.errors.JaxRuntimeError:

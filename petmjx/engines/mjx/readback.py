@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Array, Int
 from numpy.typing import NDArray
 
-from petmjx.engines.mjx.jax_setup import jit_between_slices
 from petmjx.engines.mjx.running_metrics import RunMetrics, run_metrics
 from petmjx.engines.mjx.world_constants import Worlds, device_array
 from petmjx.engines.mjx.world_state import State, take_rows
@@ -59,7 +58,7 @@ def reduce_metrics(state: State, worlds: Worlds, sim: Simulation) -> RunMetrics:
     return run_metrics(state.metrics, state.qpos, worlds, placed, state.step >= state.end, sim.thresholds)
 
 
-@partial(jit_between_slices, static_argnames="sim")
+@partial(jax.jit, static_argnames="sim")
 def _readback_words(table: State, worlds: Worlds, rows: Int[Array, " row"], sim: Simulation) -> Int[Array, "row word"]:
     table_rows = take_rows(table, rows)
     arrays = jax.tree.leaves((table_rows, reduce_metrics(table_rows, take_rows(worlds, rows), sim)))

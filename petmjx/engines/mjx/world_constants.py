@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from petmjx.common.units import seconds_to_steps
 from petmjx.engines.contact_penetration import stiffened
 from petmjx.engines.metrics import CONFIRM_S
-from petmjx.engines.mjx.jax_setup import jit_between_slices
 from petmjx.engines.mjx.scene_rows import Rows, gather_rows, more_shapes, rows_of, with_padding_rows
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import ACCELERATION, FORCE, Drive, Excitation, Job
@@ -182,7 +181,7 @@ def _rows_of_scenes(jobs: Sequence[Job], width: int, sim: Simulation, boards: in
     return dict(zip(joined, gather_rows(joined.values(), source), strict=True))
 
 
-@partial(jit_between_slices, static_argnames="rows")
+@partial(jax.jit, static_argnames="rows")
 def _with_padding_rows(worlds: Worlds, rows: int) -> Worlds:
     """The rows of worlds, followed by padding rows that repeat the first row."""
 

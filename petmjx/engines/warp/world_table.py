@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import jax
 import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.engines.mjx.host_to_device import Batch, tables
-from petmjx.engines.mjx.jax_setup import jit_between_slices
 from petmjx.engines.mjx.scene_rows import more_shapes
 from petmjx.engines.mjx.timetable import Timetable, build_timetable
 from petmjx.engines.mjx.world_constants import NEVER, Worlds, device_array, padded_rows
@@ -28,12 +27,11 @@ OVERFLOW_BITS = int(Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW | Flag.OTHE
 
 Table = TypeVar("Table", State, Worlds)
 
-_put: Callable[..., Any] = jit_between_slices(put_rows, donate_argnums=0)
-_put_resized = jit_between_slices(put_resized, donate_argnums=0)
-_take = jit_between_slices(take_rows)
+_put = jax.jit(put_rows, donate_argnums=0)
+_take, _put_resized = jax.jit(take_rows), jax.jit(put_resized, donate_argnums=0)
 
 
-@partial(jit_between_slices, donate_argnums=0)
+@partial(jax.jit, donate_argnums=0)
 def _put_profiles(profiles: jax.Array, rows: jax.Array, samples: jax.Array) -> jax.Array:
     return profiles.at[rows].set(samples)
 
