@@ -200,6 +200,12 @@ def repository() -> Path:
 
 
 @pytest.fixture(scope="session")
+def cache_folder() -> Path:
+    """The folder of what is kept for later test runs, as programs are."""
+    return CACHE
+
+
+@pytest.fixture(scope="session")
 def real_data(repository: Path) -> Path:
     """A folder of real plans and orders, which are not part of the repository."""
     folder = repository.parent / "shared" / "data"

@@ -25,7 +25,7 @@ from petmjx.world.job import Drive, Excitation, Job
 pytest.importorskip("warp", reason="Warp is an extra")
 
 from support.fake_stepper import assert_same, run_all
-from support.tiny_worlds import SHORT, STEP_NS, engine, shared_engine, tiny, tiny_scenes
+from support.tiny_worlds import SHORT, SOME_NS, engine, shared_engine, tiny, tiny_scenes
 
 from petmjx.engines.attempt_threads import AttemptThreads
 from petmjx.engines.mjx.world_constants import NEVER
@@ -241,5 +241,5 @@ def test_iterations_are_counted_across_slices_and_engines(monkeypatch: pytest.Mo
     assert min(ended) > LIMIT
     assert_equal(run_all(shared_engine(), jobs[:0:-1], sim), expected[:0:-1])
     steps = leaving(monkeypatch, AttemptThreads(1))
-    assert_equal(run_all(engine(slice_ns=STEP_NS), jobs, sim), expected)
+    assert_equal(run_all(engine(slice_ns=SOME_NS), jobs, sim), expected)
     assert len(steps) >= len(ended)

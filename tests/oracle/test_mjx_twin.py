@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from support.worlds import (
+    BRISK,
     LANES,
     MOST_BOXES,
     boxes_by_plan,
@@ -20,7 +21,6 @@ from support.worlds import (
 )
 
 from petmjx.engines.verdict import Outcome, Reason, Verdict
-from petmjx.options.simulation import Simulation
 
 SAME_PLACE_M = 1e-3
 """Tolerance of positions. MJX-JAX makes at most four contacts for a pair of boxes, C MuJoCo up to eight, so soft
@@ -103,7 +103,7 @@ def assert_alike(outcome: Outcome, expected: Outcome) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["hand-overhang-45", "hand-falls-off", "uneven pile"])
 def test_alone_as_in_a_full_batch(name: str) -> None:
-    alone = simulate(jax_engine(), {name: scenes()[name]}, Simulation())[name]
+    alone = simulate(jax_engine(), {name: scenes()[name]}, BRISK)[name]
     assert_alike(alone, jax_outcomes()[name])
 
 
@@ -112,7 +112,7 @@ def test_in_any_place_of_any_batch() -> None:
     names = ["hand-overhang-45", "hand-one-box", "hand-falls-off"]
     crowd = {f"{name} {k}": scenes()[name] for k in range(LANES // 2) for name in reversed(names)}
     assert len(crowd) > LANES
-    outcomes = simulate(jax_engine(), crowd, Simulation())
+    outcomes = simulate(jax_engine(), crowd, BRISK)
     for name in names:
         for k in (0, LANES // 2 - 1):
             assert_alike(outcomes[f"{name} {k}"], jax_outcomes()[name])

@@ -40,7 +40,7 @@ LEFT_OUT = 0.93
 """Smallest share of the largest force on a box in all steps that the outcome must have, for forces above the weight of
 a box. Engines leave out steps in which no box is accelerated upwards, so the outcome may miss the largest force."""
 
-CAPACITY, BATCH = 2, 8
+CAPACITY, BATCH = 2, 4
 """Number of boxes of the largest world on mjx-jax, and number of worlds. Programs take long to compile, and their steps
 take long."""
 

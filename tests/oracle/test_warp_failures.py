@@ -82,6 +82,7 @@ def test_buffers_grow_for_the_size_that_needs_it(monkeypatch: pytest.MonkeyPatch
 @pytest.mark.slow
 def test_what_overflows_for_ever_is_invalid(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(contact_buffers, "CONTACTS_PER_BOX", 0)
+    monkeypatch.setattr(contact_buffers, "MAX_GROWTH", 1)  # each size has programs of its own
     small = engine()
     outcome = simulate(small, tiny_scenes(("hand-one-box",)), SHORT)["hand-one-box"]
     assert (outcome.verdict, outcome.reason) == (Verdict.INVALID, Reason.OVERFLOW)

@@ -119,8 +119,8 @@ def test_a_pile_that_no_contacts_hold_is_not_asked_about_soft_ones() -> None:
 def test_statics_answer_to_small_stacks() -> None:
     """The first of the stacks of ``python -m benchmarks small-stacks``, with statics as the reference. Each check has
     stacks of its own."""
-    stacks = cases(8 * len(CHECKS), seed=0)
+    stacks = cases(5 * len(CHECKS), seed=0)
     for check in CHECKS:
-        counts = summary(judge(list(islice(stacks, 8)), check, engine="mujoco"))
+        counts = summary(judge(list(islice(stacks, 5)), check, engine="mujoco"))
         assert counts["wrong"] == []
-        assert 2 < counts["stand"] < 8
+        assert 1 <= counts["stand"] < 5

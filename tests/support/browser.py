@@ -110,7 +110,7 @@ def usual_page(browser: Any) -> Any:
 
 @pytest.fixture
 def open_page(browser: Any, usual_page: Any, tmp_path: Path) -> Iterator[OpenPage]:
-    """Opens HTML from a file, as users do: ``open_page(html, width=1280, height=800, dark=False, webgl=True)``.
+    """Opens HTML from a file, as users do: ``open_page(html, width=960, height=540, dark=False, webgl=True)``.
 
     ``scripts=False`` turns scripts off, ``fragment`` is added behind ``#``. Other arguments are those of Playwright's
     ``new_context``. A page with one of these arguments has a context of its own, and so has every page of a test except
@@ -123,8 +123,8 @@ def open_page(browser: Any, usual_page: Any, tmp_path: Path) -> Iterator[OpenPag
     def opened(
         html: str,
         *,
-        width: int = 1280,
-        height: int = 800,
+        width: int = 960,
+        height: int = 540,
         dark: bool = False,
         webgl: bool = True,
         scripts: bool = True,

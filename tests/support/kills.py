@@ -9,6 +9,7 @@ it reads its folder, writes a part or renames a file, or when it has just begun.
 
 from __future__ import annotations
 
+import gc
 import os
 import random
 import signal
@@ -141,6 +142,7 @@ def kill(folder: Path, kind: str, kills: int, rng: random.Random) -> None:
 
 
 def main(folder: Path, kills_by_kind: dict[str, int], seed: int = 0) -> None:
+    gc.freeze()  # children search no garbage among the imported objects
     mujoco.mj_version(), pyarrow.dataset.dataset, petmjx.score  # so that children need not load them
     defaults = RunWriter.__init__.__kwdefaults__
     assert defaults is not None

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import atexit
 import functools
+import gc
 import multiprocessing
 import multiprocessing.forkserver
 import os
@@ -88,6 +89,7 @@ def ended_program(
 
 def _run(program: str | Path, arguments: tuple[str, ...], folder: Path, printed: Path, errors: Path) -> None:
     """The new process. The standard output and the errors of the new process are written to files."""
+    gc.freeze()  # no search for garbage among the imported objects
     os.chdir(folder)
     for descriptor, path in ((1, printed), (2, errors)):
         os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), descriptor)

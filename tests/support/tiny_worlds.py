@@ -19,14 +19,15 @@ from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.time_slices import Rollout, Slice
 from petmjx.engines.warp.world_arrays import most_panels
 from petmjx.engines.warp.world_table import TableRun, WorldTable
-from petmjx.options.simulation import Simulation
+from petmjx.options.simulation import Quiet, Simulation
 from petmjx.world.scene import Scene, build_scene
 from support.fake_stepper import assert_same
 from support.worlds import boxes_by_plan, make_plan, simulate
 
 TINY = ("hand-one-box", "hand-overhang-45", "hand-bridge", "hand-falls-off", "corner overhang of 30 %")
 
-SHORT = Simulation(interval_s=0.1, rest_window_s=0.04, settle_s=0.3)
+SHORT = Simulation(interval_s=0.1, rest_window_s=0.04, settle_s=0.3, quiet=Quiet(landing_steps=10))
+"""Options with which a tiny world that stands takes 45 to 80 steps."""
 
 LONG_NS = 10**15
 """Length of a time slice in which all worlds of a test end, ns."""

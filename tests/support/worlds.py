@@ -17,7 +17,7 @@ from petmjx.world.scene import Scene
 from support.plans import Box, make_scene, stack
 from support.plans import make_plan as make_plan
 
-LANES = 8
+LANES = 4
 MOST_BOXES = 4
 """A step costs as lanes × boxes² on a CPU: all pairs of boxes may touch."""
 
@@ -79,15 +79,19 @@ def jax_engine() -> MjxJaxEngine:
     return MjxJaxEngine(LANES)
 
 
+BRISK = Simulation(interval_s=0.1, rest_window_s=0.1)
+"""Options with which the worlds end in two thirds of the steps that they take with the usual ones."""
+
+
 @functools.cache
 def jax_outcomes() -> dict[str, Outcome]:
     """The outcomes of mjx-jax, simulated in several batches."""
-    return simulate(jax_engine(), scenes(), Simulation())
+    return simulate(jax_engine(), scenes(), BRISK)
 
 
 @functools.cache
 def exact_outcomes() -> dict[str, Outcome]:
-    return simulate(MujocoEngine(2), scenes(), Simulation())
+    return simulate(MujocoEngine(2), scenes(), BRISK)
 
 
 def run_one(job: Job, sim: Simulation) -> Outcome:

@@ -46,7 +46,7 @@ JAM = Item("jam", "1", "", 400.0, 300.0, 200.0, 6.0)
 FAST: dict[str, Any] = {"engine": "mujoco", "threads": 1}
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(items=orders, extent=targets)
 def test_what_is_found_is_sound_and_apart(items: list[Item], extent: tuple[int, int]) -> None:
     packing = search(items, extent, CLEARANCE_MM, width=2, branch=2)

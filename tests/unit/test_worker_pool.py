@@ -162,11 +162,11 @@ def test_workers_with_kernels_give_the_tables_of_one_process(tmp_path: Path, mon
     dealt to workers as if the engines were devices."""
     heavy = stack(2, size_mm=(400, 300, 200), kg=(0.02, 300.0))
     plans = [
-        *PLANS[4:7],
+        *PLANS[4:6],
         make_plan("stands", heavy),
         make_plan("tips", (*heavy, ((400, 300, 200), (220, 0, 400), 5.0))),
     ]
-    (file := tmp_path / "sweep.toml").write_text(GRID)
+    (file := tmp_path / "sweep.toml").write_text(GRID.replace("[0.8, 1.0]", "[0.8]"))
     alone = petmjx.sweep(file, plans, engine="mjx-warp-cpu", threads=1)
     pool = WorkerPool(Recipe("mjx-warp-cpu", {"threads": 1}), [Place(1), Place(1)], Cluster())
     try:
