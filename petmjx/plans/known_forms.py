@@ -118,9 +118,11 @@ def _with_form_of_names(boxes: BoxList, kind: str) -> BoxSource:
         return BoxSource(boxes_only, replace(PY3DBP, name=name), lines)
     if {"item_type", "dimensions.length", "position.x", "orientation"} <= names:
         return BoxSource(boxes, PACKVIUM)
-    of_benchmark = {"position.x", "dimensions.width", "dimensions.depth", "dimensions.height", "rotation"} <= names
-    if of_benchmark and names & {"sku_id", "sku", "skuid"} and "container" in around:
-        return BoxSource(boxes, BENCHMARK)
+    if {"position.x", "rotation"} <= names and names & {"sku_id", "sku", "skuid"}:
+        if {"dimensions.width", "dimensions.depth", "dimensions.height"} <= names and "container" in around:
+            return BoxSource(boxes, BENCHMARK)
+        if not boxes.has_sizes:
+            return BoxSource(boxes, replace(BENCHMARK, name=f"centres of articles ({kind})", sizes=""))
     if {"flb_coordinates[0]", "orientation"} <= names:
         return BoxSource(boxes, BED_BPP)
     if {"length_mm", "width_mm", "height_mm", "weight_kg", "x_mm", "y_mm", "z_mm"} <= names and names & _OWN_NAMES:
