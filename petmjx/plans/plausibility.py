@@ -38,6 +38,7 @@ _DECKS_MM: Final = (
 _PALLETS: Final = 10
 """Number of carriers at the beginning of ``_DECKS_MM`` that are always considered: the pallets and the roll container.
 The other carriers are considered only if the file names them."""
+_INCHES_48: Final = 1219.2
 _DECK_SPREAD: Final = 0.6
 _LARGE_MM: Final = 1000.0
 """The footprint of a load counts as evidence only for carriers at least this long. Smaller carriers are no larger than
@@ -134,6 +135,8 @@ other box."""
 _NEGATIVE: Final = 1.0
 """Cost of a reading in which corners of boxes have negative coordinates and no container is known. In such a reading,
 the origin is not a corner of the deck."""
+_ANY_ODD: Final = 1.0
+"""Smallest cost of odd boxes, also if one of many boxes is odd."""
 _FIRST_ODD, _MORE_ODD = 3.0, 1.5
 """Largest cost of the first odd box, and of each further one. The cost is limited, because one plan in 20 has a box
 that its packer placed wrongly, and because in a plan with few boxes, one odd box is a large share."""
@@ -146,7 +149,8 @@ def _odd_cost(odd: NDArray[np.bool_], weight: float) -> float:
         weight: cost if all boxes are odd.
     """
     count = int(np.count_nonzero(odd))
-    return min(weight * count / len(odd), _FIRST_ODD + _MORE_ODD * (count - 1)) if count else 0.0
+    share_cost = max(weight * count / len(odd), _ANY_ODD)
+    return min(share_cost, _FIRST_ODD + _MORE_ODD * (count - 1)) if count else 0.0
 
 
 def _contacts(
@@ -237,11 +241,45 @@ def are_other_points(layout: Layout, mm: float, point: Sequence[float]) -> bool:
     return False
 
 
-def rises_sideways(layout: Layout) -> bool:
-    """Whether the boxes, in packing order, go forward along x, or along y, and never back, but go down along z."""
-    steps, tolerance = np.diff(layout.low, axis=0), _tolerance_of(layout)
-    never_back, forward = np.all(steps >= -tolerance, axis=0), np.any(steps > tolerance, axis=0)
-    return bool((never_back & forward)[:2].any() and not never_back[2])
+def order_cost(layouts: Sequence[Layout]) -> float:
+    """How implausible it is that the boxes of each layout were placed in the order in which they are listed.
+
+    Packers mostly place boxes from the ground up: from one box to the next, the height falls in a tenth of the steps,
+    whereas each level coordinate falls in a third of them. If a level coordinate falls less often than the height, its
+    axis may be the vertical. A box is hardly ever placed below a box that is listed before it. Lists in any other
+    order, such as that of articles, tell nothing: all axes have about the same cost.
+    """
+    falls, rises, n_late = np.zeros(3), np.zeros(3), 0
+    for layout in layouts:
+        tolerance = _tolerance_of(layout)
+        steps = np.diff(layout.low, axis=0)
+        falls += (steps < -tolerance).sum(axis=0)
+        rises += (steps > tolerance).sum(axis=0)
+        n_late += _n_late(layout.low[:_SMALL_LOAD], layout.size[:_SMALL_LOAD], tolerance)
+    fewest = min((falls[axis] for axis in (0, 1) if rises[axis]), default=math.inf)
+    is_ordered = fewest <= _ORDERED * sum(len(layout.low) - 1 for layout in layouts)
+    more = float(falls[2] - fewest) / math.sqrt(falls[2] + fewest) if is_ordered and falls[2] > fewest else 0.0
+    return min(_FALLS * more + _LATE * n_late, ON_SIDE)
+
+
+ON_SIDE: Final = 2.6
+"""Largest cost of an order. One load in 13 is built up from one side."""
+_FALLS: Final = 1.5
+"""Cost of an order for each standard deviation by which the height falls more often than a level coordinate."""
+_ORDERED: Final = 0.2
+"""Boxes are listed along a level axis only if their coordinates fall in at most this share of the steps."""
+_LATE: Final = 0.8
+"""Cost of each box that is listed before a box on which it rests. In right readings of layouts, one plan in 20 has such
+a box; in readings along another vertical axis, two plans of three."""
+
+
+def _n_late(low: FloatArray, size: FloatArray, tolerance: float) -> int:
+    """Number of boxes that are listed before a box on which they rest."""
+    high = low + size
+    carries = np.abs(np.subtract.outer(high[:, 2], low[:, 2])) <= tolerance  # rows are lower boxes
+    for axis in range(2):
+        carries &= shared_length(low[:, axis], high[:, axis]) > tolerance
+    return int(np.count_nonzero(np.tril(carries, -1).any(axis=0)))
 
 
 def is_wall(layout: Layout) -> bool:
@@ -254,6 +292,13 @@ def is_wall(layout: Layout) -> bool:
 
 
 _LEAST_OF_WALL: Final = 4  # fewer boxes may be a bridge, which people build to try a simulator
+
+
+def begin_at_different_heights(layouts: Sequence[Layout]) -> bool:
+    """Whether the lowest boxes of several plans are at different heights, and those of no plan at 0."""
+    bottoms = [float(layout.low[:, 2].min()) for layout in layouts if np.isnan(layout.container[2])]
+    tolerance = max(map(_tolerance_of, layouts))
+    return bool(bottoms) and max(bottoms) - min(bottoms) > tolerance and min(map(abs, bottoms)) > tolerance
 
 
 def same_layouts(one: Sequence[Layout], other: Sequence[Layout]) -> bool:
@@ -311,17 +356,43 @@ def _squared(value: float, usual: float, spread: float) -> float:
     return (math.log(value / usual) / spread) ** 2 / 2 if value > 0 else 50.0
 
 
-def deck_cost(deck_mm: FloatArray, known: bool) -> float:
+def deck_cost(deck_mm: FloatArray, known: bool, free_mm: float = 0.0, unit: str = "mm") -> float:
     """Cost of an unusual deck, if the deck is known; else the cost of an unusual footprint of the load. A footprint may
-    be smaller than the deck."""
+    be smaller than the deck.
+
+    Args:
+        free_mm: smallest level side of the boxes.
+        unit: unit of lengths.
+    """
     long, short = float(deck_mm.max()), float(deck_mm.min())
     if _is_usual(long, short, known, _NEAR if known else 0.12):
         return -2.5 if known else -1.2
     if known:
         return min(_squared(long, 1200.0, _DECK_SPREAD), 6.0)
-    if any(long <= (1 + _NEAR) * side and short <= (1 + _NEAR) * other for side, other in _DECKS_MM[:_PALLETS]):
+    if _fills(long, short, free_mm, unit):
         return 0.0
+    if any(long <= (1 + _NEAR) * side and short <= (1 + _NEAR) * other for side, other in _DECKS_MM[:_PALLETS]):
+        return _NOT_FULL
     return 1.0 + min(_squared(long, 1200.0, _DECK_SPREAD), 6.0)
+
+
+_NOT_FULL: Final = 0.5
+"""Cost of a footprint that fits a usual pallet, but leaves room for one more box."""
+_MOST_FREE: Final = 0.15
+"""A footprint fills a pallet only if it leaves free at most this share of each side."""
+
+
+def _fills(long_mm: float, short_mm: float, free_mm: float, unit: str) -> bool:
+    """Whether a footprint leaves no room on a usual pallet for one more box with a side of ``free_mm``. Lengths in
+    inches are compared with the pallet of 48 × 40 inches, and other lengths with the other pallets."""
+    return any(
+        all(
+            -_NEAR * side < side - length < min(free_mm, _MOST_FREE * side)
+            for side, length in ((long, long_mm), (short, short_mm))
+        )
+        for long, short in _DECKS_MM[:_PALLETS]
+        if long >= _LARGE_MM and (long == _INCHES_48) == (unit in ("in", "ft"))
+    )
 
 
 def _is_usual(long_mm: float, short_mm: float, known: bool, near: float) -> bool:
@@ -344,7 +415,7 @@ _OF_PALLET_MM: Final = (580.0, 1500.0, 380.0, 1320.0)
 """Smallest and largest long side, then smallest and largest short side, of a carrier that could be a pallet."""
 
 
-def load_fit(side_mm: float, load_mm: FloatArray, deck_mm: FloatArray, known: bool) -> int:
+def load_fit(side_mm: float, load_mm: FloatArray, deck_mm: FloatArray, known: bool, free_mm: float, unit: str) -> int:
     """How well boxes and a load fit a carrier if lengths are in a certain unit: 0 not at all; 1 they fit a carrier of
     unusual size; 2 they fit a usual carrier that is known or that the load fills. Masses do not matter for the fit.
 
@@ -352,11 +423,13 @@ def load_fit(side_mm: float, load_mm: FloatArray, deck_mm: FloatArray, known: bo
         side_mm: geometric mean of the boxes' sides.
         load_mm: extents of the load along x, y and z.
         deck_mm: extents along x and y of the carrier if it is ``known``, else of the load.
+        free_mm: smallest level side of the boxes.
+        unit: unit of lengths.
     """
     if not _SMALLEST_SIDE_MM <= side_mm <= _LARGEST_SIDE_MM or load_mm[2] > _HIGHEST_MM:
         return 0
     long, short = float(deck_mm.max()), float(deck_mm.min())
-    if _is_usual(long, short, known, _NEAR):
+    if _is_usual(long, short, known, _NEAR) or (not known and _fills(long, short, free_mm, unit)):
         return 2
     if known:
         least, most, narrow, wide = _OF_PALLET_MM

@@ -14,7 +14,7 @@ import numpy as np
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.column_extraction import SIZE_WORDS, XYZ, role_of
-from petmjx.plans.column_names import LENGTH_UNITS
+from petmjx.plans.column_names import LENGTH_UNITS, words_of
 from petmjx.plans.input_conventions import ANCHORS
 from petmjx.plans.plausibility import Layout
 from petmjx.plans.readings import Wishes
@@ -31,6 +31,9 @@ _ANCHOR_PRIOR: Final = {"corner": 0.0, "centre": 1.0, "base-centre": 1.8, "far-c
 _OTHER_CORNER: Final = 3.0  # cost of a reading with coordinates of another corner
 _GUESSED_TURNS: Final = 2.0
 """Cost of a reading in which a column of unknown meaning has rotations."""
+_TURNED_ARRAY: Final = 0.6
+"""Cost of sizes before turning in a table without names. Arrays mostly come from programs that train packers, and have
+sizes as placed."""
 _FIRM: Final = 3.0
 """Cost of a reading that contradicts a known fact about a form."""
 
@@ -147,23 +150,30 @@ def _ups(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tuple[
     if form.rule == "py3dbp" or set(geometry.axes) == {"width", "height", "depth"}:
         return [("z", 0.2), ("y", 0.2)]
     usual = [("z", 0.0), ("y", 1.0)]
+    if _order_in_file(columns, geometry) == ("length", "height", "width") or _is_of_scene(geometry):
+        usual = [("y", 0.0), ("z", 0.7)]
     # the container shows whether x is the vertical
     return [*usual, ("x", UNUSUAL_UP)] if columns.source.boxes.containers else usual
 
 
-def further_candidates(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
-    """Yield all readings with x upwards, unless ``candidates`` has them, and with coordinates of corners that
-    ``candidates`` does not try, unless names, the form or the caller give the vertical or the point."""
+def candidates_on_side(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
+    """Yield all readings with x upwards, unless ``candidates`` has them, or names, the form or the caller give the
+    vertical."""
     free = [geometry for geometry in columns.geometries if not geometry.named_up and geometry.turn is None]
     form = columns.source.form
-    is_known = wishes.up or form.up or form.rule == "py3dbp" or columns.source.boxes.containers
-    if free and not is_known:
+    if not (wishes.up or form.up or form.rule == "py3dbp" or columns.source.boxes.containers or not free):
         for candidate in candidates(replace(columns, geometries=free), replace(wishes, up="x")):
             yield replace(candidate, prior=candidate.prior + UNUSUAL_UP)
+
+
+def candidates_of_corners(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
+    """Yield all readings with coordinates of corners that ``candidates`` does not try, unless names, the form or the
+    caller give the point."""
     free = [geometry for geometry in columns.geometries if not geometry.anchor and geometry.turn is None]
-    for corner in ANCHORS.keys() - _ANCHOR_PRIOR.keys() if free and not (wishes.anchor or form.anchor) else ():
-        for candidate in candidates(replace(columns, geometries=free), replace(wishes, anchor=corner)):
-            yield replace(candidate, prior=candidate.prior + _OTHER_CORNER)
+    for corner in ANCHORS.keys() - _ANCHOR_PRIOR.keys():
+        if free and not (wishes.anchor or columns.source.form.anchor):
+            for candidate in candidates(replace(columns, geometries=free), replace(wishes, anchor=corner)):
+                yield replace(candidate, prior=candidate.prior + _OTHER_CORNER)
 
 
 def _turning_axis(turn: FloatArray) -> str:
@@ -196,7 +206,7 @@ def _pairs(
     if not set(axes) <= set(SIZE_WORDS):
         if axes == XYZ:
             return [((0, 1, 2), 0.0), ((1, 0, 2), 4.0), ((0, 2, 1), 4.0)]
-        return [((0, 1, 2), 0.0), ((1, 0, 2), 2.2), ((0, 2, 1), 1.6)]
+        return [((0, 1, 2), 0.0), ((1, 0, 2), 2.2), ((0, 2, 1), 2.4)]
     upright = "height" if "height" in axes else "depth"
     pairs = []
     vertical = axis_up(up)
@@ -210,7 +220,7 @@ def _pairs(
             swapped = level != usual_level
             prior = 2.0 if swapped else 0.0
         elif pair == (0, 1, 2):  # this pairing follows the order of the axes, not the names of the sizes
-            listed = _order_in_file(columns, axes) == axes
+            listed = _order_in_file(columns, geometry) == axes
             prior = 0.0 if columns.source.form.rule == "py3dbp" else 0.6 if "depth" in axes and listed else 3.0
         else:
             continue
@@ -220,12 +230,18 @@ def _pairs(
     return pairs
 
 
-def _order_in_file(columns: BoxColumns, axes: Sequence[str]) -> tuple[str, ...]:
+def _order_in_file(columns: BoxColumns, geometry: Geometry) -> tuple[str, ...]:
     """The words for the sizes in the order of their columns. In py3dbp, the axes have the order width, height,
     depth."""
     header = columns.source.boxes.table.header
-    column_names = {axis: columns.geometries[0].columns.get(role_of(axis), "") for axis in axes}
-    return tuple(sorted(axes, key=lambda axis: header.index(column_names[axis]) if column_names[axis] in header else 0))
+    names = {axis: geometry.columns.get(role_of(axis), "") for axis in geometry.axes}
+    return tuple(sorted(names, key=lambda axis: header.index(names[axis]) if names[axis] in header else 0))
+
+
+def _is_of_scene(geometry: Geometry) -> bool:
+    """Whether boxes have a position, a rotation and a scale, as in scenes of three.js, Unity and Babylon, in which y is
+    the vertical."""
+    return geometry.turn is not None and any("scale" in words_of(name) for name in geometry.columns.values())
 
 
 def _rules(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tuple[str, float]]:
@@ -243,7 +259,7 @@ def _rules(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tupl
             continue
         if rule == "py3dbp" and number and not form.rule and "type" not in columns.turns.column.lower():
             continue
-        guess = _GUESSED_TURNS * columns.turns.is_guess
+        guess = _GUESSED_TURNS * columns.turns.is_guess + _TURNED_ARRAY * (not columns.source.boxes.table.has_header)
         rules.append((rule, 0.5 * bool(number) * (rule != "swap back") + guess))
     if wishes.sizes == "item":
         return rules

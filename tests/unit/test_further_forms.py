@@ -1195,7 +1195,8 @@ def test_a_flat_layer_is_not_read_as_a_wall(tmp_path: Path, up: str) -> None:
     rows = [[box[axis] for axis in order] + [box[axis + 3] for axis in order] for box in boxes]
     text = "\n".join(["X,Y,Z,Size X,Size Y,Size Z", *(",".join(map(str, row)) for row in rows)])
     plan_set = load(tmp_path, "layer.csv", text, units="mm")
-    assert bool(plan_set.plans) == (up == "z")
+    assert bool(plan_set.plans) == (up != "x")
+    np.testing.assert_allclose([plan.corner_mm[:, 2] for plan in plan_set], 0)
     assert all("can be read in two ways" in skipped.message for skipped in plan_set.skipped)
     (plan,) = load(tmp_path, "layer.csv", text, units="mm", up=up).plans
     np.testing.assert_allclose(plan.corner_mm[:, 2], 0)
