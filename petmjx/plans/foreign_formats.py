@@ -103,6 +103,13 @@ def _blank(match: re.Match[str]) -> str:
     return match[1] if match.re.groups and match[1] else re.sub(r"[^\n]", " ", match[0])
 
 
+def without_comments(text: str) -> str | None:
+    """JSON without comments and without commas behind last values, which are replaced by blanks; None if there are
+    none."""
+    plain = _LAST_COMMA.sub(_blank, _COMMENT.sub(_blank, text))
+    return None if plain == text else plain
+
+
 def _decoded_json(text: str) -> Any:
     """The value of JSON, also of JSON with comments and with commas behind last values.
 
@@ -112,7 +119,7 @@ def _decoded_json(text: str) -> Any:
     try:
         return decoded_json(text)
     except InputError:
-        if (plain := _LAST_COMMA.sub(_blank, _COMMENT.sub(_blank, text))) == text:
+        if (plain := without_comments(text)) is None:
             raise
     return decoded_json(plain)
 

@@ -233,7 +233,7 @@ def _only_name(around: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
             if (text := _name_text(holder.get(name))) != "":
                 return text
     for step, holder in reversed(around):
-        if step.endswith("]") or not step:
+        if step.endswith("]") or not step or holder == {"id": step}:  # the last: a list under the name of a plan
             for name in ("id", "ID", "name", "bin", "partno"):
                 if (text := _name_text(holder.get(name))) != "":
                     return text

@@ -29,7 +29,7 @@ from petmjx.plans.plan_fields import (
 )
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
 from petmjx.plans.raw_cells import cell_number, thousands_faults
-from petmjx.plans.reading_candidates import Candidate, axis_up, layout_of
+from petmjx.plans.reading_candidates import Candidate, axis_up, layout_of, level_axes
 from petmjx.plans.reading_choice import container_of
 from petmjx.plans.readings import Reading, Wishes
 from petmjx.plans.size_and_place_columns import Geometry
@@ -377,6 +377,32 @@ def height_fault(reading: Reading, candidate: Candidate, row: int) -> str:
     axis = axis_up(candidate.up)
     height = candidate.geometry.place[row, axis]
     return f"{_place_names(reading.columns)[axis]} is below the deck, on which other boxes stand, got {height:g}"
+
+
+_ALONG_EDGE: Final = 3
+"""An edge of the deck is at coordinate 0 if at least this number of boxes begin there; one less if the container is
+known."""
+
+
+def edge_faults(
+    columns: BoxColumns, reading: Reading, candidate: Candidate, plans: Mapping[str, NDArray[np.int64]]
+) -> dict[int, str]:
+    """Row → fault, for the only box of a plan with a negative level coordinate, if more than half of the box is beyond
+    the edge along which other boxes stand. The names of the columns are in the faults."""
+    faults: dict[int, str] = {}
+    layout, order = layout_of(columns, candidate), level_axes(candidate.up)
+    for name, rows in plans.items() if reading.origin != "middle" else ():
+        small = _LEVEL * float(np.nanmedian(layout.size[rows, 2]))
+        for axis in range(2):
+            begin, middle = layout.low[rows, axis], (layout.low + layout.size / 2)[rows, axis]
+            (negative,) = np.nonzero(begin < -small)
+            at_edge = np.count_nonzero(np.abs(begin) <= small)
+            least = _ALONG_EDGE - bool(container_of(columns.source.boxes.containers, name))
+            if len(negative) == 1 and middle[negative[0]] < 0 and at_edge >= least:
+                row, column = int(rows[negative[0]]), _place_names(reading.columns)[order[axis]]
+                place = candidate.geometry.place[row, order[axis]]
+                faults[row] = f"{column} is beyond the edge along which other boxes stand, got {place:g}"
+    return faults
 
 
 def range_faults(columns: BoxColumns, reading: Reading, candidate: Candidate) -> dict[int, str]:

@@ -210,7 +210,7 @@ _POINTS: Final = ((0.0, 0.0), (0.5, 0.5), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (0
 of the top, with y upwards."""
 
 
-def are_other_points(layout: Layout, mm: float, point: Sequence[float]) -> bool:
+def are_other_points(layout: Layout, mm: float, point: FloatArray) -> bool:
     """Whether coordinates that were read as those of a certain point of each box are probably those of another one,
     with z or y upwards.
 
@@ -229,7 +229,7 @@ def are_other_points(layout: Layout, mm: float, point: Sequence[float]) -> bool:
         decks = [(0.0, 0.0), (float(layout.container[0]), float(layout.container[1]))]
     for level in ((0, 1), (0, 2)):
         low, size = layout.low[:, level], layout.size[:, level]
-        others = [low + size * (np.array(point)[list(level)] - other) for other in _POINTS]
+        others = [low + size * (point[list(level)] - other) for other in _POINTS]
         extents = [(begin.min(axis=0), (begin + size).max(axis=0)) for begin in (low, *others)]
         as_corners, *as_others = (
             bool(np.abs(begin + end).max() <= tolerance)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import permutations
+from itertools import chain, permutations
 from typing import Final
 
 import numpy as np
@@ -47,6 +47,11 @@ def axis_up(up: str) -> int:
     return _UP[up][2]
 
 
+def level_axes(up: str) -> tuple[int, int]:
+    """The numbers of the file's axes along the plan's x and y."""
+    return _UP[up][0], _UP[up][1]
+
+
 UNUSUAL_UP: Final = 2.0
 """Cost of a reading with x upwards, before any numbers are considered."""
 
@@ -63,6 +68,13 @@ class Candidate:
     prior: float
     scale: float = 1.0
     """The unit of sizes divided by the unit of coordinates."""
+
+    @property
+    def point(self) -> FloatArray:
+        """(3,) the anchor, as shares of the extents along the plan's axes. The names of corners refer to the file's
+        axes."""
+        point = np.array(ANCHORS[self.anchor])
+        return point[list(_UP[self.up])] if self.anchor.startswith("corner-") else point
 
     @property
     def along(self) -> tuple[str, str, str]:
@@ -101,7 +113,7 @@ def layout_of(columns: BoxColumns, candidate: Candidate, container: Mapping[str,
     place = candidate.geometry.place
     order = _UP[candidate.up]
     size, place = size[:, order], place[:, order]
-    low = place - np.array(ANCHORS[candidate.anchor]) * size
+    low = place - candidate.point * size
     return Layout(low, size, _container_along(candidate, container or {}, order))
 
 
@@ -172,7 +184,8 @@ def candidates_of_corners(columns: BoxColumns, wishes: Wishes) -> Iterator[Candi
     free = [geometry for geometry in columns.geometries if not geometry.anchor and geometry.turn is None]
     for corner in ANCHORS.keys() - _ANCHOR_PRIOR.keys():
         if free and not (wishes.anchor or columns.source.form.anchor):
-            for candidate in candidates(replace(columns, geometries=free), replace(wishes, anchor=corner)):
+            chosen = replace(columns, geometries=free), replace(wishes, anchor=corner)
+            for candidate in chain(candidates(*chosen), candidates_on_side(*chosen)):
                 yield replace(candidate, prior=candidate.prior + _OTHER_CORNER)
 
 

@@ -15,7 +15,6 @@ from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.column_extraction import LAST_CELLS, XYZ
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS
-from petmjx.plans.input_conventions import ANCHORS
 from petmjx.plans.plan_fields import FARTHEST_MM
 from petmjx.plans.plausibility import (
     Layout,
@@ -32,7 +31,7 @@ from petmjx.plans.plausibility import (
     side_cost,
 )
 from petmjx.plans.reading_candidates import Candidate, candidates, candidates_of_corners, candidates_on_side, layout_of
-from petmjx.plans.readings import AmbiguousFile, Evidence, Reading, Wishes, overlap_text, tie_text
+from petmjx.plans.readings import AmbiguousFile, Evidence, Reading, Wishes, differences, overlap_text, tie_text
 from petmjx.plans.size_and_place_columns import Geometry
 
 TIE: Final = 1.5
@@ -195,8 +194,8 @@ def _order_cost(judged: _Judged, mm: float, weight: float) -> float:
         weight: weight of the order.
     """
     anchor = judged.candidate.anchor
-    is_close = judged.layout_cost <= 2 * WEAK  # readings with higher costs cannot win
-    is_other = is_close and all(are_other_points(layout, mm, ANCHORS[anchor]) for layout in judged.layouts)
+    is_close = judged.layout_cost <= 2 * WEAK  # other readings are hopeless anyway
+    is_other = is_close and all(are_other_points(layout, mm, judged.candidate.point) for layout in judged.layouts)
     shifted = _SHIFTED * is_other * (1.0 if "corner" in anchor else 0.5)
     sideways = weight * order_cost(judged.layouts) + _OF_WALL * any(map(is_wall, judged.layouts))
     return shifted + sideways
@@ -290,8 +289,23 @@ def choose_reading(
     (reading,) = readings
     if (rival := _other_mass(best)) is not None:
         reading = replace(reading, notes=(f"weights may be in {rival}, too (--units)",))
+    if wishes.anchor and not wishes.exact:
+        reading = replace(reading, notes=(*reading.notes, *_changes_by_anchor(reading, columns, wishes, sample)))
     alternatives = tuple(_reading(one, columns, wishes) for one in judged[1:4])
     return replace(reading, alternatives=alternatives), best.candidate
+
+
+def _changes_by_anchor(reading: Reading, columns: BoxColumns, wishes: Wishes, sample: _Sample) -> list[str]:
+    """A line about what is read otherwise because the caller gives the anchor; none if nothing is. Without the anchor,
+    another vertical, for example, would be as plausible or more plausible."""
+    judged = _judged_candidates(columns, replace(wishes, anchor=""), sample)
+    for other in judged:
+        if other.cost < judged[0].cost + TIE:
+            changes = differences(_reading(other, columns, wishes), reading)
+            words = ", ".join(f"{new} instead of {old}" for option, old, new in changes if option != "--anchor")
+            if words:
+                return [f"because of the anchor given: {words}"]
+    return []
 
 
 def _is_doubtful(best: _Judged) -> bool:
