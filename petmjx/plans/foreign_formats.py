@@ -103,11 +103,9 @@ def _blank(match: re.Match[str]) -> str:
     return match[1] if match.re.groups and match[1] else re.sub(r"[^\n]", " ", match[0])
 
 
-def without_comments(text: str) -> str | None:
-    """JSON without comments and without commas behind last values, which are replaced by blanks; None if there are
-    none."""
-    plain = _LAST_COMMA.sub(_blank, _COMMENT.sub(_blank, text))
-    return None if plain == text else plain
+def without_comments(text: str) -> str:
+    """JSON with blanks in place of comments."""
+    return _COMMENT.sub(_blank, text)
 
 
 def _decoded_json(text: str) -> Any:
@@ -119,7 +117,7 @@ def _decoded_json(text: str) -> Any:
     try:
         return decoded_json(text)
     except InputError:
-        if (plain := without_comments(text)) is None:
+        if (plain := _LAST_COMMA.sub(_blank, without_comments(text))) == text:
             raise
     return decoded_json(plain)
 

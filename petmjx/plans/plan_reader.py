@@ -587,11 +587,14 @@ class _PlanLoader:
 
 
 def _without_comments(data: bytearray) -> bytearray | None:
-    """JSON without comments; None if it has none."""
+    """JSON without comments; None if it has none, or is too large for a file that a person has commented."""
     from petmjx.plans.foreign_formats import without_comments
+    from petmjx.plans.known_forms import MOST_BYTES
 
-    plain = without_comments(data.decode("utf-8", "surrogateescape"))
-    return None if plain is None else bytearray(plain.encode("utf-8", "surrogateescape"))
+    if len(data) > MOST_BYTES or (b"//" not in data and b"/*" not in data):
+        return None
+    plain = without_comments(data.decode("utf-8", "surrogateescape")).encode("utf-8", "surrogateescape")
+    return None if plain == data else bytearray(plain)
 
 
 def _likelier(own: TableError, other: InputError) -> InputError:

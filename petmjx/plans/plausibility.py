@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from petmjx.common.units import FloatArray
 from petmjx.plans.plan_warnings import shared_length
 
-_OVERLAP, _FLOAT, _OUTSIDE, _SUPPORT, _TOUCH = 25.0, 20.0, 15.0, 4.0, 2.0
+_OVERLAP, _FLOAT, _OUTSIDE, _SUPPORT, _TOUCH = 25.0, 20.0, 20.0, 4.0, 2.0
 """Costs if all boxes overlap, float, are outside the carrier, hang over, or touch no neighbour. In the output of a
 packer, a box rarely overlaps or floats by mistake, whereas overhang and gaps are common."""
 _TOLERANCE: Final = 0.01

@@ -114,7 +114,14 @@ def layout_of(columns: BoxColumns, candidate: Candidate, container: Mapping[str,
     order = _UP[candidate.up]
     size, place = size[:, order], place[:, order]
     low = place - candidate.point * size
-    return Layout(low, size, _container_along(candidate, container or {}, order))
+    extents = _container_along(candidate, container or {}, order)
+    if candidate.up == "y" and container and container.keys() == {"0", "1", "2"}:
+        # three numbers may be length, width and height, not those along the file's x, y and z
+        listed = np.array([*container.values()])
+        far = np.nanmax(low + size, axis=0)
+        is_listed = (far <= listed).all() and ((far > extents).any() or listed[2] > extents[2])
+        extents = listed if is_listed else extents
+    return Layout(low, size, extents)
 
 
 def _container_along(candidate: Candidate, container: Mapping[str, float], order: Sequence[int]) -> FloatArray:
@@ -222,7 +229,7 @@ def _pairs(
         return [((0, 1, 2), 0.0), ((1, 0, 2), 2.2), ((0, 2, 1), 2.4)]
     upright = "height" if "height" in axes else "depth"
     pairs = []
-    vertical = axis_up(up)
+    vertical, listed = axis_up(up), _order_in_file(columns, geometry)
     for pair in permutations(range(3)):
         pair_axes = [axes[index] for index in pair]
         level = [name for name in pair_axes if name != upright]
@@ -230,11 +237,12 @@ def _pairs(
             usual_level = ["length", "width"] if "length" in level and "width" in level else ["width", "depth"]
             if "length" in level and "depth" in level:
                 usual_level = ["length", "depth"]
-            swapped = level != usual_level
-            prior = 2.0 if swapped else 0.0
+            # width before length, as in graphics with y upwards
+            is_listed = up == "y" or (listed.index(level[0]) < listed.index(level[1]))
+            prior = 0.0 if level == usual_level else 0.8 if is_listed else 2.0
         elif pair == (0, 1, 2):  # this pairing follows the order of the axes, not the names of the sizes
-            listed = _order_in_file(columns, geometry) == axes
-            prior = 0.0 if columns.source.form.rule == "py3dbp" else 0.6 if "depth" in axes and listed else 3.0
+            is_listed = "depth" in axes and listed == axes
+            prior = 0.0 if columns.source.form.rule == "py3dbp" else 0.6 if is_listed else 3.0
         else:
             continue
         if columns.source.form.rule == "py3dbp" and pair != (0, 1, 2):
