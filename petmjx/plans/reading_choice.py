@@ -49,9 +49,6 @@ with x upwards and with a higher cost are not considered."""
 WEAK_LEAD: Final = 3.0
 """A weak reading wins only if its cost is lower than the cost of every other reading by at least this value. If a plan
 really has odd boxes, even more boxes are odd in wrong readings."""
-_UNUSUAL: Final = 1.0
-"""A reading is unusual if its prior exceeds the smallest prior by at least this value. An unusual reading that is also
-weak wins only if every other layout costs at least twice as much: the right reading may be one that is not tried."""
 _SHIFTED: Final = 3.6
 """Cost of a reading with coordinates of corners if they are probably those of other points (``are_other_points``). With
 coordinates of centres, the cost is half as large: perhaps they are those of tops, with y upwards."""
@@ -268,12 +265,11 @@ def choose_reading(
     best = judged[0]
     tie = TIE + _FEW_MORE * (len(best.rows) < _FEW_BOXES)
     is_weak = best.layout_cost > WEAK
-    unusual = best.candidate.prior - min(one.candidate.prior for one in judged) >= _UNUSUAL
-    lead = max(tie, WEAK_LEAD * is_weak, best.layout_cost * (is_weak and unusual))
+    lead = max(tie, WEAK_LEAD * is_weak)
     close = [
         other
         for other in judged[1:]
-        if other.cost < best.cost + max(lead, WEAK_LEAD * _stands_alone(other, best))
+        if other.cost < best.cost + lead
         and not same_layouts(best.layouts, other.layouts)
     ]
     if close:
@@ -316,13 +312,6 @@ def _is_doubtful(best: _Judged) -> bool:
     is_odd = evidence.n_overlapping + evidence.n_floating + evidence.n_outside > 0
     is_exchanged = best.candidate.geometry.axes == XYZ and best.candidate.pair != (0, 1, 2)
     return is_odd or is_exchanged or best.order_cost > 0
-
-
-def _stands_alone(other: _Judged, best: _Judged) -> bool:
-    """Whether no box overlaps or floats along another vertical axis than that of the most plausible reading, along
-    which boxes overlap or float."""
-    odd = [one.evidence.n_overlapping + one.evidence.n_floating for one in (other, best)]
-    return other.candidate.up != best.candidate.up and not odd[0] and odd[1] > 0
 
 
 _LEAST_OVERLAPPING: Final = 6
