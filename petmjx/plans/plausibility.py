@@ -365,19 +365,17 @@ def deck_cost(deck_mm: FloatArray, known: bool, free_mm: float = 0.0, unit: str 
         unit: unit of lengths.
     """
     long, short = float(deck_mm.max()), float(deck_mm.min())
-    if _is_usual(long, short, known, _NEAR if known else 0.12):
-        return -2.5 if known else -1.2
     if known:
-        return min(_squared(long, 1200.0, _DECK_SPREAD), 6.0)
+        return -2.5 if _is_usual(long, short) else min(_squared(long, 1200.0, _DECK_SPREAD), 6.0)
     if _fills(long, short, free_mm, unit):
-        return 0.0
+        return _FULL
     if any(long <= (1 + _NEAR) * side and short <= (1 + _NEAR) * other for side, other in _DECKS_MM[:_PALLETS]):
-        return _NOT_FULL
+        return 0.0
     return 1.0 + min(_squared(long, 1200.0, _DECK_SPREAD), 6.0)
 
 
-_NOT_FULL: Final = 0.5
-"""Cost of a footprint that fits a usual pallet, but leaves room for one more box."""
+_FULL: Final = -0.8
+"""Cost of a footprint that leaves no room for one more box on a usual pallet."""
 _MOST_FREE: Final = 0.15
 """A footprint fills a pallet only if it leaves free at most this share of each side."""
 
@@ -395,14 +393,9 @@ def _fills(long_mm: float, short_mm: float, free_mm: float, unit: str) -> bool:
     )
 
 
-def _is_usual(long_mm: float, short_mm: float, known: bool, near: float) -> bool:
-    """Whether a deck, or else the footprint of a load, is as large as a usual deck. ``near``: largest difference of the
-    short sides, as a share."""
-    return any(
-        abs(long_mm / long - 1) < _NEAR and abs(short_mm / short - 1) < near
-        for long, short in _DECKS_MM
-        if known or long >= _LARGE_MM
-    )
+def _is_usual(long_mm: float, short_mm: float) -> bool:
+    """Whether a deck is as large as a usual deck."""
+    return any(abs(long_mm / long - 1) < _NEAR and abs(short_mm / short - 1) < _NEAR for long, short in _DECKS_MM)
 
 
 _LOAD_MM: Final = (1340.0, 1320.0)
@@ -429,7 +422,7 @@ def load_fit(side_mm: float, load_mm: FloatArray, deck_mm: FloatArray, known: bo
     if not _SMALLEST_SIDE_MM <= side_mm <= _LARGEST_SIDE_MM or load_mm[2] > _HIGHEST_MM:
         return 0
     long, short = float(deck_mm.max()), float(deck_mm.min())
-    if _is_usual(long, short, known, _NEAR) or (not known and _fills(long, short, free_mm, unit)):
+    if _is_usual(long, short) if known else _fills(long, short, free_mm, unit):
         return 2
     if known:
         least, most, narrow, wide = _OF_PALLET_MM
