@@ -380,28 +380,26 @@ def height_fault(reading: Reading, candidate: Candidate, row: int) -> str:
 
 
 _ALONG_EDGE: Final = 3
-"""An edge of the deck is at coordinate 0 if at least this number of boxes begin there; one less if the container is
-known."""
+"""An edge of the load is at coordinate 0 if this number of boxes begin there; one less if the container is known."""
 
 
 def edge_faults(
     columns: BoxColumns, reading: Reading, candidate: Candidate, plans: Mapping[str, NDArray[np.int64]]
 ) -> dict[int, str]:
-    """Row → fault, for the only box of a plan with a negative level coordinate, if more than half of the box is beyond
-    the edge along which other boxes stand. The names of the columns are in the faults."""
+    """Row → fault, for the only box of a plan with a negative x or y, if most of it is beyond the edge of the load."""
     faults: dict[int, str] = {}
-    layout, order = layout_of(columns, candidate), level_axes(candidate.up)
+    layout = layout_of(columns, candidate)
     for name, rows in plans.items() if reading.origin != "middle" else ():
-        small = _LEVEL * float(np.nanmedian(layout.size[rows, 2]))
-        for axis in range(2):
-            begin, middle = layout.low[rows, axis], (layout.low + layout.size / 2)[rows, axis]
-            (negative,) = np.nonzero(begin < -small)
-            at_edge = np.count_nonzero(np.abs(begin) <= small)
-            least = _ALONG_EDGE - bool(container_of(columns.source.boxes.containers, name))
-            if len(negative) == 1 and middle[negative[0]] < 0 and at_edge >= least:
-                row, column = int(rows[negative[0]]), _place_names(reading.columns)[order[axis]]
-                place = candidate.geometry.place[row, order[axis]]
-                faults[row] = f"{column} is beyond the edge along which other boxes stand, got {place:g}"
+        low, size = layout.low[rows], layout.size[rows]
+        small = _LEVEL * float(np.nanmedian(size[:, 2]))
+        least = _ALONG_EDGE - bool(container_of(columns.source.boxes.containers, name))
+        for axis, named in enumerate(level_axes(candidate.up)):
+            (beyond,) = np.nonzero(low[:, axis] < -small)
+            at_edge = np.count_nonzero(np.abs(low[:, axis]) <= small)
+            if len(beyond) == 1 and at_edge >= least and (low + size / 2)[beyond[0], axis] < 0:
+                row = int(rows[beyond[0]])
+                got = f"got {candidate.geometry.place[row, named]:g}"
+                faults[row] = f"{_place_names(reading.columns)[named]} is beyond the edge of the other boxes, {got}"
     return faults
 
 

@@ -530,7 +530,9 @@ class _PlanLoader:
                     del self.source_of[plan.plan_id], self.found.numbers[plan.plan_id]
                 del self.found.plans[n_good:], self.found.skipped[n_skipped:]
                 self.n_plans, self.unread, self.unlisted = n_plans, unread, 0
-                if has_comments and (plain := _without_comments(data)) is not None:
+                from petmjx.plans.foreign_formats import without_comments
+
+                if has_comments and (plain := without_comments(data)) is not None:
                     self._read_own_json(source, plain, damaged=False, has_comments=False)
                 else:
                     self._skip(source, None, f"{source}: {error}", error)
@@ -584,17 +586,6 @@ class _PlanLoader:
         if plan_id is not None:
             plan_id = printable(plan_id) if len(plan_id) <= LONGEST_NAME else printable_name(plan_id)
         self.found.skipped.append(Skipped(source, plan_id, message, number))
-
-
-def _without_comments(data: bytearray) -> bytearray | None:
-    """JSON without comments; None if it has none, or is too large for a file that a person has commented."""
-    from petmjx.plans.foreign_formats import without_comments
-    from petmjx.plans.known_forms import MOST_BYTES
-
-    if len(data) > MOST_BYTES or (b"//" not in data and b"/*" not in data):
-        return None
-    plain = without_comments(data.decode("utf-8", "surrogateescape")).encode("utf-8", "surrogateescape")
-    return None if plain == data else bytearray(plain)
 
 
 def _likelier(own: TableError, other: InputError) -> InputError:

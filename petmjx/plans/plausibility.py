@@ -245,9 +245,9 @@ def order_cost(layouts: Sequence[Layout]) -> float:
     """How implausible it is that the boxes of each layout were placed in the order in which they are listed.
 
     Packers mostly place boxes from the ground up: from one box to the next, the height falls in a tenth of the steps,
-    whereas each level coordinate falls in a third of them. If a level coordinate falls less often than the height, its
-    axis may be the vertical. A box is hardly ever placed below a box that is listed before it. Lists in any other
-    order, such as that of articles, tell nothing: all axes have about the same cost.
+    and each level coordinate in a third of them. If a level coordinate falls less often than the height, its axis may
+    be the vertical. A box is hardly ever placed below one that is listed before it. In lists in any other order, such
+    as that of articles, all axes have about the same cost.
     """
     falls, rises, n_late = np.zeros(3), np.zeros(3), 0
     for layout in layouts:
@@ -259,10 +259,10 @@ def order_cost(layouts: Sequence[Layout]) -> float:
     fewest = min((falls[axis] for axis in (0, 1) if rises[axis]), default=math.inf)
     is_ordered = fewest <= _ORDERED * sum(len(layout.low) - 1 for layout in layouts)
     more = float(falls[2] - fewest) / math.sqrt(falls[2] + fewest) if is_ordered and falls[2] > fewest else 0.0
-    return min(_FALLS * more + _LATE * n_late, ON_SIDE)
+    return min(_FALLS * more + _LATE * n_late, _ON_SIDE)
 
 
-ON_SIDE: Final = 2.6
+_ON_SIDE: Final = 2.6
 """Largest cost of an order. One load in 13 is built up from one side."""
 _FALLS: Final = 1.5
 """Cost of an order for each standard deviation by which the height falls more often than a level coordinate."""

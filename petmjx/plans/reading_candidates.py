@@ -116,8 +116,7 @@ def layout_of(columns: BoxColumns, candidate: Candidate, container: Mapping[str,
     low = place - candidate.point * size
     extents = _container_along(candidate, container or {}, order)
     if candidate.up == "y" and container and container.keys() == {"0", "1", "2"}:
-        # three numbers may be length, width and height, not those along the file's x, y and z
-        listed = np.array([*container.values()])
+        listed = np.array([*container.values()])  # perhaps length, width and height
         far = np.nanmax(low + size, axis=0)
         is_listed = (far <= listed).all() and ((far > extents).any() or listed[2] > extents[2])
         extents = listed if is_listed else extents
@@ -180,7 +179,7 @@ def candidates_on_side(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidat
     vertical."""
     free = [geometry for geometry in columns.geometries if not geometry.named_up and geometry.turn is None]
     form = columns.source.form
-    if not (wishes.up or form.up or form.rule == "py3dbp" or columns.source.boxes.containers or not free):
+    if free and not (wishes.up or form.up or form.rule == "py3dbp" or columns.source.boxes.containers):
         for candidate in candidates(replace(columns, geometries=free), replace(wishes, up="x")):
             yield replace(candidate, prior=candidate.prior + UNUSUAL_UP)
 
@@ -189,11 +188,11 @@ def candidates_of_corners(columns: BoxColumns, wishes: Wishes) -> Iterator[Candi
     """Yield all readings with coordinates of corners that ``candidates`` does not try, unless names, the form or the
     caller give the point."""
     free = [geometry for geometry in columns.geometries if not geometry.anchor and geometry.turn is None]
-    for corner in ANCHORS.keys() - _ANCHOR_PRIOR.keys():
-        if free and not (wishes.anchor or columns.source.form.anchor):
-            chosen = replace(columns, geometries=free), replace(wishes, anchor=corner)
-            for candidate in chain(candidates(*chosen), candidates_on_side(*chosen)):
-                yield replace(candidate, prior=candidate.prior + _OTHER_CORNER)
+    is_known = not free or wishes.anchor or columns.source.form.anchor
+    for corner in () if is_known else ANCHORS.keys() - _ANCHOR_PRIOR.keys():
+        chosen = replace(columns, geometries=free), replace(wishes, anchor=corner)
+        for candidate in chain(candidates(*chosen), candidates_on_side(*chosen)):
+            yield replace(candidate, prior=candidate.prior + _OTHER_CORNER)
 
 
 def _turning_axis(turn: FloatArray) -> str:

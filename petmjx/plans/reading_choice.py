@@ -267,10 +267,7 @@ def choose_reading(
     is_weak = best.layout_cost > WEAK
     lead = max(tie, WEAK_LEAD * is_weak)
     close = [
-        other
-        for other in judged[1:]
-        if other.cost < best.cost + lead
-        and not same_layouts(best.layouts, other.layouts)
+        other for other in judged[1:] if other.cost < best.cost + lead and not same_layouts(best.layouts, other.layouts)
     ]
     if close:
         readings = [_reading(one, columns, wishes) for one in (best, *close)]
