@@ -191,7 +191,7 @@ def _order_cost(judged: _Judged, mm: float, weight: float) -> float:
         weight: weight of the order.
     """
     anchor = judged.candidate.anchor
-    is_close = judged.layout_cost <= 2 * WEAK  # other readings are hopeless anyway
+    is_close = judged.layout_cost <= 2 * WEAK  # readings with higher costs cannot win
     is_other = is_close and all(are_other_points(layout, mm, judged.candidate.point) for layout in judged.layouts)
     shifted = _SHIFTED * is_other * (1.0 if "corner" in anchor else 0.5)
     sideways = weight * order_cost(judged.layouts) + _OF_WALL * any(map(is_wall, judged.layouts))

@@ -265,4 +265,4 @@ def test_broken_utf8_costs_only_its_plan(samples: list[Sample]) -> None:
 def test_comments_are_read(tmp_path: Path) -> None:
     text = "// by hand\n" + json.dumps({"A": [placement()]}).replace("{", "/* a plan */ {", 1)
     (tmp_path / "p.json").write_text(text)
-    assert [plan.plan_id for plan in petmjx.load_plans(tmp_path / "p.json")] == ["A"]
+    assert [plan.plan_id for plan in load_plans(tmp_path / "p.json")] == ["A"]
