@@ -167,8 +167,9 @@ def _ups(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tuple[
         return [(up, 0.0 if up == axis else _FIRM) for up in ("z", "y")]
     if form.rule == "py3dbp" or set(geometry.axes) == {"width", "height", "depth"}:
         return [("z", 0.2), ("y", 0.2)]
-    usual = [("z", 0.0), ("y", 1.0)]
-    if _order_in_file(columns, geometry) == ("length", "height", "width") or _is_of_scene(geometry):
+    listed = _order_in_file(columns, geometry)
+    usual = [("z", 0.0), ("y", 1.8 if listed == ("length", "width", "height") else 1.0)]
+    if listed == ("length", "height", "width") or _is_of_scene(geometry):
         usual = [("y", 0.0), ("z", 0.7)]
     # the container shows whether x is the vertical
     return [*usual, ("x", UNUSUAL_UP)] if columns.source.boxes.containers else usual
