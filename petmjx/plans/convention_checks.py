@@ -145,6 +145,13 @@ LAYOUTS: Final[tuple[Convention, ...]] = (
     CENTRES,
     _anchor_convention("base-centre", "x and y look like those of centres, not of corners"),
     _anchor_convention("far-corner", "coordinates look like those of the corners with the largest x, y and z"),
+    _anchor_convention("top-centre", "coordinates look like those of the centres of tops"),
+    *(
+        _anchor_convention(
+            f"corner-{axes}", f"coordinates look like those of the corners with the largest {' and '.join(axes)}"
+        )
+        for axes in ("x", "y", "xy", "z", "xz", "yz")
+    ),
     Convention(
         "z looks counted from the floor, not from the top of the carrier",
         "subtract {lowest:g} mm from each z",

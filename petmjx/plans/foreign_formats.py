@@ -13,7 +13,7 @@ from petmjx.common.unreadable_files import foreign_kind, program_kind
 from petmjx.plans.column_names import words_of
 from petmjx.plans.file_formats import NoBoxes, NoGeometry, nul_fault
 from petmjx.plans.header_and_total_rows import geometric_names
-from petmjx.plans.known_forms import MOST_BYTES, BoxSource, with_known_form, with_named_units
+from petmjx.plans.known_forms import MOST_BYTES, BoxSource, rows_of, with_known_form, with_named_units
 from petmjx.plans.nested_containers import LAYERS
 from petmjx.plans.nested_json import box_lists, decoded_json
 from petmjx.plans.numpy_arrays import loaded_array, loaded_arrays, sources_of_arrays
@@ -101,6 +101,14 @@ def _blank(match: re.Match[str]) -> str:
     """The replacement of a comment or comma: spaces and line ends of the same length, so that messages still name the
     right line and column."""
     return match[1] if match.re.groups and match[1] else re.sub(r"[^\n]", " ", match[0])
+
+
+def without_comments(data: bytes | bytearray) -> bytearray | None:
+    """JSON with blanks in place of comments; None if it has none, or is too large for a file that people comment."""
+    if len(data) > MOST_BYTES or (b"//" not in data and b"/*" not in data):
+        return None
+    plain = _COMMENT.sub(_blank, data.decode("utf-8", "surrogateescape")).encode("utf-8", "surrogateescape")
+    return None if plain == data else bytearray(plain)
 
 
 def _decoded_json(text: str) -> Any:
@@ -205,16 +213,9 @@ def sources_of_tables(raw_tables: Sequence[RawTable], kind: str) -> list[BoxSour
 
 def _without_unplaced(boxes: BoxList) -> BoxList:
     """A list of boxes without those that a column such as "placed" says are not placed."""
-    table, kept = boxes.table, rows_with_boxes(boxes.table)
-    if len(kept) == len(table.rows):
-        return boxes
-    rows, places = [table.rows[row] for row in kept], [table.places[row] for row in kept]
-    return replace(
-        boxes,
-        table=replace(table, rows=rows, places=places),
-        parts=tuple(boxes.parts[row] for row in kept),
-        left_out=(*boxes.left_out, *not_placed(len(table.rows) - len(kept))),
-    )
+    kept = rows_with_boxes(boxes.table)
+    left_out = (*boxes.left_out, *not_placed(len(boxes.table.rows) - len(kept)))
+    return replace(rows_of(boxes, kept), left_out=left_out)
 
 
 _SIZE_ABOVE: Final = re.compile(

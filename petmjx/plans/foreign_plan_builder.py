@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from petmjx.plans.known_forms import PACKINGSOLVER
 from petmjx.plans.placed_boxes import (
     assumed_density,
     density_lines,
+    edge_faults,
     empty_rows,
     far_cells,
     fault_of_rows,
@@ -83,7 +85,8 @@ class PlanBuilder:
         for row in rows_below_deck(low, plans, size):
             self.faults.setdefault(row, height_fault(reading, candidate, row))
         self.decks = pallet_rows(self.columns, plans, size, low)
-        for row, fault in range_faults(self.columns, reading, candidate).items():
+        several = range_faults(self.columns, reading, candidate), edge_faults(self.columns, reading, candidate, plans)
+        for row, fault in chain.from_iterable(faults.items() for faults in several):
             self.faults.setdefault(row, fault)
         mass = masses_kg(
             *(self.columns, reading.masses, size, self.wishes, self.faults, self.notes),

@@ -76,6 +76,7 @@ JAVA: Final = replace(_UPRIGHT, name="3d-bin-container-packing")
 D_WAVE: Final = replace(_UPRIGHT, name="the solution of D-Wave's example")
 PACKVIUM: Final = replace(_UPRIGHT, name="packvium's result")
 BENCHMARK: Final = KnownForm("centres and dimensions as placed", anchor="centre", up="z", sizes="placed")
+EB_AFIT: Final = KnownForm("3DContainerPacking", anchor="corner", up="y", sizes="placed")
 SCENE: Final = KnownForm("a MuJoCo scene (MJCF)", "m", "kg", "centre", "z", "placed")
 THREE_JS: Final = KnownForm("a three.js scene", anchor="centre", up="y", sizes="placed")
 UNITY: Final = KnownForm("Unity", up="y")
@@ -118,15 +119,19 @@ def _with_form_of_names(boxes: BoxList, kind: str) -> BoxSource:
         return BoxSource(boxes_only, replace(PY3DBP, name=name), lines)
     if {"item_type", "dimensions.length", "position.x", "orientation"} <= names:
         return BoxSource(boxes, PACKVIUM)
-    of_benchmark = {"position.x", "dimensions.width", "dimensions.depth", "dimensions.height", "rotation"} <= names
-    if of_benchmark and names & {"sku_id", "sku", "skuid"} and "container" in around:
-        return BoxSource(boxes, BENCHMARK)
+    if {"position.x", "rotation"} <= names and names & {"sku_id", "sku", "skuid"}:
+        if {"dimensions.width", "dimensions.depth", "dimensions.height"} <= names and "container" in around:
+            return BoxSource(boxes, BENCHMARK)
+        if not boxes.has_sizes:
+            return BoxSource(boxes, replace(BENCHMARK, name=f"centres of articles ({kind})", sizes=""))
+    if {"coordx", "packdimx"} <= plain:
+        return BoxSource(boxes, replace(EB_AFIT, name=f"{EB_AFIT.name} ({kind})"))
     if {"flb_coordinates[0]", "orientation"} <= names:
         return BoxSource(boxes, BED_BPP)
     if {"length_mm", "width_mm", "height_mm", "weight_kg", "x_mm", "y_mm", "z_mm"} <= names and names & _OWN_NAMES:
         return BoxSource(boxes, OWN)
     if not boxes.table.has_header:
-        return BoxSource(boxes, ARRAY)
+        return BoxSource(boxes, replace(ARRAY, up=""))
     if any("localposition" in name or "localscale" in name for name in plain):
         return BoxSource(boxes, replace(UNITY, name=f"Unity ({kind})"))
     matrices = any(is_matrix(cell) for cell in boxes.table.rows[0]) if boxes.table.rows else False

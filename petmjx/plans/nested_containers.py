@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from petmjx.plans.column_names import CONTAINER_WORDS, known_meanings, names_deck, word_set, words_of
+from petmjx.plans.column_names import CONTAINER_WORDS, LENGTH_UNITS, known_meanings, names_deck, word_set, words_of
 from petmjx.plans.nested_fields import flattened
 from petmjx.plans.raw_cells import cell_number, cell_text
 
@@ -233,7 +233,7 @@ def _only_name(around: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
             if (text := _name_text(holder.get(name))) != "":
                 return text
     for step, holder in reversed(around):
-        if step.endswith("]") or not step:
+        if step.endswith("]") or not step or holder == {"id": step}:  # the last: a list under the name of a plan
             for name in ("id", "ID", "name", "bin", "partno"):
                 if (text := _name_text(holder.get(name))) != "":
                     return text
@@ -300,7 +300,8 @@ def _holds_objects(value: Sequence[Any]) -> bool:
 
 
 def _sizes_in(value: Mapping[str, Any]) -> dict[str, float]:
-    """Axis → size, from the fields of an object; empty unless there are three sizes."""
+    """Axis → size, from the fields of an object; empty unless there are three sizes. Sizes with units are converted to
+    millimetres, like the cells of boxes."""
     flat = flattened(value)
     sizes: dict[str, float] = {}
     for name, meaning in known_meanings(flat).items():
@@ -308,5 +309,5 @@ def _sizes_in(value: Mapping[str, Any]) -> dict[str, float]:
         if meaning.kind != "size" or number is None or number.value <= 0:
             continue
         if meaning.axis not in "012" or name.endswith("]"):  # "dimension1" does not tell an axis
-            sizes.setdefault(meaning.axis, number.value)
+            sizes.setdefault(meaning.axis, number.value * LENGTH_UNITS.get(number.unit, 1.0))
     return sizes if len(sizes) == 3 else {}

@@ -29,7 +29,7 @@ from petmjx.plans.plan_fields import (
 )
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
 from petmjx.plans.raw_cells import cell_number, thousands_faults
-from petmjx.plans.reading_candidates import Candidate, axis_up, layout_of
+from petmjx.plans.reading_candidates import Candidate, axis_up, layout_of, level_axes
 from petmjx.plans.reading_choice import container_of
 from petmjx.plans.readings import Reading, Wishes
 from petmjx.plans.size_and_place_columns import Geometry
@@ -377,6 +377,30 @@ def height_fault(reading: Reading, candidate: Candidate, row: int) -> str:
     axis = axis_up(candidate.up)
     height = candidate.geometry.place[row, axis]
     return f"{_place_names(reading.columns)[axis]} is below the deck, on which other boxes stand, got {height:g}"
+
+
+_ALONG_EDGE: Final = 3
+"""An edge of the load is at coordinate 0 if this number of boxes begin there; one less if the container is known."""
+
+
+def edge_faults(
+    columns: BoxColumns, reading: Reading, candidate: Candidate, plans: Mapping[str, NDArray[np.int64]]
+) -> dict[int, str]:
+    """Row → fault, for the only box of a plan with a negative x or y, if most of it is beyond the edge of the load."""
+    faults: dict[int, str] = {}
+    layout = layout_of(columns, candidate)
+    for name, rows in plans.items() if reading.origin != "middle" else ():
+        low, size = layout.low[rows], layout.size[rows]
+        small = _LEVEL * float(np.nanmedian(size[:, 2]))
+        least = _ALONG_EDGE - bool(container_of(columns.source.boxes.containers, name))
+        for axis, named in enumerate(level_axes(candidate.up)):
+            (beyond,) = np.nonzero(low[:, axis] < -small)
+            at_edge = np.count_nonzero(np.abs(low[:, axis]) <= small)
+            if len(beyond) == 1 and at_edge >= least and (low + size / 2)[beyond[0], axis] < 0:
+                row = int(rows[beyond[0]])
+                got = f"got {candidate.geometry.place[row, named]:g}"
+                faults[row] = f"{_place_names(reading.columns)[named]} is beyond the edge of the other boxes, {got}"
+    return faults
 
 
 def range_faults(columns: BoxColumns, reading: Reading, candidate: Candidate) -> dict[int, str]:

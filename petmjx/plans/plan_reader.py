@@ -491,12 +491,13 @@ class _PlanLoader:
         if damaged or looks_like_own_json(data) or self._is_left_to_own(source, path, data):
             self._read_own_json(source, data, damaged)
 
-    def _read_own_json(self, source: str, data: bytearray, damaged: bool) -> None:
+    def _read_own_json(self, source: str, data: bytearray, damaged: bool, *, has_comments: bool = True) -> None:
         """Read the plans of a text in BED-BPP's form. If the text turns out not to be JSON, its plans are removed
         again.
 
         Args:
             damaged: see :meth:`_read_json`.
+            has_comments: whether the text may have comments, which are removed.
         """
         n_good, n_skipped = len(self.found.plans), len(self.found.skipped)
         n_plans, unread = self.n_plans, self.unread.copy()
@@ -529,7 +530,12 @@ class _PlanLoader:
                     del self.source_of[plan.plan_id], self.found.numbers[plan.plan_id]
                 del self.found.plans[n_good:], self.found.skipped[n_skipped:]
                 self.n_plans, self.unread, self.unlisted = n_plans, unread, 0
-                self._skip(source, None, f"{source}: {error}", error)
+                from petmjx.plans.foreign_formats import without_comments
+
+                if has_comments and (plain := without_comments(data)) is not None:
+                    self._read_own_json(source, plain, damaged=False, has_comments=False)
+                else:
+                    self._skip(source, None, f"{source}: {error}", error)
                 return
         if n_entries == 0 and not damaged:
             self._skip(source, None, f"{source}: holds no plan")

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from petmjx.common.units import FloatArray
 from petmjx.plans.plan_warnings import shared_length
 
-_OVERLAP, _FLOAT, _OUTSIDE, _SUPPORT, _TOUCH = 25.0, 20.0, 15.0, 4.0, 2.0
+_OVERLAP, _FLOAT, _OUTSIDE, _SUPPORT, _TOUCH = 25.0, 20.0, 20.0, 4.0, 2.0
 """Costs if all boxes overlap, float, are outside the carrier, hang over, or touch no neighbour. In the output of a
 packer, a box rarely overlaps or floats by mistake, whereas overhang and gaps are common."""
 _TOLERANCE: Final = 0.01
@@ -38,6 +38,7 @@ _DECKS_MM: Final = (
 _PALLETS: Final = 10
 """Number of carriers at the beginning of ``_DECKS_MM`` that are always considered: the pallets and the roll container.
 The other carriers are considered only if the file names them."""
+_INCHES_48: Final = 1219.2
 _DECK_SPREAD: Final = 0.6
 _LARGE_MM: Final = 1000.0
 """The footprint of a load counts as evidence only for carriers at least this long. Smaller carriers are no larger than
@@ -134,6 +135,8 @@ other box."""
 _NEGATIVE: Final = 1.0
 """Cost of a reading in which corners of boxes have negative coordinates and no container is known. In such a reading,
 the origin is not a corner of the deck."""
+_ANY_ODD: Final = 1.0
+"""Smallest cost of odd boxes, also if one of many boxes is odd."""
 _FIRST_ODD, _MORE_ODD = 3.0, 1.5
 """Largest cost of the first odd box, and of each further one. The cost is limited, because one plan in 20 has a box
 that its packer placed wrongly, and because in a plan with few boxes, one odd box is a large share."""
@@ -146,7 +149,8 @@ def _odd_cost(odd: NDArray[np.bool_], weight: float) -> float:
         weight: cost if all boxes are odd.
     """
     count = int(np.count_nonzero(odd))
-    return min(weight * count / len(odd), _FIRST_ODD + _MORE_ODD * (count - 1)) if count else 0.0
+    share_cost = max(weight * count / len(odd), _ANY_ODD)
+    return min(share_cost, _FIRST_ODD + _MORE_ODD * (count - 1)) if count else 0.0
 
 
 def _contacts(
@@ -206,7 +210,7 @@ _POINTS: Final = ((0.0, 0.0), (0.5, 0.5), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (0
 of the top, with y upwards."""
 
 
-def are_other_points(layout: Layout, mm: float, point: Sequence[float]) -> bool:
+def are_other_points(layout: Layout, mm: float, point: FloatArray) -> bool:
     """Whether coordinates that were read as those of a certain point of each box are probably those of another one,
     with z or y upwards.
 
@@ -225,7 +229,7 @@ def are_other_points(layout: Layout, mm: float, point: Sequence[float]) -> bool:
         decks = [(0.0, 0.0), (float(layout.container[0]), float(layout.container[1]))]
     for level in ((0, 1), (0, 2)):
         low, size = layout.low[:, level], layout.size[:, level]
-        others = [low + size * (np.array(point)[list(level)] - other) for other in _POINTS]
+        others = [low + size * (point[list(level)] - other) for other in _POINTS]
         extents = [(begin.min(axis=0), (begin + size).max(axis=0)) for begin in (low, *others)]
         as_corners, *as_others = (
             bool(np.abs(begin + end).max() <= tolerance)
@@ -237,11 +241,45 @@ def are_other_points(layout: Layout, mm: float, point: Sequence[float]) -> bool:
     return False
 
 
-def rises_sideways(layout: Layout) -> bool:
-    """Whether the boxes, in packing order, go forward along x, or along y, and never back, but go down along z."""
-    steps, tolerance = np.diff(layout.low, axis=0), _tolerance_of(layout)
-    never_back, forward = np.all(steps >= -tolerance, axis=0), np.any(steps > tolerance, axis=0)
-    return bool((never_back & forward)[:2].any() and not never_back[2])
+def order_cost(layouts: Sequence[Layout]) -> float:
+    """How implausible it is that the boxes of each layout were placed in the order in which they are listed.
+
+    Packers mostly place boxes from the ground up: from one box to the next, the height falls in a tenth of the steps,
+    and each level coordinate in a third of them. If a level coordinate falls less often than the height, its axis may
+    be the vertical. A box is hardly ever placed below one that is listed before it. In lists in any other order, such
+    as that of articles, all axes have about the same cost.
+    """
+    falls, rises, n_late = np.zeros(3), np.zeros(3), 0
+    for layout in layouts:
+        tolerance = _tolerance_of(layout)
+        steps = np.diff(layout.low, axis=0)
+        falls += (steps < -tolerance).sum(axis=0)
+        rises += (steps > tolerance).sum(axis=0)
+        n_late += _n_late(layout.low[:_SMALL_LOAD], layout.size[:_SMALL_LOAD], tolerance)
+    fewest = min((falls[axis] for axis in (0, 1) if rises[axis]), default=math.inf)
+    is_ordered = fewest <= _ORDERED * sum(len(layout.low) - 1 for layout in layouts)
+    more = float(falls[2] - fewest) / math.sqrt(falls[2] + fewest) if is_ordered and falls[2] > fewest else 0.0
+    return min(_FALLS * more + _LATE * n_late, _ON_SIDE)
+
+
+_ON_SIDE: Final = 2.6
+"""Largest cost of an order. One load in 13 is built up from one side."""
+_FALLS: Final = 1.5
+"""Cost of an order for each standard deviation by which the height falls more often than a level coordinate."""
+_ORDERED: Final = 0.2
+"""Boxes are listed along a level axis only if their coordinates fall in at most this share of the steps."""
+_LATE: Final = 0.8
+"""Cost of each box that is listed before a box on which it rests. In right readings of layouts, one plan in 20 has such
+a box; in readings along another vertical axis, two plans of three."""
+
+
+def _n_late(low: FloatArray, size: FloatArray, tolerance: float) -> int:
+    """Number of boxes that are listed before a box on which they rest."""
+    high = low + size
+    carries = np.abs(np.subtract.outer(high[:, 2], low[:, 2])) <= tolerance  # rows are lower boxes
+    for axis in range(2):
+        carries &= shared_length(low[:, axis], high[:, axis]) > tolerance
+    return int(np.count_nonzero(np.tril(carries, -1).any(axis=0)))
 
 
 def is_wall(layout: Layout) -> bool:
@@ -254,6 +292,13 @@ def is_wall(layout: Layout) -> bool:
 
 
 _LEAST_OF_WALL: Final = 4  # fewer boxes may be a bridge, which people build to try a simulator
+
+
+def begin_at_different_heights(layouts: Sequence[Layout]) -> bool:
+    """Whether the lowest boxes of several plans are at different heights, and those of no plan at 0."""
+    bottoms = [float(layout.low[:, 2].min()) for layout in layouts if np.isnan(layout.container[2])]
+    tolerance = max(map(_tolerance_of, layouts))
+    return bool(bottoms) and max(bottoms) - min(bottoms) > tolerance and min(map(abs, bottoms)) > tolerance
 
 
 def same_layouts(one: Sequence[Layout], other: Sequence[Layout]) -> bool:
@@ -311,27 +356,46 @@ def _squared(value: float, usual: float, spread: float) -> float:
     return (math.log(value / usual) / spread) ** 2 / 2 if value > 0 else 50.0
 
 
-def deck_cost(deck_mm: FloatArray, known: bool) -> float:
+def deck_cost(deck_mm: FloatArray, known: bool, free_mm: float = 0.0, unit: str = "mm") -> float:
     """Cost of an unusual deck, if the deck is known; else the cost of an unusual footprint of the load. A footprint may
-    be smaller than the deck."""
+    be smaller than the deck.
+
+    Args:
+        free_mm: smallest level side of the boxes.
+        unit: unit of lengths.
+    """
     long, short = float(deck_mm.max()), float(deck_mm.min())
-    if _is_usual(long, short, known, _NEAR if known else 0.12):
-        return -2.5 if known else -1.2
     if known:
-        return min(_squared(long, 1200.0, _DECK_SPREAD), 6.0)
+        return -2.5 if _is_usual(long, short) else min(_squared(long, 1200.0, _DECK_SPREAD), 6.0)
+    if _fills(long, short, free_mm, unit):
+        return _FULL
     if any(long <= (1 + _NEAR) * side and short <= (1 + _NEAR) * other for side, other in _DECKS_MM[:_PALLETS]):
         return 0.0
     return 1.0 + min(_squared(long, 1200.0, _DECK_SPREAD), 6.0)
 
 
-def _is_usual(long_mm: float, short_mm: float, known: bool, near: float) -> bool:
-    """Whether a deck, or else the footprint of a load, is as large as a usual deck. ``near``: largest difference of the
-    short sides, as a share."""
+_FULL: Final = -0.8
+"""Cost of a footprint that leaves no room for one more box on a usual pallet."""
+_MOST_FREE: Final = 0.15
+"""A footprint fills a pallet only if it leaves free at most this share of each side."""
+
+
+def _fills(long_mm: float, short_mm: float, free_mm: float, unit: str) -> bool:
+    """Whether a footprint leaves no room on a usual pallet for one more box with a side of ``free_mm``. Lengths in
+    inches are compared with the pallet of 48 × 40 inches, and other lengths with the other pallets."""
     return any(
-        abs(long_mm / long - 1) < _NEAR and abs(short_mm / short - 1) < near
-        for long, short in _DECKS_MM
-        if known or long >= _LARGE_MM
+        all(
+            -_NEAR * side < side - length < min(free_mm, _MOST_FREE * side)
+            for side, length in ((long, long_mm), (short, short_mm))
+        )
+        for long, short in _DECKS_MM[:_PALLETS]
+        if long >= _LARGE_MM and (long == _INCHES_48) == (unit in ("in", "ft"))
     )
+
+
+def _is_usual(long_mm: float, short_mm: float) -> bool:
+    """Whether a deck is as large as a usual deck."""
+    return any(abs(long_mm / long - 1) < _NEAR and abs(short_mm / short - 1) < _NEAR for long, short in _DECKS_MM)
 
 
 _LOAD_MM: Final = (1340.0, 1320.0)
@@ -344,7 +408,7 @@ _OF_PALLET_MM: Final = (580.0, 1500.0, 380.0, 1320.0)
 """Smallest and largest long side, then smallest and largest short side, of a carrier that could be a pallet."""
 
 
-def load_fit(side_mm: float, load_mm: FloatArray, deck_mm: FloatArray, known: bool) -> int:
+def load_fit(side_mm: float, load_mm: FloatArray, deck_mm: FloatArray, known: bool, free_mm: float, unit: str) -> int:
     """How well boxes and a load fit a carrier if lengths are in a certain unit: 0 not at all; 1 they fit a carrier of
     unusual size; 2 they fit a usual carrier that is known or that the load fills. Masses do not matter for the fit.
 
@@ -352,11 +416,13 @@ def load_fit(side_mm: float, load_mm: FloatArray, deck_mm: FloatArray, known: bo
         side_mm: geometric mean of the boxes' sides.
         load_mm: extents of the load along x, y and z.
         deck_mm: extents along x and y of the carrier if it is ``known``, else of the load.
+        free_mm: smallest level side of the boxes.
+        unit: unit of lengths.
     """
     if not _SMALLEST_SIDE_MM <= side_mm <= _LARGEST_SIDE_MM or load_mm[2] > _HIGHEST_MM:
         return 0
     long, short = float(deck_mm.max()), float(deck_mm.min())
-    if _is_usual(long, short, known, _NEAR):
+    if _is_usual(long, short) if known else _fills(long, short, free_mm, unit):
         return 2
     if known:
         least, most, narrow, wide = _OF_PALLET_MM

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import permutations
+from itertools import chain, permutations
 from typing import Final
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy as np
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.column_extraction import SIZE_WORDS, XYZ, role_of
-from petmjx.plans.column_names import LENGTH_UNITS
+from petmjx.plans.column_names import LENGTH_UNITS, words_of
 from petmjx.plans.input_conventions import ANCHORS
 from petmjx.plans.plausibility import Layout
 from petmjx.plans.readings import Wishes
@@ -31,6 +31,9 @@ _ANCHOR_PRIOR: Final = {"corner": 0.0, "centre": 1.0, "base-centre": 1.8, "far-c
 _OTHER_CORNER: Final = 3.0  # cost of a reading with coordinates of another corner
 _GUESSED_TURNS: Final = 2.0
 """Cost of a reading in which a column of unknown meaning has rotations."""
+_TURNED_ARRAY: Final = 0.6
+"""Cost of sizes before turning in a table without names. Arrays mostly come from programs that train packers, and have
+sizes as placed."""
 _FIRM: Final = 3.0
 """Cost of a reading that contradicts a known fact about a form."""
 
@@ -42,6 +45,11 @@ _UP: Final = {"z": (0, 1, 2), "y": (0, 2, 1), "x": (1, 2, 0)}
 def axis_up(up: str) -> int:
     """The number of the file's vertical axis."""
     return _UP[up][2]
+
+
+def level_axes(up: str) -> tuple[int, int]:
+    """The numbers of the file's axes along the plan's x and y."""
+    return _UP[up][0], _UP[up][1]
 
 
 UNUSUAL_UP: Final = 2.0
@@ -60,6 +68,13 @@ class Candidate:
     prior: float
     scale: float = 1.0
     """The unit of sizes divided by the unit of coordinates."""
+
+    @property
+    def point(self) -> FloatArray:
+        """(3,) the anchor, as shares of the extents along the plan's axes. The names of corners refer to the file's
+        axes."""
+        point = np.array(ANCHORS[self.anchor])
+        return point[list(_UP[self.up])] if self.anchor.startswith("corner-") else point
 
     @property
     def along(self) -> tuple[str, str, str]:
@@ -98,8 +113,14 @@ def layout_of(columns: BoxColumns, candidate: Candidate, container: Mapping[str,
     place = candidate.geometry.place
     order = _UP[candidate.up]
     size, place = size[:, order], place[:, order]
-    low = place - np.array(ANCHORS[candidate.anchor]) * size
-    return Layout(low, size, _container_along(candidate, container or {}, order))
+    low = place - candidate.point * size
+    extents = _container_along(candidate, container or {}, order)
+    if candidate.up == "y" and container and container.keys() == {"0", "1", "2"}:
+        listed = np.array([*container.values()])  # perhaps length, width and height
+        far = np.nanmax(low + size, axis=0)
+        is_listed = (far <= listed).all() and ((far > extents).any() or listed[2] > extents[2])
+        extents = listed if is_listed else extents
+    return Layout(low, size, extents)
 
 
 def _container_along(candidate: Candidate, container: Mapping[str, float], order: Sequence[int]) -> FloatArray:
@@ -146,23 +167,32 @@ def _ups(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tuple[
         return [(up, 0.0 if up == axis else _FIRM) for up in ("z", "y")]
     if form.rule == "py3dbp" or set(geometry.axes) == {"width", "height", "depth"}:
         return [("z", 0.2), ("y", 0.2)]
-    usual = [("z", 0.0), ("y", 1.0)]
+    listed = _order_in_file(columns, geometry)
+    usual = [("z", 0.0), ("y", 1.8 if listed == ("length", "width", "height") else 1.0)]
+    if listed == ("length", "height", "width") or _is_of_scene(geometry):
+        usual = [("y", 0.0), ("z", 0.7)]
     # the container shows whether x is the vertical
     return [*usual, ("x", UNUSUAL_UP)] if columns.source.boxes.containers else usual
 
 
-def further_candidates(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
-    """Yield all readings with x upwards, unless ``candidates`` has them, and with coordinates of corners that
-    ``candidates`` does not try, unless names, the form or the caller give the vertical or the point."""
+def candidates_on_side(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
+    """Yield all readings with x upwards, unless ``candidates`` has them, or names, the form or the caller give the
+    vertical."""
     free = [geometry for geometry in columns.geometries if not geometry.named_up and geometry.turn is None]
     form = columns.source.form
-    is_known = wishes.up or form.up or form.rule == "py3dbp" or columns.source.boxes.containers
-    if free and not is_known:
+    if free and not (wishes.up or form.up or form.rule == "py3dbp" or columns.source.boxes.containers):
         for candidate in candidates(replace(columns, geometries=free), replace(wishes, up="x")):
             yield replace(candidate, prior=candidate.prior + UNUSUAL_UP)
+
+
+def candidates_of_corners(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
+    """Yield all readings with coordinates of corners that ``candidates`` does not try, unless names, the form or the
+    caller give the point."""
     free = [geometry for geometry in columns.geometries if not geometry.anchor and geometry.turn is None]
-    for corner in ANCHORS.keys() - _ANCHOR_PRIOR.keys() if free and not (wishes.anchor or form.anchor) else ():
-        for candidate in candidates(replace(columns, geometries=free), replace(wishes, anchor=corner)):
+    is_known = not free or wishes.anchor or columns.source.form.anchor
+    for corner in () if is_known else ANCHORS.keys() - _ANCHOR_PRIOR.keys():
+        chosen = replace(columns, geometries=free), replace(wishes, anchor=corner)
+        for candidate in chain(candidates(*chosen), candidates_on_side(*chosen)):
             yield replace(candidate, prior=candidate.prior + _OTHER_CORNER)
 
 
@@ -196,10 +226,10 @@ def _pairs(
     if not set(axes) <= set(SIZE_WORDS):
         if axes == XYZ:
             return [((0, 1, 2), 0.0), ((1, 0, 2), 4.0), ((0, 2, 1), 4.0)]
-        return [((0, 1, 2), 0.0), ((1, 0, 2), 2.2), ((0, 2, 1), 1.6)]
+        return [((0, 1, 2), 0.0), ((1, 0, 2), 2.2), ((0, 2, 1), 2.4)]
     upright = "height" if "height" in axes else "depth"
     pairs = []
-    vertical = axis_up(up)
+    vertical, listed = axis_up(up), _order_in_file(columns, geometry)
     for pair in permutations(range(3)):
         pair_axes = [axes[index] for index in pair]
         level = [name for name in pair_axes if name != upright]
@@ -207,11 +237,12 @@ def _pairs(
             usual_level = ["length", "width"] if "length" in level and "width" in level else ["width", "depth"]
             if "length" in level and "depth" in level:
                 usual_level = ["length", "depth"]
-            swapped = level != usual_level
-            prior = 2.0 if swapped else 0.0
+            # width before length, as in graphics with y upwards
+            is_listed = up == "y" or (listed.index(level[0]) < listed.index(level[1]))
+            prior = 0.0 if level == usual_level else 0.8 if is_listed else 2.0
         elif pair == (0, 1, 2):  # this pairing follows the order of the axes, not the names of the sizes
-            listed = _order_in_file(columns, axes) == axes
-            prior = 0.0 if columns.source.form.rule == "py3dbp" else 0.6 if "depth" in axes and listed else 3.0
+            is_listed = "depth" in axes and listed == axes
+            prior = 0.0 if columns.source.form.rule == "py3dbp" else 0.6 if is_listed else 3.0
         else:
             continue
         if columns.source.form.rule == "py3dbp" and pair != (0, 1, 2):
@@ -220,12 +251,18 @@ def _pairs(
     return pairs
 
 
-def _order_in_file(columns: BoxColumns, axes: Sequence[str]) -> tuple[str, ...]:
+def _order_in_file(columns: BoxColumns, geometry: Geometry) -> tuple[str, ...]:
     """The words for the sizes in the order of their columns. In py3dbp, the axes have the order width, height,
     depth."""
     header = columns.source.boxes.table.header
-    column_names = {axis: columns.geometries[0].columns.get(role_of(axis), "") for axis in axes}
-    return tuple(sorted(axes, key=lambda axis: header.index(column_names[axis]) if column_names[axis] in header else 0))
+    names = {axis: geometry.columns.get(role_of(axis), "") for axis in geometry.axes}
+    return tuple(sorted(names, key=lambda axis: header.index(names[axis]) if names[axis] in header else 0))
+
+
+def _is_of_scene(geometry: Geometry) -> bool:
+    """Whether boxes have a position, a rotation and a scale, as in scenes of three.js, Unity and Babylon, in which y is
+    the vertical."""
+    return geometry.turn is not None and any("scale" in words_of(name) for name in geometry.columns.values())
 
 
 def _rules(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tuple[str, float]]:
@@ -243,7 +280,7 @@ def _rules(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tupl
             continue
         if rule == "py3dbp" and number and not form.rule and "type" not in columns.turns.column.lower():
             continue
-        guess = _GUESSED_TURNS * columns.turns.is_guess
+        guess = _GUESSED_TURNS * columns.turns.is_guess + _TURNED_ARRAY * (not columns.source.boxes.table.has_header)
         rules.append((rule, 0.5 * bool(number) * (rule != "swap back") + guess))
     if wishes.sizes == "item":
         return rules

@@ -15,23 +15,23 @@ from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.column_extraction import LAST_CELLS, XYZ
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS
-from petmjx.plans.input_conventions import ANCHORS
 from petmjx.plans.plan_fields import FARTHEST_MM
 from petmjx.plans.plausibility import (
     Layout,
     are_other_points,
+    begin_at_different_heights,
     converted_share,
     deck_cost,
     density_cost,
     is_wall,
     layout_cost,
     load_fit,
-    rises_sideways,
+    order_cost,
     same_layouts,
     side_cost,
 )
-from petmjx.plans.reading_candidates import Candidate, candidates, further_candidates, layout_of
-from petmjx.plans.readings import AmbiguousFile, Evidence, Reading, Wishes, overlap_text, tie_text
+from petmjx.plans.reading_candidates import Candidate, candidates, candidates_of_corners, candidates_on_side, layout_of
+from petmjx.plans.readings import AmbiguousFile, Evidence, Reading, Wishes, differences, overlap_text, tie_text
 from petmjx.plans.size_and_place_columns import Geometry
 
 TIE: Final = 1.5
@@ -49,15 +49,9 @@ with x upwards and with a higher cost are not considered."""
 WEAK_LEAD: Final = 3.0
 """A weak reading wins only if its cost is lower than the cost of every other reading by at least this value. If a plan
 really has odd boxes, even more boxes are odd in wrong readings."""
-_UNUSUAL: Final = 1.0
-"""A reading is unusual if its prior exceeds the smallest prior by at least this value. An unusual reading that is also
-weak wins only if every other layout costs at least twice as much: the right reading may be one that is not tried."""
 _SHIFTED: Final = 3.6
 """Cost of a reading with coordinates of corners if they are probably those of other points (``are_other_points``). With
 coordinates of centres, the cost is half as large: perhaps they are those of tops, with y upwards."""
-_ON_SIDE: Final = 1.0
-"""Cost of a reading in which boxes are listed from one side to the other, but not from the ground up: the axis of these
-sides may be the vertical. The cost is that of y upwards in a file that does not name the vertical."""
 _OF_WALL: Final = 2.0
 """Cost of a reading in which boxes form a wall (``is_wall``). If y is as likely to be the vertical as z, and the file
 has more than a few boxes, the reading as a flat layer wins; else the user is asked for the vertical axis."""
@@ -174,22 +168,33 @@ def _judge(columns: BoxColumns, wishes: Wishes, candidate: Candidate, sample: _S
     n_boxes = len(all_rows)
     evidence = Evidence(n_boxes, int(sums[0]), int(sums[1]), int(sums[2]), float(sums[3] / n_boxes))
     origin = max(set(origins), key=origins.count)
-    judged = _Judged(candidate, sum(costs) / n_boxes, origin, evidence, tuple(layouts), all_rows)
+    cost = sum(costs) / n_boxes + _UNEVEN * begin_at_different_heights(layouts)
+    judged = _Judged(candidate, cost, origin, evidence, tuple(layouts), all_rows)
     units = tuple(_units(judged, columns, wishes))
-    return replace(judged, units=units, order_cost=_order_cost(judged, LENGTH_UNITS[units[0].length]))
+    weight = _BY_AXES if columns.source.form.rule == "py3dbp" else 1.0
+    return replace(judged, units=units, order_cost=_order_cost(judged, LENGTH_UNITS[units[0].length], weight))
 
 
-def _order_cost(judged: _Judged, mm: float) -> float:
+_UNEVEN: Final = 2.5
+"""Cost of a reading in which the plans of a file begin at different heights above the deck. All plans of a file measure
+heights from the same level."""
+_BY_AXES: Final = 0.4
+"""Weight of the order of boxes in files of py3dbp, which fills a container along x, then y, then z, whatever its
+vertical is."""
+
+
+def _order_cost(judged: _Judged, mm: float, weight: float) -> float:
     """The cost of where loads begin, and of the order of boxes.
 
     Args:
         mm: millimetres of a unit of the layouts.
+        weight: weight of the order.
     """
     anchor = judged.candidate.anchor
     is_close = judged.layout_cost <= 2 * WEAK  # readings with higher costs cannot win
-    is_other = is_close and all(are_other_points(layout, mm, ANCHORS[anchor]) for layout in judged.layouts)
+    is_other = is_close and all(are_other_points(layout, mm, judged.candidate.point) for layout in judged.layouts)
     shifted = _SHIFTED * is_other * (1.0 if "corner" in anchor else 0.5)
-    sideways = _ON_SIDE * all(map(rises_sideways, judged.layouts)) + _OF_WALL * any(map(is_wall, judged.layouts))
+    sideways = weight * order_cost(judged.layouts) + _OF_WALL * any(map(is_wall, judged.layouts))
     return shifted + sideways
 
 
@@ -213,12 +218,12 @@ def _units(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[_Units]
         unit_density = float(np.median(densities)) if len(densities) else math.nan
     choices = []
     deck, is_deck = _deck_of(judged, wishes)
-    largest_side, smallest_side = float(size.max()), float(size.min())
+    largest_side, smallest_side, free = float(size.max()), float(size.min()), float(size[:, :2].min())
     for length, length_prior in lengths.items():
         factor = LENGTH_UNITS[length]
         mean_mm = side * factor
         cost = length_prior + side_cost(mean_mm)
-        cost += deck_cost(deck * factor, is_deck)
+        cost += deck_cost(deck * factor, is_deck, free * factor, length)
         cost += 20.0 * (largest_side * factor > 6_000.0) + 20.0 * (smallest_side * factor < 1.0)
         for mass, mass_prior in masses.items():
             density = unit_density * MASS_UNITS[mass] / (factor / 1000.0) ** 3
@@ -260,13 +265,9 @@ def choose_reading(
     best = judged[0]
     tie = TIE + _FEW_MORE * (len(best.rows) < _FEW_BOXES)
     is_weak = best.layout_cost > WEAK
-    unusual = best.candidate.prior - min(one.candidate.prior for one in judged) >= _UNUSUAL
-    lead = max(tie, WEAK_LEAD * is_weak, best.layout_cost * (is_weak and unusual))
+    lead = max(tie, WEAK_LEAD * is_weak)
     close = [
-        other
-        for other in judged[1:]
-        if other.cost < best.cost + max(lead, WEAK_LEAD * _stands_alone(other, best))
-        and not same_layouts(best.layouts, other.layouts)
+        other for other in judged[1:] if other.cost < best.cost + lead and not same_layouts(best.layouts, other.layouts)
     ]
     if close:
         readings = [_reading(one, columns, wishes) for one in (best, *close)]
@@ -281,8 +282,23 @@ def choose_reading(
     (reading,) = readings
     if (rival := _other_mass(best)) is not None:
         reading = replace(reading, notes=(f"weights may be in {rival}, too (--units)",))
+    if wishes.anchor and not wishes.exact:
+        reading = replace(reading, notes=(*reading.notes, *_changes_by_anchor(reading, columns, wishes, sample)))
     alternatives = tuple(_reading(one, columns, wishes) for one in judged[1:4])
     return replace(reading, alternatives=alternatives), best.candidate
+
+
+def _changes_by_anchor(reading: Reading, columns: BoxColumns, wishes: Wishes, sample: _Sample) -> list[str]:
+    """A line about what is read otherwise because the caller gives the anchor; none if nothing is. Without the anchor,
+    another vertical, for example, would be as plausible or more plausible."""
+    judged = _judged_candidates(columns, replace(wishes, anchor=""), sample)
+    for other in judged:
+        if other.cost < judged[0].cost + TIE:
+            changes = differences(_reading(other, columns, wishes), reading)
+            words = ", ".join(f"{new} instead of {old}" for option, old, new in changes if option != "--anchor")
+            if words:
+                return [f"because of the anchor given: {words}"]
+    return []
 
 
 def _is_doubtful(best: _Judged) -> bool:
@@ -292,15 +308,7 @@ def _is_doubtful(best: _Judged) -> bool:
     evidence = best.evidence
     is_odd = evidence.n_overlapping + evidence.n_floating + evidence.n_outside > 0
     is_exchanged = best.candidate.geometry.axes == XYZ and best.candidate.pair != (0, 1, 2)
-    return is_odd or is_exchanged or best.order_cost >= _ON_SIDE
-
-
-def _stands_alone(other: _Judged, best: _Judged) -> bool:
-    """Whether no box overlaps or floats along another vertical axis than that of the most plausible reading, along
-    which boxes overlap or float, or are listed from one side to the other."""
-    odd = [one.evidence.n_overlapping + one.evidence.n_floating for one in (other, best)]
-    is_worse = odd[1] > 0 or best.order_cost >= _ON_SIDE > other.order_cost
-    return other.candidate.up != best.candidate.up and not odd[0] and is_worse
+    return is_odd or is_exchanged or best.order_cost > 0
 
 
 _LEAST_OVERLAPPING: Final = 6
@@ -326,12 +334,13 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
             break
         judged.append(_judge(columns, wishes, candidate, sample))
         lowest = min(lowest, judged[-1].cost)
-    if judged and _is_doubtful(min(judged, key=lambda one: one.cost)):
-        for candidate in sorted(further_candidates(columns, wishes), key=lambda one: one.prior):
-            if candidate.prior + _LOWEST_UNIT_COST > lowest + WEAK_LEAD:
-                break
-            other = _judge(columns, wishes, candidate, sample)
-            judged += [other] if other.layout_cost <= _POOR else []
+    for further in (candidates_on_side, candidates_of_corners):
+        if further is candidates_on_side or _is_doubtful(min(judged, key=lambda one: one.cost)):
+            for candidate in sorted(further(columns, wishes), key=lambda one: one.prior):
+                if candidate.prior + _LOWEST_UNIT_COST > lowest + WEAK_LEAD:
+                    break
+                other = _judge(columns, wishes, candidate, sample)
+                judged += [other] if other.layout_cost <= _POOR else []
     no_sizes_unit = not wishes.units and not any(geometry.size_unit for geometry in columns.geometries)
     if no_sizes_unit and judged and min(one.layout_cost for one in judged) > _POOR:
         base = sorted(judged, key=lambda one: one.candidate.prior)[:8]
@@ -355,8 +364,7 @@ def _likely_units(best: _Judged, wishes: Wishes) -> list[_Units]:
     """The units of a reading. If two units are a tie, both are returned.
 
     Two units of lengths are a tie if boxes and load fit a carrier equally well in both, whatever the masses, or if the
-    costs of the units are almost equal. If lengths are in inches, pounds and kilograms are a tie. Other units of masses
-    are never a tie, because they do not change verdicts.
+    costs of the units are almost equal. Units of masses are never a tie, because they do not change verdicts.
     """
     first, *others = best.units
     rivals = [choice for choice in others if choice.length != first.length and choice.cost < first.cost + TIE]
@@ -376,12 +384,6 @@ def _likely_units(best: _Judged, wishes: Wishes) -> list[_Units]:
             rivals = [] if is_converted else likely
         elif most > 1:
             rivals = []  # the load fills a pallet only if lengths are in this unit
-    if not rivals and LENGTH_UNITS[first.length] == LENGTH_UNITS["in"]:
-        rivals = [
-            choice
-            for choice in others
-            if choice.length == first.length and {first.mass, choice.mass} == {"kg", "lb"} and _is_likely(choice)
-        ]
     return [first, *rivals[:1]]
 
 
@@ -411,7 +413,7 @@ def _fit(best: _Judged, unit: str, wishes: Wishes) -> int:
     load = np.max([(one.low + one.size).max(axis=0) - one.low.min(axis=0) for one in best.layouts], axis=0)
     deck, is_deck = _deck_of(best, wishes)
     side = float(np.exp(np.log(size).mean(axis=1)).mean())
-    return load_fit(side * factor, load * factor, deck * factor, is_deck)
+    return load_fit(side * factor, load * factor, deck * factor, is_deck, float(size[:, :2].min()) * factor, unit)
 
 
 def _are_converted(best: _Judged, unit: str, others: Collection[str]) -> bool:

@@ -259,18 +259,24 @@ _OF_COLUMNS: Final = (
 only a consequence, so it is not mentioned."""
 
 
-def tie_text(readings: Sequence[Reading], weak: bool) -> str:
-    """The line about a tie: the two readings, how they differ, and the options that decide."""
-    one, two = readings[0], readings[1]
+def differences(one: Reading, two: Reading) -> list[tuple[str, str, str]]:
+    """The differences between two readings: for each one, the option that decides, and how each reading has it, in
+    words."""
 
-    def parts_of(differences: Sequence[Any]) -> list[tuple[str, str, str]]:
+    def parts_of(fields: Sequence[Any]) -> list[tuple[str, str, str]]:
         return [
             (option, words(one), words(two))
-            for names, option, words in differences
+            for names, option, words in fields
             if any(getattr(one, name) != getattr(two, name) for name in names)
         ]
 
-    parts = parts_of(_DIFFERENCES) or parts_of(_OF_COLUMNS)
+    return parts_of(_DIFFERENCES) or parts_of(_OF_COLUMNS)
+
+
+def tie_text(readings: Sequence[Reading], weak: bool) -> str:
+    """The line about a tie: the two readings, how they differ, and the options that decide."""
+    one, two = readings[0], readings[1]
+    parts = differences(one, two)
     first, second = (", ".join(part[index] for part in parts) for index in (1, 2))
     options = " or ".join(dict.fromkeys(part[0] for part in parts))
     reason = "no reading is plausible; the best are" if weak else "can be read in two ways:"

@@ -28,8 +28,11 @@ _DEEPEST: Final = 50
 _SIZES: Final = ("size_x", "size_y", "size_z")
 
 
-_EMPTY: Final = re.compile(r"""\s(mass|density|size|pos|quat|euler)\s{0,9}=\s{0,9}(?:"\s{0,9}"|'\s{0,9}')""")
-"""An attribute without a value."""
+_NO_NUMBER: Final = re.compile(
+    r"""\s(mass|density|size|pos|quat|euler)\s{0,9}=\s{0,9}(?:"\s{0,9}"|'\s{0,9}'|["'][^"'<>]{0,200}?\b(nan)\b)""",
+    re.IGNORECASE,
+)
+"""An attribute without a value, or with a value that is not a number."""
 _NO_BOX: Final = re.compile(r"pallet|palette|carrier|floor|ground|table|deck|wall|robot|gripper", re.IGNORECASE)
 """Words in the names of bodies and meshes. A body or mesh with such a word is not taken for a box."""
 
@@ -44,8 +47,9 @@ def source_of_scene(text: str) -> BoxSource:
     """
     import mujoco  # MuJoCo itself interprets all of MJCF: defaults, angles, densities
 
-    if (empty := _EMPTY.search(text)) is not None:  # MuJoCo reads an empty mass as one that is not given
-        raise InputError(f"line {1 + text.count(chr(10), 0, empty.start())}: {empty[1]} is missing")
+    if (bad := _NO_NUMBER.search(text)) is not None:  # MuJoCo reads such a mass as one that is not given
+        fault = "must be finite, got nan" if bad[2] else "is missing"
+        raise InputError(f"line {1 + text.count(chr(10), 0, bad.start(1))}: {bad[1]} {fault}")
     try:
         model = mujoco.MjModel.from_xml_string(text)
     except ValueError as error:

@@ -439,8 +439,8 @@ def array_extras(extraction: ColumnExtraction, geometries: Sequence[Geometry]) -
     """Interpret the further columns without names. Returns rotations, the column of weights, and whether the
     weights are densities.
 
-    A column of whole numbers from 0 to 5 holds rotations. A column of numbers up to ``_DENSEST`` holds densities
-    relative to water. A column of larger numbers holds weights.
+    A column of whole numbers from 0 to 5, some of them 0, holds rotations. A column of numbers up to ``_DENSEST`` holds
+    densities relative to water. A column of larger numbers holds weights.
     """
     header = extraction.table.header
     used = {header.index(name) for name in geometries[0].columns.values()} if geometries else set()
@@ -448,7 +448,7 @@ def array_extras(extraction: ColumnExtraction, geometries: Sequence[Geometry]) -
     for index in range(max(used, default=-1) + 1, len(header)):
         values = extraction.numbers_or_median(index)
         is_integer = bool((values == np.rint(values)).all())
-        if is_integer and values.min() >= 0 and values.max() <= 5:
+        if is_integer and values.max() <= 5 and (values.min() == 0 or values.max() == 1):
             if values.max() > 0 and turns is None:
                 rules = ("swap", "py3dbp") if values.max() <= 1 else ("py3dbp",)
                 turns = Turns(header[index], rules, values.astype(np.int64))

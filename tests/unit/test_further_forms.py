@@ -1195,7 +1195,8 @@ def test_a_flat_layer_is_not_read_as_a_wall(tmp_path: Path, up: str) -> None:
     rows = [[box[axis] for axis in order] + [box[axis + 3] for axis in order] for box in boxes]
     text = "\n".join(["X,Y,Z,Size X,Size Y,Size Z", *(",".join(map(str, row)) for row in rows)])
     plan_set = load(tmp_path, "layer.csv", text, units="mm")
-    assert bool(plan_set.plans) == (up == "z")
+    assert bool(plan_set.plans) == (up != "x")
+    np.testing.assert_allclose([plan.corner_mm[:, 2] for plan in plan_set], 0)
     assert all("can be read in two ways" in skipped.message for skipped in plan_set.skipped)
     (plan,) = load(tmp_path, "layer.csv", text, units="mm", up=up).plans
     np.testing.assert_allclose(plan.corner_mm[:, 2], 0)
@@ -2023,3 +2024,75 @@ def test_exact_corners_are_used_before_rounded_centres(tmp_path: Path) -> None:
     plan_set = load(tmp_path, "pile.json", json.dumps({"bins": [{"items": boxes}]}))
     check_pile(plan_set.plans[0])
     assert "coordinates of corners" in notes_of(plan_set)
+
+
+def test_corners_of_an_anchor_refer_to_the_axes_of_the_file(tmp_path: Path) -> None:
+    """With y upwards, corners with the largest z are at the other side of the deck, not at the tops."""
+
+    def row(k: int, box: tuple[float, ...]) -> list[object]:
+        x, y, z, length, width, height, mass = box
+        return [NAMES[k], x, z, y + width, length, height, width, mass]
+
+    text = table("name,x,y,z,dx,dy,dz,mass", row)
+    for plan in load(tmp_path, "pile.csv", text, units="mm", anchor="corner-z", up="y"):
+        check_pile(plan)
+
+
+def test_a_reading_tells_what_changes_because_of_an_anchor(tmp_path: Path) -> None:
+    """The boxes are listed along y, so y is the vertical, unless this anchor is given."""
+    corners = [(400 * x, 250 * y, 200 * z) for y in range(4) for z in range(4) for x in range(3)]
+    text = "x,y,z,dx,dy,dz,mass\n" + "".join(f"{x},{y},{z},400,250,200,6\n" for x, y, z in corners)
+    for anchor, line in ((None, ""), ("corner-xy", "because of the anchor given: z upwards instead of y upwards")):
+        (reading,) = load(tmp_path, "block.csv", text, units="mm,kg", anchor=anchor).readings.values()
+        assert reading.up == ("z" if line else "y")
+        assert [note for note in reading.notes if note.startswith("because")] == ([line] if line else [])
+
+
+def test_a_box_beyond_the_edge_of_the_others_is_refused(tmp_path: Path) -> None:
+    boxes = [(400 * (k % 3), 300 * (k // 3 % 2), 200 * (k // 6)) for k in range(12)]
+    boxes[7] = (400, -300, 200)
+    text = "x,y,z,dx,dy,dz,mass\n" + "".join(f"{x},{y},{z},400,300,200,6\n" for x, y, z in boxes)
+    (skipped,) = load(tmp_path, "block.csv", text, units="mm").skipped
+    assert skipped.message.endswith("row 9: y is beyond the edge of the other boxes, got -300")
+
+
+def test_plans_of_a_file_begin_at_the_same_height(tmp_path: Path) -> None:
+    """Each plan has boxes of one height, so that centres of tops look like centres above a higher deck."""
+    rows = [
+        (plan, 400 * (k % 3) - 400, 300 * (k // 3) - 300, height)
+        for plan, height in (("A", 280), ("B", 130))
+        for k in range(9)
+    ]
+    text = "pallet,x,y,z,length,width,height,mass\n"
+    text += "".join(f"{plan},{x},{y},{height},400,300,{height},6\n" for plan, x, y, height in rows)
+    for plan in load(tmp_path, "tops.csv", text, units="mm"):
+        assert plan.corner_mm[:, 2].tolist() == [0] * 9
+
+
+def test_a_container_in_centimetres_holds_boxes_in_centimetres(tmp_path: Path) -> None:
+    def in_cm(*values: float) -> dict[str, dict[str, object]]:
+        return {name: {"value": value, "unit": "cm"} for name, value in zip("abc", values, strict=True)}
+
+    def named(names: str, *values: float) -> dict[str, object]:
+        return dict(zip(names.split(), in_cm(*values).values(), strict=True))
+
+    boxes = [
+        {"position": named("x y z", 40 * (k % 3), 40 * (k // 3 % 2), 30 * (k // 6)),
+         "dimensions": named("length width height", 40, 40, 30), "name": f"b{k}"}
+        for k in range(12)
+    ]  # fmt: skip
+    deck = {"id": "p", "inner_dimensions": named("length width height", 120, 80, 150), "placements": boxes}
+    (reading,) = load(tmp_path, "pile.json", json.dumps({"containers": [deck]})).readings.values()
+    assert (reading.up, reading.evidence.n_outside) == ("z", 0)
+
+
+def test_a_list_under_the_name_of_a_plan_gives_its_id() -> None:
+    boxes = [{"x": 400 * k, "y": 0, "z": 0, "length": 400, "width": 300, "height": 200, "weight": 3} for k in range(3)]
+    assert [plan.plan_id for plan in petmjx.load_plans({"P7": boxes})] == ["P7"]
+
+
+def test_weights_that_are_small_whole_numbers_are_no_rotations(tmp_path: Path) -> None:
+    boxes = [(400, 300, 200, 400 * (k % 3), 300 * (k // 3 % 2), 200 * (k // 6), 3) for k in range(12)]
+    np.save(tmp_path / "boxes.npy", np.array(boxes, float))
+    (plan,) = petmjx.load_plans(tmp_path / "boxes.npy", units="mm,kg")
+    assert plan.mass_kg.tolist() == [3] * 12

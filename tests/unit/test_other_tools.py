@@ -17,7 +17,7 @@ from support.foreign_files import CASES, KINDS, READABLE, damaged
 import petmjx
 from petmjx.cli.main import main
 from petmjx.common.errors import InputError
-from petmjx.plans.plausibility import Layout, layout_cost, same_layouts
+from petmjx.plans.plausibility import Layout, layout_cost, order_cost, same_layouts
 from petmjx.plans.readings import CHOOSER, read_reading, reading_toml
 
 pytestmark = pytest.mark.filterwarnings("ignore::petmjx.PlanWarning")
@@ -327,3 +327,9 @@ def test_strict_errors_about_objects_name_them_once(form: Any) -> None:
     ]
     with pytest.raises(InputError, match=r"^(python|data frame): plan b, [^:]*3[^:]*: H must be > 0, got -20\.0$"):
         petmjx.load_plans(form(rows), strict=True)
+
+
+@pytest.mark.parametrize("is_late", [False, True])
+def test_a_box_listed_before_its_support_makes_an_order_implausible(is_late: bool) -> None:
+    low = np.array([(0, 0, 400), (0, 0, 0)] if is_late else [(0, 0, 0), (0, 0, 400)], float)
+    assert bool(order_cost([Layout(low, np.full((2, 3), 400.0), np.full(3, np.nan))])) == is_late

@@ -260,3 +260,9 @@ def test_broken_utf8_costs_only_its_plan(samples: list[Sample]) -> None:
     plan_set = sample.load(sample.data[:at] + b"\xff" + sample.data[at + 1 :])
     assert len(plan_set) == N_PLANS - 1
     assert plan_set.skipped[0].message.endswith("article is not UTF-8 text")
+
+
+def test_comments_are_read(tmp_path: Path) -> None:
+    text = "// by hand\n" + json.dumps({"A": [placement()]}).replace("{", "/* a plan */ {", 1)
+    (tmp_path / "p.json").write_text(text)
+    assert [plan.plan_id for plan in load_plans(tmp_path / "p.json")] == ["A"]
