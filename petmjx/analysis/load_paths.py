@@ -43,9 +43,9 @@ _SAME: Final = 1e-9
 
 
 def equilibrium_slack(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
-    """(n,) slack of each box for even beddings whose supports can only push, computed as by ``load_slack``. If this
-    slack is negative, but other balancing forces keep all resultants inside the edges, the slack of these other forces
-    is used.
+    """(n,) slack of each box, computed as by ``load_slack``, if each box lies on a bed of equal springs (an even
+    bedding) and supports can only push. If this slack is negative, but other balancing forces keep all resultants
+    inside the edges, the slack of these other forces is used.
 
     Other forces are considered, because a load may act beyond an edge only because of the assumed bedding. So after
     each placement with a load beyond an edge, a linear programme searches for forces that keep all loads inside the

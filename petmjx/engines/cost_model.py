@@ -232,7 +232,8 @@ class Work:
     @property
     def coupling(self) -> FloatArray:
         """(n,) how strongly the boxes of each plan are tied together, about 0 to 1. The more strongly boxes are tied
-        together, the more landings cost. Of the powers of ``ties`` that were tried, the square root fits best."""
+        together, the more computing time a landing takes. Of the powers of ``ties`` that were tried, the square root
+        fits best."""
         return np.sqrt(self.ties if len(self.ties) else np.full(len(self.boxes), TYPICAL_TIES))
 
     @property

@@ -130,8 +130,8 @@ _TURNED: Final = (
 _YZ: Final = ("y and z look swapped", "give heights as z")
 _MOST: Final = 0.5
 """Swapped y and z are considered only if at least this share of the boxes that do not stand directly on the carrier
-floats or overlaps. In a correct plan whose rows are flush in y, no box floats or overlaps even after y and z are
-swapped. So a few boxes that float or overlap are no evidence that y and z are swapped."""
+floats or overlaps. A few boxes that float or overlap are no evidence: in a correct plan whose rows are flush in y,
+no box floats or overlaps even after y and z are swapped."""
 _SMALL_MM: Final = 20.0
 """Gaps and overlaps up to this size come from sheets, rounded heights or careless packers, not from a convention."""
 

@@ -77,7 +77,8 @@ class Geometry:
 
 
 class Sizes(NamedTuple):
-    """The sizes of boxes, and their columns. The fields are as in :class:`Geometry`; ``unit`` is ``size_unit``."""
+    """The sizes of boxes, and their columns. The fields mean the same as in :class:`Geometry`, where
+    ``unit`` is called ``size_unit``."""
 
     size: FloatArray
     axes: tuple[str, str, str]
@@ -335,7 +336,7 @@ def _between(
 
 
 _EXTENTS: Final = word_set("extent extents")
-"""Words for sizes that some programs (Unreal, Unity) use for half sizes."""
+"""Words that mean sizes in most files, but half sizes in the files of some programs (Unreal, Unity)."""
 
 
 def with_half_extents(geometry: Geometry) -> Geometry | None:

@@ -202,8 +202,8 @@ class BuildingLoads(NamedTuple):
 
 
 class LeastBuildingEdge(NamedTuple):
-    """Two loads of a plan while it is built: the load with the smallest signed distance from an edge, and the load that
-    is nearest to an edge on either side.
+    """Two of all the loads that act while a plan is built: the load furthest beyond an edge (if none is beyond, the
+    load that is least far inside), and the load nearest to an edge, whether inside or beyond it.
 
     Distances are positive inside an edge and negative beyond it. So the smallest distance is that of the load furthest
     beyond an edge. The load nearest to an edge may be on either side of the edge. If a plan has no loads, distances are

@@ -81,7 +81,8 @@ class Surfaces(NamedTuple):
     Attributes:
         of_boxes: (n,) surface number of each box.
         of_boards: (s,) surface number of each board and wall of the carrier.
-        friction: (k, k) coefficient of sliding friction between two surfaces, or ``LARGER``.
+        friction: (k, k) coefficient of sliding friction between two surfaces; ``LARGER`` if the larger friction of the
+            two bodies acts.
         landing: (k, k, 2) coefficient of restitution between two surfaces, and time in which a landing box is stopped,
             s; or ``FROM_PHYSICS``.
         kinetic: (k, k) kinetic friction between two surfaces as a share of their static friction, or

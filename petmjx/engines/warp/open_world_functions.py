@@ -74,7 +74,8 @@ class Simulator:
         return fresh
 
     def reset(self, open_: OpenState, rows: Int[Array, " row"], worlds: Worlds) -> OpenState:
-        """Start worlds again with these constants. Row numbers beyond the last world are ignored."""
+        """Start the worlds in the rows ``rows`` again, with the constants ``worlds``. Row numbers beyond the last
+        world are ignored."""
         fresh = self.begin(worlds)
         return OpenState(put_rows(open_.worlds, rows, worlds), put_rows(open_.state, rows, fresh))
 
