@@ -28,7 +28,7 @@ from petmjx.engines.protocol import Engine, Progress
 from petmjx.engines.verdict import Verdict
 from petmjx.options.simulation import SOFT_START_STEPS, Schedule
 from petmjx.packers.sample_plans import generate_one, write_samples
-from petmjx.plans.json_writer import write_plans
+from petmjx.plans.bedbpp_writer import write_plans
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_reader import load_plans
 from petmjx.results.run_reader import load_run

@@ -19,7 +19,7 @@ from benchmarks.result_fields import Result, peak_device_bytes, timed
 from petmjx.common.units import FloatArray
 from petmjx.engines.protocol import Engine
 from petmjx.packers.sample_plans import generate
-from petmjx.plans.json_writer import Placement
+from petmjx.plans.bedbpp_writer import Placement
 from petmjx.plans.plan import Plan
 
 BOXES: Final = 30

@@ -24,7 +24,7 @@ import numpy as np
 
 from petmjx.packers.baseline_packer import MAX_HEIGHT_MM, PlacedBox
 from petmjx.packers.sample_plans import as_placements
-from petmjx.plans.json_writer import write_plans
+from petmjx.plans.bedbpp_writer import write_plans
 from petmjx.plans.order_generator import TARGET_EXTENT_MM, Order, draw_order
 
 CELL_MM: Final = 10

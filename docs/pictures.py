@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 
 from petmjx.cli.main import main
 from petmjx.packers.sample_plans import generate_one
-from petmjx.plans.json_writer import write_plans
+from petmjx.plans.bedbpp_writer import write_plans
 
 FOLDER = Path(__file__).resolve().parent / "pictures"
 

@@ -74,8 +74,8 @@ def convert(
 def _convert_orders(files: list[Path], out: Path, target: str | None, options: dict[str, Any]) -> None:
     """Write the orders of a file in BED-BPP's form."""
     from petmjx.options.run_options import RunOptions
+    from petmjx.plans.bedbpp_writer import write_orders
     from petmjx.plans.item_units_and_quantities import OrderReading
-    from petmjx.plans.json_writer import write_orders
     from petmjx.plans.order_reader import read_orders
 
     if is_csv(out) or is_parquet_name(out):

@@ -120,8 +120,8 @@ def samples(
     from petmjx.common.machine import cpu_threads
     from petmjx.packers.pack import reading_of
     from petmjx.packers.sample_plans import loose_share_of, pack_orders, write_samples
+    from petmjx.plans.bedbpp_writer import write_plans
     from petmjx.plans.file_formats import is_csv, is_parquet_name
-    from petmjx.plans.json_writer import write_plans
     from petmjx.show.progress import progress
 
     if is_csv(out) or is_parquet_name(out):
@@ -205,7 +205,7 @@ def _write_physical(
     """Pack orders with the packer ``physical`` (a search and simulations), write the plans, and print a summary."""
     from petmjx.packers.pack import Packed, orders_of, pack_each
     from petmjx.packers.packed_orders import PackedOrder
-    from petmjx.plans.json_writer import Placement, write_plans
+    from petmjx.plans.bedbpp_writer import Placement, write_plans
     from petmjx.show.progress import progress
 
     errors: list[InputError] = []

@@ -16,8 +16,8 @@ from typing import Any, Literal
 
 from petmjx.packers.baseline_packer import PlacedBox
 from petmjx.packers.sample_plans import as_placements, generate_one
+from petmjx.plans.bedbpp_writer import write_plans
 from petmjx.plans.bundled import bundled_path
-from petmjx.plans.json_writer import write_plans
 from petmjx.plans.order_generator import Item
 
 BUNDLED_SEED = 0

@@ -13,6 +13,7 @@ from petmjx.common.atomic_write import atomic_write
 from petmjx.common.checked_records import reason, shown_value
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable, printable_id
+from petmjx.plans.bedbpp_writer import write_orders
 from petmjx.plans.convention_checks import warn
 from petmjx.plans.file_formats import (
     PARQUET_MAGIC,
@@ -21,7 +22,6 @@ from petmjx.plans.file_formats import (
     looks_like_own_json,
 )
 from petmjx.plans.json_reader import Entry, read_text_bytes, scan_plans, unpacked_bytes
-from petmjx.plans.json_writer import write_orders
 from petmjx.plans.order_generator import MOST_ITEMS, TARGET_EXTENT_MM, Item, Order, is_target
 from petmjx.plans.plan_fields import (
     COM_FIELDS_JSON,

@@ -21,7 +21,7 @@ from petmjx.common.atomic_write import atomic_write, gzip_stream
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable, printable_name
 from petmjx.common.units import FloatArray
-from petmjx.plans.json_writer import Placement, write_plans
+from petmjx.plans.bedbpp_writer import Placement, write_plans
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_fields import COM_FIELDS, COM_FIELDS_JSON, SPARSE
 

@@ -20,8 +20,8 @@ from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.options.carriers import Carrier
 from petmjx.options.simulation import Check, Schedule, Simulation
 from petmjx.packers.sample_plans import generate_one
+from petmjx.plans.bedbpp_writer import write_plans
 from petmjx.plans.bundled import bundled_path
-from petmjx.plans.json_writer import write_plans
 from petmjx.plans.plan_reader import load_plans
 from petmjx.world.job import Drive, Excitation, Job
 from petmjx.world.scene import build_scene

@@ -16,12 +16,13 @@ from petmjx.common.errors import InputError
 from petmjx.common.units import STANDARD_GRAVITY
 from petmjx.runs.sweep_file import load_sweep
 from petmjx.runs.sweep_worlds import SweepPlan
-from petmjx.world.profiles.accelerations import RandomVibration, Tilt, psd_integral, psd_rms_g
+from petmjx.world.profiles.accelerations import Tilt
 from petmjx.world.profiles.force_windows import JOLTS, RADIAL, RADIAL_CHAIN, SINE, Window, WindowProfile, chain
 from petmjx.world.profiles.measured_profiles import read_psd, read_windows
 from petmjx.world.profiles.profile import Profile, Strength
 from petmjx.world.profiles.profile_registry import BUILT_IN, FAMILIES, resolve
 from petmjx.world.profiles.profiles_of_sweep_files import define_profiles
+from petmjx.world.profiles.random_vibration import RandomVibration, psd_integral, psd_rms_g
 from petmjx.world.random_streams import WorldKey
 
 DT = 0.002

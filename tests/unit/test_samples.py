@@ -18,8 +18,8 @@ from petmjx.packers.baseline_packer import MAX_HEIGHT_MM, PackRules, in_hull_of_
 from petmjx.packers.handmade_plans import CARTON, HANDMADE, bundled_plans
 from petmjx.packers.left_out_items import LeftOutItems
 from petmjx.packers.sample_plans import LOOSE_SUPPORT, generate, generate_one, pack_orders, write_samples
+from petmjx.plans.bedbpp_writer import write_plans
 from petmjx.plans.bundled import bundled_path
-from petmjx.plans.json_writer import write_plans
 from petmjx.plans.order_generator import MAX_BOXES, MIN_BOXES, TARGET_EXTENT_MM, catalogue, draw_order
 from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan_reader import load_plans

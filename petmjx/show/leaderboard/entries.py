@@ -17,7 +17,7 @@ from petmjx.common.text import printable, printable_name
 from petmjx.options.simulation import Simulation
 from petmjx.packers.packer_registry import PACKERS
 from petmjx.packers.sample_plans import pack_orders
-from petmjx.plans.json_writer import write_plans
+from petmjx.plans.bedbpp_writer import write_plans
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_writer import save_plans
 from petmjx.repairs.repair import OF_READING, repair

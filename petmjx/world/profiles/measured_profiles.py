@@ -15,9 +15,9 @@ from petmjx.common.checked_records import CheckedRecord, read_toml, reason, show
 from petmjx.common.errors import InputError
 from petmjx.common.safe_read import read_regular
 from petmjx.common.text import printable, printable_name
-from petmjx.world.profiles.accelerations import PsdTable, psd_rms_g
 from petmjx.world.profiles.force_windows import Window
 from petmjx.world.profiles.profile import MAX_PROFILE_S
+from petmjx.world.profiles.random_vibration import PsdTable, psd_rms_g
 
 MAX_WINDOWS = 100_000
 MAX_FORCE = 10_000.0

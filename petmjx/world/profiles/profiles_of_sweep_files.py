@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Discriminator, Field, StrictFloat, Tag, Typ
 
 from petmjx.common.checked_records import LIST, VALUE, CheckedRecord, by_entry, complaint, shape, shown_value, within
 from petmjx.common.errors import InputError
-from petmjx.world.profiles.accelerations import HalfSine, PsdTable, RandomVibration, Tilt, Trapezoid, eumos_40509
+from petmjx.world.profiles.accelerations import HalfSine, Tilt, Trapezoid, eumos_40509
 from petmjx.world.profiles.force_windows import WindowProfile, chain
 from petmjx.world.profiles.measured_profiles import (
     MAX_FORCE,
@@ -27,6 +27,7 @@ from petmjx.world.profiles.measured_profiles import (
 )
 from petmjx.world.profiles.profile import MAX_PROFILE_S, Profile
 from petmjx.world.profiles.profile_registry import BUILT_IN, FAMILIES, resolve
+from petmjx.world.profiles.random_vibration import PsdTable, RandomVibration
 
 _USERS: Final = "user's sweep file"
 _TILT: Final = Tilt()

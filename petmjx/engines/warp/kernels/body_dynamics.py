@@ -12,7 +12,7 @@ import warp as wp
 
 from petmjx.engines.mjx import top_forces as force_metrics
 from petmjx.engines.mjx.rules import UNBELIEVABLE
-from petmjx.engines.warp.kernels.block_threads import cross, fused, fused_double, times, times_double
+from petmjx.engines.warp.kernels.block_collectives import cross, fused, fused_double, times, times_double
 from petmjx.engines.warp.kernels.efc import number_of
 from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Workspace, Worlds
 

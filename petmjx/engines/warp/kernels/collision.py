@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from petmjx.engines.warp.kernels.block_threads import (
+from petmjx.engines.warp.kernels.block_collectives import (
     any_of_all,
     dot_double,
     prefix_sums,

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from petmjx.engines.warp.kernels.block_threads import applied_double, dot_double, fused_double
+from petmjx.engines.warp.kernels.block_collectives import applied_double, dot_double, fused_double
 from petmjx.engines.warp.kernels.body_dynamics import body_of, doubled, exact_center, exact_rotation, orientation
 from petmjx.engines.warp.world_arrays import Ref, State, Worlds
 

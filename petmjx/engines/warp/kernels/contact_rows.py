@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from petmjx.engines.warp.kernels.block_threads import cross, fused, prefix_sums, times, wait_for_all
+from petmjx.engines.warp.kernels.block_collectives import cross, fused, prefix_sums, times, wait_for_all
 from petmjx.engines.warp.kernels.body_dynamics import angular_velocity, body_of, center, first_geom, linear_velocity
 from petmjx.engines.warp.kernels.compliance import spring_law
 from petmjx.engines.warp.kernels.efc import is_new, put_number

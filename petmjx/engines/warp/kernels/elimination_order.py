@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from petmjx.engines.warp.kernels.block_threads import any_of_all, wait_for_all
+from petmjx.engines.warp.kernels.block_collectives import any_of_all, wait_for_all
 from petmjx.engines.warp.kernels.body_dynamics import body_of
 from petmjx.engines.warp.world_arrays import Ref, State, Thread, Workspace, Worlds
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from petmjx.engines.warp.kernels.block_threads import wait_for_all
+from petmjx.engines.warp.kernels.block_collectives import wait_for_all
 from petmjx.engines.warp.kernels.body_dynamics import center, linear_velocity
 from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Workspace, Worlds
 from petmjx.world.film import SLACK_M

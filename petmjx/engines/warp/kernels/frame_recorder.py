@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from petmjx.engines.warp.kernels.block_threads import add_to, wait_for_all
+from petmjx.engines.warp.kernels.block_collectives import add_to, wait_for_all
 from petmjx.engines.warp.kernels.rules import RUNNING
 from petmjx.engines.warp.world_arrays import FrameBuffer, Ref, State, Thread, Workspace
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import warp as wp
 
 from petmjx.engines.mjx import world_constants
-from petmjx.engines.warp.kernels.block_threads import cross, difference, times
+from petmjx.engines.warp.kernels.block_collectives import cross, difference, times
 from petmjx.engines.warp.kernels.body_dynamics import (
     angular_velocity,
     box_half,

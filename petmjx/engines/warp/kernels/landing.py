@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from petmjx.engines.warp.kernels.block_threads import any_of_all, wait_for_all
+from petmjx.engines.warp.kernels.block_collectives import any_of_all, wait_for_all
 from petmjx.engines.warp.kernels.body_dynamics import angular_velocity, linear_velocity
 from petmjx.engines.warp.kernels.box_motion import speed_of
 from petmjx.engines.warp.kernels.compliance import spring_of_pair

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from petmjx.engines.warp.kernels.block_threads import any_of_all
+from petmjx.engines.warp.kernels.block_collectives import any_of_all
 from petmjx.engines.warp.kernels.trembling import has_stayed, is_trembling, speed_without_trembling
 from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Worlds
 

@@ -13,7 +13,7 @@ import warp as wp
 from petmjx.engines.mjx import world_constants
 from petmjx.engines.mjx import world_state as batch_state
 from petmjx.engines.verdict import Flag
-from petmjx.engines.warp.kernels.block_threads import any_of_all, wait_for_all
+from petmjx.engines.warp.kernels.block_collectives import any_of_all, wait_for_all
 from petmjx.engines.warp.kernels.body_dynamics import center, middle_of, orientation
 from petmjx.engines.warp.kernels.box_motion import HALF, LAST_BOX, is_gone, length_of, measure, press, sway_of, tilt_of
 from petmjx.engines.warp.kernels.hand import has_missed, lets_go, take_up

@@ -14,7 +14,7 @@ import warp as wp
 
 from petmjx.engines.mjx.world_state import Status
 from petmjx.engines.verdict import Flag
-from petmjx.engines.warp.kernels.block_threads import (
+from petmjx.engines.warp.kernels.block_collectives import (
     add_to,
     any_of_all,
     any_of_block,
