@@ -33,12 +33,12 @@ have a cost, the place nearest to the edges is preferred among equally low place
 petmjx/packers/learned_candidates.py)."""
 
 LOOKED_AT: Final = 3
-"""Number of places that are examined for each candidate. More places than candidates are examined because some places
-have too little support."""
+"""Number of places that are examined for each candidate that is wanted. More places than candidates are examined
+because some places have too little support."""
 
 _FAR: Final = 1e9
-"""Cost of a place that cannot be used. Points that do not exist also have this number as coordinates, mm, since it is
-beyond every carrier."""
+"""A number with two uses: the cost of a place that cannot be used; and the x and y, mm, of points that do not exist,
+which are then beyond the edges of every carrier."""
 
 
 class Points(NamedTuple):

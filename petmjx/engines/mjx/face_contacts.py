@@ -24,8 +24,8 @@ LEAST_MOMENT_M2: Final = 1e-9
 """Smallest second moment per area, m². If the moment is smaller, the area counts as a line."""
 
 LEAST_STEEP: Final = 1e-14
-"""Smallest square of the slope of the depth along the face. If the square is smaller, the depth counts as equal
-everywhere on the face."""
+"""If the square of the slope with which the contact depth changes along a face is below this number, the depth counts
+as equal everywhere on the face."""
 
 _SIGNS: Final = np.array([(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)])
 
@@ -58,11 +58,11 @@ class FacePressure(NamedTuple):
     """How the faces of two boxes press on one another.
 
     Attributes:
-        flat: whether two faces meet.
+        flat: whether a face of one box lies against a face of the other box.
         normal: unit normal from the first box to the second.
         points, depth: contact points and their depths, m.
         area: pressed area, m².
-        least: if ``area`` is smaller than this area, m², the stiffness is computed from this area.
+        least: smallest area from which the stiffness is computed, m²; used instead of ``area`` if ``area`` is smaller.
     """
 
     flat: Bool[Array, ""]

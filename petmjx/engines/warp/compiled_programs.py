@@ -62,7 +62,8 @@ def friction_damping(physics: Physics) -> float:
 
 
 def contact_constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
-    """Those constants of a run that differ for worlds with stiffer contacts (``contact_penetration.stiffened``)."""
+    """The subset of a run's kernel constants whose values differ for worlds with stiffer contacts
+    (``contact_penetration.stiffened``)."""
     return {
         "solref": wp.vec2(*sim.physics.solref),
         "solimp": wp.vec3(*sim.physics.solimp),

@@ -1,7 +1,8 @@
 """The page of one story (the simulation of one plan): the pallet in 3D over time, the first box to fail, and a table of
 all boxes.
 
-Notebooks show stories (results of ``petmjx.tell``) as such pages, so ``petmjx.tell`` comes from this module.
+This module also exports ``petmjx.tell``. So whoever gets a story from ``petmjx.tell`` has loaded the function with
+which notebooks show the story as a page (``story_as_html``).
 """
 
 from __future__ import annotations
