@@ -87,7 +87,7 @@ class Candidates:
     ) -> None:
         self.count, self._highest, self._least = count, max_height_mm, least_support or 0.0
         self._gap = jnp.array([[gap_mm, gap_mm, 0.0]], jnp.float32)
-        # The extent includes the gap that follows the last box.
+        # Boxes are enlarged by a gap on their far sides, so the extent is enlarged by one gap, too.
         self._extent = jnp.asarray([extent_mm], jnp.float32) + gap_mm
         self._inside = inside_mm
 

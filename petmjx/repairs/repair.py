@@ -258,13 +258,15 @@ def repair(
     watch: Callable[[int, int], object] | None = None,
     **options: Any,
 ) -> Repairs:
-    """Find for each plan the smallest change that makes it stand, and stand often enough with errors.
+    """Find for each plan the smallest change with which the plan stands, also in a sufficient share of simulations with
+    random errors.
 
     ``petmjx.repair("plans.json", forbid=["leave-out"], built=12).save("repaired.json")``
 
     Changes are another order, place or turn, moves by some millimetres, exchanges, tie sheets, film if the pallet must
     survive a profile, and as the last resort boxes that are left out. Without ``seconds``, a plan always gets the same
-    repair on the same engine: only the errors are random, and they depend only on the plan's id.
+    repair on the same engine: only the errors are random numbers, and these are the same for the same plan id and the
+    same file ``errors``.
 
     Args:
         plans: as for ``petmjx.score``.

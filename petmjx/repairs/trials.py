@@ -94,7 +94,8 @@ class Share(NamedTuple):
 
 
 SEARCHED: Final = 0.7
-"""Share of the seconds in which plans are searched, if worlds with errors must be simulated afterwards."""
+"""Share of the time limit (``TimeLimit.seconds``) after which the searches for repairs end, if worlds with errors must
+be simulated afterwards."""
 
 
 @dataclass(eq=False)
@@ -122,10 +123,11 @@ class Question:
 
     Attributes:
         sim: options of the simulation.
-        threads: CPU threads of a run.
+        threads: number of CPU threads of a run.
 
     Args:
-        how: fields of ``petmjx.Simulation``, ``errors``, and the run's options of ``OF_RUN``.
+        how: options by name: fields of ``petmjx.Simulation``; ``errors``, a sweep file; and the fields of
+            ``petmjx.RunOptions`` that ``OF_RUN`` names.
         options: the profile, and the number of worlds with errors.
 
     Raises:
@@ -177,7 +179,7 @@ class Question:
         """The trial of each draft.
 
         Raises:
-            OutOfTime: the time is up.
+            OutOfTime: the time of ``limit`` is up.
         """
         stream = TrialStream(self, limit)
         stream.put(None, asked)
@@ -394,9 +396,10 @@ class TrialStream:
     """Simulates drafts while further ones are requested. A request is answered as soon as its own drafts are simulated.
     So a search does not wait for the trials of other searches.
 
-    Judged drafts join the worlds that an engine is simulating. Scores have other options, so they need a run of their
-    own. The run of scores begins when no draft is being judged, or when at least ``SWITCH`` requests, and at least a
-    quarter of all requests, wait for scores.
+    A draft is either only judged (simulated once) or scored (``Asked.is_judged``). Drafts to be judged join the worlds
+    that an engine is simulating. Scores have other options, so they need a run of their own. The run of scores begins
+    when no draft is being judged, or when at least ``SWITCH`` requests, and at least a quarter of all requests, wait
+    for scores.
 
     Args:
         limit: the time limit of the repairs. None: no limit.
@@ -581,7 +584,7 @@ def _trial(world: Any, fallen: Sequence[int], order: tuple[int, ...]) -> Trial:
 
 
 def _fallen(run: RunResults, sim: Simulation) -> dict[str, list[int]]:
-    """Plan id → rows of the boxes that crossed a limit."""
+    """Plan id → rows of the boxes that have dropped, or are over a threshold of tilt or shift."""
     boxes = run.boxes
     signs = Signs(
         shift_m=boxes[["shift_x_m", "shift_y_m", "shift_z_m"]].to_numpy(),

@@ -197,8 +197,8 @@ def _cut(
 ) -> tuple[Float[Array, "k+1 2"], Bool[Array, " k+1"]]:
     """The part of a polygon on the positive side of a line: the points x with across · x + offset > 0.
 
-    ``corners`` and ``kept`` are the corners of the polygon, and which rows of ``corners`` are valid; the valid rows
-    come first. The result has the same form."""
+    ``corners``: the corners of the polygon. ``kept``: whether each row of ``corners`` is valid; the valid rows come
+    first. The result is a pair of such arrays."""
     k = len(corners)
     count = kept.sum()
     following = jnp.where(jnp.arange(k) + 1 < count, jnp.arange(k) + 1, 0)
@@ -208,7 +208,7 @@ def _cut(
     part = here / jnp.where(crosses, here - ahead, 1.0)
     points = jnp.stack([corners, corners + part[:, None] * (corners[following] - corners)], axis=1)
     stay = jnp.stack([kept & (here >= 0), crosses], axis=1).reshape(-1)
-    row = jnp.where(stay, jnp.cumsum(stay) - 1, k + 1)  # points without a row are dropped
+    row = jnp.where(stay, jnp.cumsum(stay) - 1, k + 1)  # points that do not stay get no row
     left = jnp.zeros((k + 1, 2)).at[row].set(points.reshape(-1, 2), mode="drop")
     return left, jnp.arange(k + 1) < stay.sum()
 
