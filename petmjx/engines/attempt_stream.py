@@ -205,7 +205,8 @@ class _AttemptRun(Generic[AnyWorld]):
         return len(self.retry_queue) + len(self.for_fallback) < self.most_pending
 
     def _put_world(self, world: AnyWorld, *, bounded: bool) -> bool:
-        """Put the job of a new world into the stream, or keep the world for the fallback engine."""
+        """Put the job of a new world into the stream, or keep the world for the fallback engine. Returns False if the
+        stream is closed. ``bounded``: whether the call waits while the stream is full."""
         pending: Pending[AnyWorld] = (world, None, ())
         primary = self.engines.primary
         if self.first_runner.engine_for(world) is not primary:
@@ -378,7 +379,7 @@ class _AttemptTasks(Generic[AnyWorld]):
         """
         if self._in_flight:
             for answer in self.engines.attempt_simulator.ended(wait=wait):
-                if answer.number not in self._in_flight:  # a task READY only prepares the process: it has no world
+                if answer.number not in self._in_flight:  # the task READY only prepares a process, without a world
                     continue
                 runner, pending, engine = self._in_flight.pop(answer.number)
                 for answered in self._answered(runner, pending, engine, answer):

@@ -44,9 +44,10 @@ cheap steps, in which all boxes are at rest. In the remaining steps, boxes move 
 
 JAX_POWER, WARP_POWER = 2.0, 1.0
 """Over whole runs, the cost of a step grows with the number of boxes to the power ``JAX_POWER`` on ``mjx-jax``, and to
-the power ``WARP_POWER`` on ``mjx-warp``, where steps at rest are cheap and plans with more boxes have more of them.
-While n boxes are placed one by one, the cost on ``mjx-warp`` is the mean of k to this power over k = 1…n: about 1 /
-(power + 1) of the full cost. On ``mjx-jax``, all boxes are in the model from the beginning."""
+the power ``WARP_POWER`` on ``mjx-warp``, where steps at rest are cheap and plans with more boxes are at rest in a
+larger share of their steps. While n boxes are placed one by one, the cost on ``mjx-warp`` is the mean of k to this
+power over k = 1…n: about 1 / (power + 1) of the full cost. On ``mjx-jax``, all boxes are in the model from the
+beginning, so every step has the full cost."""
 
 SHAKEN_FACTOR = 2.5
 """Cost of a step of a drive on a device, relative to a step of the same pallet with the fixed schedule. Measured on an
@@ -66,10 +67,10 @@ steps than this number. A profile that tilts the carrier has 2,970 steps, and bo
 that shakes boxes for many seconds takes up to ten times as long as expected."""
 
 STEADY_G, CREEPING = 0.35, 2.0
-"""A drive with an acceleration above ``STEADY_G``, in units of 9.81 m/s², shakes a pallet down. After a drive with a
-smaller acceleration, the pallet may creep. So a weaker drive is expected to take ``CREEPING`` times as many steps, and
-is begun earlier. Measured on EUMOS's 4,032 drives of 100 plans: strong drives take 336 steps on average and at most
-1,149; weak drives take 570 steps on average and at most 6,088."""
+"""A drive with an acceleration above ``STEADY_G``, in units of 9.81 m/s², is expected to make unstable pallets fall
+soon. After a drive with a smaller acceleration, boxes may creep for a long time. So a weaker drive is expected to take
+``CREEPING`` times as many steps, and is begun earlier. Measured on EUMOS's 4,032 drives of 100 plans: strong drives
+take 336 steps on average and at most 1,149; weak drives take 570 steps on average and at most 6,088."""
 
 
 FALL_STEPS = 1350
@@ -232,8 +233,8 @@ class Work:
     @property
     def coupling(self) -> FloatArray:
         """(n,) how strongly the boxes of each plan are tied together, about 0 to 1. The more strongly boxes are tied
-        together, the more computing time a landing takes. Of the powers of ``ties`` that were tried, the square root
-        fits best."""
+        together, the more computing time a landing takes. The result is the square root of ``ties``: of the powers of
+        ``ties`` that were tried, the square root agrees best with measured times."""
         return np.sqrt(self.ties if len(self.ties) else np.full(len(self.boxes), TYPICAL_TIES))
 
     @property
@@ -288,8 +289,8 @@ class Work:
 
     @property
     def on_device(self) -> float:
-        """Cost of all placements of a plan on a device, with and without errors. The unit is the cost of one placement
-        of this plan without errors in which boxes are not carried."""
+        """Cost of all placements of a plan on a device, with and without errors. A cost of 1 is that of one placement
+        of this plan in which boxes appear exactly at their places."""
         planned = CARRIED_COST if self.sim.placing.carries else 1.0
         return planned * self.planned + DISPLACED_COST * self.displaced + CARRIED_COST * self.carried
 

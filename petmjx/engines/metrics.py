@@ -309,7 +309,8 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
         "n_steps", DIMENSIONLESS, "simulated steps after the soft start", SampleAt.END, np.int64, compared=False
     ),
 )  # fmt: skip
-"""All metrics, in the order of their columns. In the table ``boxes``, metrics with ``driven_only`` come last."""
+"""All metrics, in the order of their columns; but in the table ``boxes``, the metrics that only driven runs have
+(``driven_only``) come after all other metrics."""
 
 
 @dataclass(eq=False)

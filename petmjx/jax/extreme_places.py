@@ -33,12 +33,12 @@ have a cost, the place nearest to the edges is preferred among equally low place
 petmjx/packers/learned_candidates.py)."""
 
 LOOKED_AT: Final = 3
-"""Number of places that are examined for each candidate. More places than candidates are examined because some places
-have too little support."""
+"""Number of places that are examined for each candidate that is wanted. More places than candidates are examined
+because some places have too little support."""
 
 _FAR: Final = 1e9
-"""Cost of a place that cannot be used. Points that do not exist also have this number as coordinates, mm, since it is
-beyond every carrier."""
+"""A number with two uses: the cost of a place that cannot be used; and the x and y, mm, of points that do not exist,
+which are then beyond the edges of every carrier."""
 
 
 class Points(NamedTuple):
@@ -87,7 +87,7 @@ class Candidates:
     ) -> None:
         self.count, self._highest, self._least = count, max_height_mm, least_support or 0.0
         self._gap = jnp.array([[gap_mm, gap_mm, 0.0]], jnp.float32)
-        # The extent includes the gap that follows the last box.
+        # Boxes are enlarged by a gap on their far sides, so the extent is enlarged by one gap, too.
         self._extent = jnp.asarray([extent_mm], jnp.float32) + gap_mm
         self._inside = inside_mm
 

@@ -44,7 +44,8 @@ def order_reading(units: Any = None, columns: Any = None, density: Any = None) -
             value is used.
 
     Raises:
-        InputError: a value is unusable. The message begins with ``orders_``.
+        InputError: a value is unusable. The message begins with the name of the environment's option, such as
+            ``orders_units``.
     """
     try:
         options = RunOptions(units=units, columns=columns, density=density)

@@ -206,8 +206,8 @@ def lowest_first(stream: FourSidedStream) -> NextCandidate | None:
     """Choose the candidate of least cost with which the pile keeps its balance, as a simple packer does in each step.
     The result is None if there is no candidate.
 
-    The value of the candidate's box, as in the packer ``balanced``, is subtracted from the cost. This subtraction makes
-    a difference only if the packer sees several boxes.
+    The value of a candidate's box (``ItemStream.worth``), in mm of height, is subtracted from the cost of the
+    candidate, mm. This subtraction makes a difference only if the packer sees several boxes.
     """
     places = stream.places()
     cost = cost_mm(stream, places) - stream.worth(places)

@@ -179,7 +179,8 @@ _BOX_RECORDS: Final = word_set(
     "box case carton item parcel package piece karton kiste paket packstuck packung colis carton boite caja bulto "
     "scatola collo cartone paczka karton pudelko"
 )
-"""Types of records, in lower case and without accents, of pallets and of boxes."""
+"""The words, in lower case and without accents, that mark a row of a list as a pallet (``_PALLET_RECORDS``) or as a box
+(``_BOX_RECORDS``)."""
 
 
 def _by_pallet_rows(boxes: BoxList) -> tuple[BoxList, str]:

@@ -160,7 +160,7 @@ _KINDS: Final = {
     **dict.fromkeys(("plan_id", "article", "item_id", "product_group", "material", "kind"), pa.string()),
     **dict.fromkeys(("sequence", "orientation", "order_sequence"), pa.int64()),
 }
-"""Column → its type. All other columns have floating-point numbers."""
+"""Column of a table of plans → Arrow type of its values. All other columns have floating-point numbers."""
 
 
 def _schema(plans: Sequence[Plan]) -> pa.Schema:

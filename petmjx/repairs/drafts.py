@@ -251,8 +251,8 @@ class Draft:
 
 
 def key_of(draft: Draft, n_boxes: int | None = None) -> bytes:
-    """A key that is equal for equal drafts. ``n_boxes``: the key of this many first boxes, with which the key of the
-    whole draft begins."""
+    """A key that is equal for equal drafts. ``n_boxes``: if given, the key of only this many first boxes in packing
+    order is returned. The key of the whole draft begins with the key of its first boxes."""
     if n_boxes is None:
         return draft.key
     return _key_of_rows(draft, draft.rows[:n_boxes])
@@ -311,7 +311,8 @@ class Places(NamedTuple):
         boxes: (k, b) numbers of the boxes.
         corner_mm, size_mm: (k, b, 3) their corners and extents, mm.
         turned: (k, b) whether they are turned by 90° from their orientations in the plan.
-        rank: (k, b) their positions in packing order, compared with the positions of the other boxes.
+        rank: (k, b) numbers that give their positions in packing order: a box is placed before all boxes of the draft
+            with larger numbers (``Draft.rank``).
     """
 
     boxes: IntArray
@@ -355,7 +356,7 @@ class _Layouts(NamedTuple):
     def of(cls, drafts: Sequence[Draft]) -> _Layouts:
         low = np.stack([draft.corner_mm for draft in drafts])
         high = low + np.stack([draft.size_mm for draft in drafts])
-        with_order = {id(draft.order): draft for draft in drafts}  # most drafts have the same order
+        with_order = {id(draft.order): draft for draft in drafts}  # drafts that share one order also share its rank
         rank = np.stack([with_order[id(draft.order)].rank for draft in drafts])
         return cls.between(low, high, rank, np.stack([draft.turned for draft in drafts]))
 
@@ -411,7 +412,7 @@ class Rules:
 
     @property
     def height_mm(self) -> float:
-        """Height of the plan."""
+        """Height of the highest top of the plan, mm."""
         return float((self.plan.corner_mm + self.plan.size_mm)[:, 2].max())
 
     @property
@@ -421,7 +422,7 @@ class Rules:
 
     @property
     def overlapping(self) -> list[int]:
-        """Boxes of the plan that overlap other boxes, the later box of each pair."""
+        """Numbers of the boxes of the plan that overlap a box with a smaller number."""
         before = self._before
         later = before.other[(before.overlap_mm > TOLERANCE_MM) & (before.row < before.other)]
         return list(dict.fromkeys(later.tolist()))
@@ -476,9 +477,9 @@ class Rules:
         return np.asarray(~hits & ~outside.any(axis=(1, 2)))
 
     def allow_places(self, draft: Draft, places: Places) -> BoolArray:
-        """(k,) which drafts are allowed that differ from an allowed draft only in the places of some boxes. The places
-        are checked without a draft for each of them, which takes a fraction of the time. It is not checked whether
-        boxes that are already built stay unchanged."""
+        """(k,) which drafts are allowed that differ from an allowed draft only in the places of some boxes. No
+        ``Draft`` object is made for each of the places, so this check takes a fraction of the time that ``allow``
+        takes. It is not checked whether boxes that are already built stay unchanged."""
         k = len(places.boxes)
         if not k:
             return np.zeros(0, bool)

@@ -201,8 +201,9 @@ class Repairs:
 
     @property
     def changes(self) -> pd.DataFrame:
-        """A table with one row for each change: ``plan_id``, ``number`` from 0, ``kind``, ``boxes``, ``words``,
-        ``cost``."""
+        """A table with one row for each change. Columns: ``plan_id``; ``number`` of the change in its plan, from 0;
+        ``kind`` of the change; ``boxes``, the numbers of the changed boxes; ``words``, the change in plain words;
+        ``cost`` of the change (docs/repair.md)."""
         rows = [
             (repaired.before.plan_id, number, str(change.kind), change.boxes, change.words, change.cost)
             for repaired in self.each
@@ -257,13 +258,15 @@ def repair(
     watch: Callable[[int, int], object] | None = None,
     **options: Any,
 ) -> Repairs:
-    """Find for each plan the smallest change that makes it stand, and stand often enough with errors.
+    """Find for each plan the smallest change with which the plan stands, also in a sufficient share of simulations with
+    random errors.
 
     ``petmjx.repair("plans.json", forbid=["leave-out"], built=12).save("repaired.json")``
 
     Changes are another order, place or turn, moves by some millimetres, exchanges, tie sheets, film if the pallet must
     survive a profile, and as the last resort boxes that are left out. Without ``seconds``, a plan always gets the same
-    repair on the same engine: only the errors are random, and they depend only on the plan's id.
+    repair on the same engine: only the errors are random numbers, and these are the same for the same plan id and the
+    same file ``errors``.
 
     Args:
         plans: as for ``petmjx.score``.
@@ -333,7 +336,8 @@ def _repaired(plans: Iterable[Plan], question: Question, options: RepairOptions)
 
 def _begin(searches: Sequence[Search], question: Question) -> None:
     """Score the plans that were not scored yet. On a GPU, all plans are scored before the searches begin: while plans
-    are scored, no changed plans are judged, so many separate scores would keep the searches waiting."""
+    are scored, no changed plans are judged, so a separate score for each search would keep the other searches
+    waiting."""
     unknown = [search for search in searches if search.before is None]
     if not unknown:
         return

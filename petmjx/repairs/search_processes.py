@@ -1,9 +1,9 @@
 """Searches of many plans: parts of a search run side by side, and searches run in several processes.
 
-Proposals and statics take at least as long as the trials on a GPU. So searches are distributed over processes. Each
-process sends the drafts that its searches need, and gets the trials of each request as soon as they are known. The
-process that has the engine simulates the drafts of all searches in one stream. Which worlds are simulated at the same
-time changes no result: the outcome of a world does not depend on other worlds.
+To propose drafts and to compute their static balance takes at least as long as to simulate them on a GPU. So searches
+are distributed over processes. Each process sends the drafts that its searches need, and gets the trials of each
+request as soon as they are known. The process that has the engine simulates the drafts of all searches in one stream.
+Which worlds are simulated at the same time changes no result: the outcome of a world does not depend on other worlds.
 """
 
 from __future__ import annotations
@@ -66,10 +66,12 @@ class _Task:
 
 
 class Tasks:
-    """Searches, and their parts that run side by side.
+    """Runs searches in turns: a search, or a part of a search, runs until it needs trials, and continues when these
+    trials are known.
 
     Attributes:
-        requests: (ticket, drafts) of each request that was not sent yet. A ticket identifies a request.
+        requests: (ticket, drafts) of each request for trials that was not sent to a simulator yet. The ticket is the
+            number of the request.
     """
 
     def __init__(self, searches: Iterable[Steps[Any]]) -> None:
@@ -242,7 +244,7 @@ class _Pipe:
         self._n_open = 0
 
     def searches(self) -> list[Search] | None:
-        """The searches of this process."""
+        """Receive the searches that this process is to run; None if the pipe has ended."""
         searches: list[Search] | None = next_of(self._tasks)
         return searches
 

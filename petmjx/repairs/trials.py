@@ -67,8 +67,8 @@ GPU_ROWS: Final = 4096
 """Number of rows of an engine's table: the number of worlds that are in the engine at the same time."""
 
 GPU_GRANULE: Final = 32
-"""Tables on a GPU have columns for a multiple of this number of boxes. Plans differ in their numbers of boxes, and each
-size of a table takes seconds to compile."""
+"""Tables on a GPU have columns for a multiple of this number of boxes. Plans differ in their numbers of boxes, and the
+engine's program takes seconds to compile for each size of a table, so tables should have few sizes."""
 
 SHEETS_MORE: Final = 2
 """Room in tables for this many tie sheets in a plan. A world with more than this number of sheets needs another
@@ -78,7 +78,7 @@ MOST_LISTED: Final = 1024
 """Largest number of worlds that are given at once to an engine that takes no stream of jobs."""
 
 SWITCH: Final = 4
-"""Scores begin while drafts are being judged only if at least this many requests wait for them."""
+"""While drafts are being judged, scores begin only if at least this many requests wait for scores."""
 
 
 class Share(NamedTuple):
@@ -89,12 +89,13 @@ class Share(NamedTuple):
 
     @property
     def value(self) -> float:
-        """The share that stands; NaN: no world has a verdict."""
+        """Share of the worlds with a verdict in which the plan stands; NaN: no world has a verdict."""
         return self.n_standing / self.n_worlds if self.n_worlds else float("nan")
 
 
 SEARCHED: Final = 0.7
-"""Share of the seconds in which plans are searched, if worlds with errors must be simulated afterwards."""
+"""Share of the time limit (``TimeLimit.seconds``) after which the searches for repairs end, if worlds with errors must
+be simulated afterwards."""
 
 
 @dataclass(eq=False)
@@ -122,10 +123,11 @@ class Question:
 
     Attributes:
         sim: options of the simulation.
-        threads: CPU threads of a run.
+        threads: number of CPU threads of a run.
 
     Args:
-        how: fields of ``petmjx.Simulation``, ``errors``, and the run's options of ``OF_RUN``.
+        how: options by name: fields of ``petmjx.Simulation``; ``errors``, a sweep file; and the fields of
+            ``petmjx.RunOptions`` that ``OF_RUN`` names.
         options: the profile, and the number of worlds with errors.
 
     Raises:
@@ -177,7 +179,7 @@ class Question:
         """The trial of each draft.
 
         Raises:
-            OutOfTime: the time is up.
+            OutOfTime: the time of ``limit`` is up.
         """
         stream = TrialStream(self, limit)
         stream.put(None, asked)
@@ -240,7 +242,8 @@ class Question:
 
     def _with_errors(self, plan: Plan, scene: Scene, worlds: Sequence[int]) -> Iterator[Scene]:
         """The scenes of a plan in these worlds with errors. All drafts of a plan have the same errors. The worlds of a
-        score have other errors. The scenes of all worlds are made together, in a fraction of the time."""
+        score have other errors. The scenes of all worlds are made together, which takes a fraction of the time of
+        making them one by one."""
         variants = [self._variants[world] for world in worlds]
         return apply_all(scene, f"{plan.plan_id}: search", variants, self._error_sweep.seed)
 
@@ -253,7 +256,7 @@ class Question:
         """The trial of a draft that was judged.
 
         Args:
-            sim: the options with which it was judged.
+            sim: the options with which the draft was judged.
         """
         trial = _trial_of(outcome, one.draft.order, sim)
         if one.world or not trial.stands or outcome.flags & Flag.MOVING:
@@ -316,7 +319,7 @@ class _WorldEnds:
     """A watcher of a run that ends the run when the time is up.
 
     Attributes:
-        share: share of the time after which the run ends.
+        share: share of the time limit after which the run ends, from 0 to 1.
         verdicts: plan id → verdicts of the ended worlds with errors.
     """
 
@@ -393,13 +396,14 @@ class TrialStream:
     """Simulates drafts while further ones are requested. A request is answered as soon as its own drafts are simulated.
     So a search does not wait for the trials of other searches.
 
-    Judged drafts join the worlds that an engine is simulating. Scores have other options, so they need a run of their
-    own. The run of scores begins when no draft is being judged, or when at least ``SWITCH`` requests, and at least a
-    quarter of all requests, wait for scores.
+    A draft is either only judged (simulated once) or scored (``Asked.is_judged``). Drafts to be judged join the worlds
+    that an engine is simulating. Scores have other options, so they need a run of their own. The run of scores begins
+    when no draft is being judged, or when at least ``SWITCH`` requests, and at least a quarter of all requests, wait
+    for scores.
 
     Args:
-        limit: the time limit, after which the stream ends.
-        share: share of the time limit after which the stream ends.
+        limit: the time limit of the repairs. None: no limit.
+        share: share of the time limit after which the stream ends, from 0 to 1.
     """
 
     def __init__(self, question: Question, limit: TimeLimit | None = None, share: float = 1.0) -> None:
@@ -580,7 +584,7 @@ def _trial(world: Any, fallen: Sequence[int], order: tuple[int, ...]) -> Trial:
 
 
 def _fallen(run: RunResults, sim: Simulation) -> dict[str, list[int]]:
-    """Plan id → rows of the boxes that crossed a limit."""
+    """Plan id → rows of the boxes that have dropped, or are over a threshold of tilt or shift."""
     boxes = run.boxes
     signs = Signs(
         shift_m=boxes[["shift_x_m", "shift_y_m", "shift_z_m"]].to_numpy(),

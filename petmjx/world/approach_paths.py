@@ -26,8 +26,8 @@ MOST_WAY_S: Final = 2.0
 faster."""
 
 FREE_M: Final = 0.0003
-"""Largest overlap of two boxes that is ignored, m. Soft contacts may move neighbours that stand flush by half of this
-distance. An overlap of 0.3 mm does not visibly push neighbours apart."""
+"""Largest overlap of two boxes that is ignored, m. In soft contacts, two boxes that touch side by side may move by half
+of this distance. An overlap of 0.3 mm does not visibly push neighbours apart."""
 
 MOST_TILTED: Final = 0.5
 """Largest angle by which tines (of a fork that carries boxes) tilt a box, as a share of the tilt threshold. With a

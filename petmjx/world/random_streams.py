@@ -14,9 +14,9 @@ import numpy as np
 class WorldKey:
     """The identity of a world. The world's random numbers depend only on this identity.
 
-    ``replicate`` numbers the repetitions with the same parameters. Worlds that differ only in the profile, or in the
-    profile's level or direction, have the same replicate number. Therefore worlds with different profiles have the same
-    placement, and can be compared in pairs.
+    ``replicate`` is the number of the repetition among worlds with the same parameters. Worlds that differ only in the
+    profile, or in the profile's level or direction, have the same replicate number. Therefore worlds with different
+    profiles have the same placement, and can be compared in pairs.
     """
 
     seed: int

@@ -24,8 +24,8 @@ LEAST_MOMENT_M2: Final = 1e-9
 """Smallest second moment per area, m². If the moment is smaller, the area counts as a line."""
 
 LEAST_STEEP: Final = 1e-14
-"""Smallest square of the slope of the depth along the face. If the square is smaller, the depth counts as equal
-everywhere on the face."""
+"""If the square of the slope with which the contact depth changes along a face is below this number, the depth counts
+as equal everywhere on the face."""
 
 _SIGNS: Final = np.array([(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)])
 
@@ -58,11 +58,11 @@ class FacePressure(NamedTuple):
     """How the faces of two boxes press on one another.
 
     Attributes:
-        flat: whether two faces meet.
+        flat: whether a face of one box lies against a face of the other box.
         normal: unit normal from the first box to the second.
         points, depth: contact points and their depths, m.
         area: pressed area, m².
-        least: if ``area`` is smaller than this area, m², the stiffness is computed from this area.
+        least: smallest area from which the stiffness is computed, m²; used instead of ``area`` if ``area`` is smaller.
     """
 
     flat: Bool[Array, ""]
@@ -197,8 +197,8 @@ def _cut(
 ) -> tuple[Float[Array, "k+1 2"], Bool[Array, " k+1"]]:
     """The part of a polygon on the positive side of a line: the points x with across · x + offset > 0.
 
-    ``corners`` and ``kept`` are the corners of the polygon, and which rows of ``corners`` are valid; the valid rows
-    come first. The result has the same form."""
+    ``corners``: the corners of the polygon. ``kept``: whether each row of ``corners`` is valid; the valid rows come
+    first. The result is a pair of such arrays."""
     k = len(corners)
     count = kept.sum()
     following = jnp.where(jnp.arange(k) + 1 < count, jnp.arange(k) + 1, 0)
@@ -208,7 +208,7 @@ def _cut(
     part = here / jnp.where(crosses, here - ahead, 1.0)
     points = jnp.stack([corners, corners + part[:, None] * (corners[following] - corners)], axis=1)
     stay = jnp.stack([kept & (here >= 0), crosses], axis=1).reshape(-1)
-    row = jnp.where(stay, jnp.cumsum(stay) - 1, k + 1)  # points without a row are dropped
+    row = jnp.where(stay, jnp.cumsum(stay) - 1, k + 1)  # points that do not stay get no row
     left = jnp.zeros((k + 1, 2)).at[row].set(points.reshape(-1, 2), mode="drop")
     return left, jnp.arange(k + 1) < stay.sum()
 

@@ -30,7 +30,8 @@ divided by the box's mass."""
 
 
 def add_waiting(spec: mujoco.MjSpec, physics: Physics) -> None:
-    """Add the body that represents the waiting boxes. The body's stop comes before all boxes in the model."""
+    """Add the body that represents the waiting boxes. The constraint of the body's stop comes before the constraints of
+    all boxes in the model."""
     body = spec.worldbody.add_body(name=_NAME, pos=[0.0, 0.0, -_PARKING_M])
     body.mass = _MASS_KG
     body.inertia = np.ones(3)

@@ -40,7 +40,8 @@ def gpu_here() -> GpuLimits | None:
 
 
 def gpu_of(arch: int) -> GpuLimits:
-    """The limits of GPUs of a compute capability, times ten. The machine itself needs no GPU.
+    """The limits of GPUs of a compute capability. ``arch``: the compute capability times ten, such as 90. This machine
+    itself need not have such a GPU.
 
     Raises:
         InputError: the compute capability is unknown.

@@ -32,9 +32,10 @@ class BlockPools:
         self.buffers = ContactBuffers()
 
     def of(self, table: WorldTable) -> tuple[BlockPool, ...]:
-        """The block pools of a table. Block pools for the last worlds and for small worlds, if there are any, come
-        first. Then comes one block pool for each queue of ``KernelFeatures.queues``. ``Programs._advance`` makes the
-        queues in the order of the block pools."""
+        """The block pools of a table. The block pools for the last worlds and for small worlds, if there are any, come
+        first. Then comes one block pool for each pair (stiffness of contacts, size of blocks) of
+        ``KernelFeatures.queues``. Each block pool takes its worlds from a queue of its own; ``Programs._advance`` makes
+        these queues, in the same order."""
         run = table.run
         of_size = {size: self._of_size(run, size, table.boards) for size in run.needs.sizes}
         pools = tuple(

@@ -62,7 +62,8 @@ def friction_damping(physics: Physics) -> float:
 
 
 def contact_constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
-    """Those constants of a run that differ for worlds with stiffer contacts (``contact_penetration.stiffened``)."""
+    """The subset of a run's kernel constants whose values differ for worlds with stiffer contacts
+    (``contact_penetration.stiffened``)."""
     return {
         "solref": wp.vec2(*sim.physics.solref),
         "solimp": wp.vec3(*sim.physics.solimp),
@@ -88,7 +89,7 @@ def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
         "kinetic_share": kinetic_share(physics),
         "impratio_invsqrt": physics.impratio**-0.5,
         "tolerance": sim.solver_tolerance or TOLERANCE,
-        # as many as in MuJoCo, since a world with many iterations delays no other world
+        # the same limit as in MuJoCo, since a world that takes many iterations delays no other world
         "iterations": sim.solver_iterations or MAX_ITERATIONS,
         "driven_iterations": sim.solver_iterations or (MAX_ITERATIONS if has_walls(sim) else DRIVEN_ITERATIONS),
         "ls_iterations": LINE_SEARCH_ITERATIONS,
@@ -199,8 +200,9 @@ once."""
 
 def load_usual_kernels(sim: Simulation, builds: KernelBuilds | None = None) -> bool:
     """Before the plans are known, compile the kernels that most runs with these options need, or load them from Warp's
-    cache. Plans with compliant boxes, stretch film, or many boxes need other kernels. Returns whether the kernels are
-    loaded, and so in the cache: without a GPU, and when the program is ending, nothing is loaded.
+    cache. Plans with compliant boxes, stretch film, or many boxes need other kernels. Returns True if the kernels are
+    loaded; they are then in the cache, too. Without a GPU, or when the program is ending, nothing is loaded, and the
+    result is False.
 
     Args:
         builds: processes that compile these kernels. The cache has the kernels when the processes have answered.

@@ -269,5 +269,5 @@ def worth_telling(comparison: PackerComparison, packer: str, plans: Mapping[str,
 
 
 def board_line(page: Path) -> str:
-    """The last line that the command line prints."""
+    """The last line that ``petmjx leaderboard`` prints. ``page``: path of the leaderboard's ``index.html``."""
     return f"leaderboard in {printable(str(page.parent))}: open {printable_name(page.name)}"

@@ -1,7 +1,8 @@
 """The page of one story (the simulation of one plan): the pallet in 3D over time, the first box to fail, and a table of
 all boxes.
 
-Notebooks show stories (results of ``petmjx.tell``) as such pages, so ``petmjx.tell`` comes from this module.
+The module sets ``Story.page``, the function with which notebooks show a story as a page. ``petmjx.tell`` is imported
+from this module, so ``Story.page`` is set for each of its stories.
 """
 
 from __future__ import annotations

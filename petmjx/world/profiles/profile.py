@@ -67,8 +67,9 @@ class Profile(Protocol):
 
 def allowed_sway_m(profile: Profile) -> float:
     """Distance by which a culprit may sway under a profile before it counts as lost, m (``Drive.allowed_sway_m``). The
-    distance is infinite if the profile tilts the carrier, so that no box counts as lost. Otherwise, a box that slides
-    to the carrier's edge and tips over it would count as tilted, although the box first failed by sliding."""
+    distance is infinite if the profile tilts the carrier, so that no box counts as lost: a box that slides to the edge
+    of the tilted carrier and tips over this edge must not count as tilted, since it first failed by sliding. With all
+    other profiles, the distance is 0."""
     return math.inf if profile.strength is Strength.ANGLE else 0.0
 
 

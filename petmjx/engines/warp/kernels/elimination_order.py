@@ -6,10 +6,11 @@ bandwidth of sparse symmetric matrices", 1969). In packing order the factor take
 (benchmarks/notebook/performance.md).
 
 In a world of few boxes the root is the body that is farthest from the carrier. In a world of more than ``MANY_BOXES``
-boxes, the carrier comes last, and its contacts do not count: it touches the whole lowest layer, so with it the two ends
-of a pallet are near one another. Boxes that contacts join are a component; each component has a root of its own. The
-order ends with the roots, since a reversed order never has a wider envelope (Liu and Sherman, "Comparative analysis of
-the Cuthill-McKee and the reverse Cuthill-McKee ordering algorithms for sparse matrices", 1976).
+boxes, the carrier comes last in the order, and contacts with the carrier do not count in distances. (The carrier
+touches the whole lowest layer. If its contacts counted, the boxes at two opposite ends of a pallet would be near one
+another.) Boxes that contacts join are a component; each component has a root of its own. The order ends with the roots,
+since a reversed order never has a wider envelope (Liu and Sherman, "Comparative analysis of the Cuthill-McKee and the
+reverse Cuthill-McKee ordering algorithms for sparse matrices", 1976).
 
 The order is part of a world's state, and is renewed at fixed steps. So the order does not depend on the thread blocks
 that have simulated the world.
