@@ -159,7 +159,7 @@ class Bounds:
         self._bearers: NDArray[np.int64] = np.full((n, 1, MOST_BEARERS), NOTHING)
         self._shares: FloatArray = np.zeros((n, 1, MOST_BEARERS, 3, 3))
         self._edges: FloatArray = np.zeros((n, 1, MOST_CORNERS, 3))  # edges of each bearing, as in _Rests.
-        # (n, k) how far inside the edges of its bearing the load of each box must act, mm
+        # (n, k) smallest distance, mm, at which the load of each box must act inside the edges of the box's bearing
         self._least: FloatArray = np.zeros((n, 1))
 
     def cut(self, pallets: NDArray[np.int64], count: NDArray[np.int64]) -> None:
@@ -251,8 +251,8 @@ class Bounds:
 
 
 def _least_margin(boxes: Placements) -> FloatArray:
-    """(m,) how far inside the edges of its bearing (the hull of its contacts) the load of each box must at least act,
-    mm."""
+    """(m,) smallest distance, mm, at which the load of each box must act inside the edges of the box's bearing (the
+    hull of its contacts)."""
     return np.asarray(np.minimum(MARGIN_M * MM_PER_M, MARGIN_SHARE * boxes.size_mm[:, :2].min(axis=1)))
 
 
