@@ -51,13 +51,14 @@ KNIFE_SHARE: Final = 0.25
 edge than required, the box may seem to rest while it already begins to turn."""
 
 MOST_LOAD: Final = 100.0
-"""Largest load on a box that carries the new box, as a multiple of the carrying box's own mass. Contacts are soft: a
-box sinks by about 0.003 mm × load / own mass (docs/rules.md, section 8), which is 0.3 mm for a load of 100 times its
-own mass."""
+"""A new box stands beyond doubt only if no box that carries it bears more than this load, as a multiple of the carrying
+box's own mass. Contacts are soft: a box sinks by about 0.003 mm × load / own mass (docs/rules.md, section 8), which is
+0.3 mm for a load of 100 times its own mass."""
 
 MOST_SLENDER: Final = 8.0
-"""Largest height of a pile, as a multiple of the shortest side of the boxes that carry the new box. The higher a pile
-is, the more soft contacts let it lean."""
+"""A new box stands beyond doubt only if its top is at most at this height above the carrier, as a multiple of the
+shortest horizontal side of the new box and of all boxes that carry it. The higher a pile is, the more soft contacts let
+it lean."""
 
 HANGING_SHARE: Final = 0.05
 """The weight of a falling box must act outside the box's bearing (the hull of its contacts), at a distance of at least
