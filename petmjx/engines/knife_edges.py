@@ -26,7 +26,7 @@ verdict contradicts statics if the world stands with the load beyond the edge, o
 worlds whose boxes fall are also simulated again with stiffer contacts: petmjx.engines.contact_tilt.)"""
 
 _ROUNDING_M: Final = 1e-9
-"""Largest rounding error of distances near an edge in tables, which store them as float32, m."""
+"""Largest rounding error, m, of a distance near an edge that a table stores as float32."""
 
 _SAME_M: Final = 1e-6
 """Two distances count as equal if they differ by at most this value, m. Small differences are rounding errors, since

@@ -51,13 +51,14 @@ KNIFE_SHARE: Final = 0.25
 edge than required, the box may seem to rest while it already begins to turn."""
 
 MOST_LOAD: Final = 100.0
-"""Largest load on a box that carries the new box, as a multiple of the carrying box's own mass. Contacts are soft: a
-box sinks by about 0.003 mm × load / own mass (docs/rules.md, section 8), which is 0.3 mm for a load of 100 times its
-own mass."""
+"""A new box stands beyond doubt only if no box that carries it bears more than this load, as a multiple of the carrying
+box's own mass. Contacts are soft: a box sinks by about 0.003 mm × load / own mass (docs/rules.md, section 8), which is
+0.3 mm for a load of 100 times its own mass."""
 
 MOST_SLENDER: Final = 8.0
-"""Largest height of a pile, as a multiple of the shortest side of the boxes that carry the new box. The higher a pile
-is, the more soft contacts let it lean."""
+"""A new box stands beyond doubt only if its top is at most at this height above the carrier, as a multiple of the
+shortest horizontal side of the new box and of all boxes that carry it. The higher a pile is, the more soft contacts let
+it lean."""
 
 HANGING_SHARE: Final = 0.05
 """The weight of a falling box must act outside the box's bearing (the hull of its contacts), at a distance of at least
@@ -159,7 +160,7 @@ class Bounds:
         self._bearers: NDArray[np.int64] = np.full((n, 1, MOST_BEARERS), NOTHING)
         self._shares: FloatArray = np.zeros((n, 1, MOST_BEARERS, 3, 3))
         self._edges: FloatArray = np.zeros((n, 1, MOST_CORNERS, 3))  # edges of each bearing, as in _Rests.
-        # (n, k) how far inside the edges of its bearing the load of each box must act, mm
+        # (n, k) smallest distance, mm, at which the load of each box must act inside the edges of the box's bearing
         self._least: FloatArray = np.zeros((n, 1))
 
     def cut(self, pallets: NDArray[np.int64], count: NDArray[np.int64]) -> None:
@@ -251,8 +252,8 @@ class Bounds:
 
 
 def _least_margin(boxes: Placements) -> FloatArray:
-    """(m,) how far inside the edges of its bearing (the hull of its contacts) the load of each box must at least act,
-    mm."""
+    """(m,) smallest distance, mm, at which the load of each box must act inside the edges of the box's bearing (the
+    hull of its contacts)."""
     return np.asarray(np.minimum(MARGIN_M * MM_PER_M, MARGIN_SHARE * boxes.size_mm[:, :2].min(axis=1)))
 
 

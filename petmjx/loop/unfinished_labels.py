@@ -141,7 +141,7 @@ class LabelParts:
 
 
 class _CheckedParts(Parts):
-    """Parts whose error messages tell how to make labels again."""
+    """The parts of a set of labels. If a part is damaged, the error message tells how to make the labels again."""
 
     def _cure(self, file: Path) -> str:
         return label_cure()

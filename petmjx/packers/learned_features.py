@@ -99,8 +99,8 @@ def features(stream: FourSidedStream, places: Places) -> FloatArray:
 def _off_centre(
     low: FloatArray, high: FloatArray, volume: FloatArray, middle: FloatArray, extent: FloatArray
 ) -> FloatArray:
-    """(c,) horizontal distance between the centre of all boxes' volume and the target's middle, relative to the
-    target's extent.
+    """(c,) how far the centre of volume of all boxes, with the candidate's box, is off the target's middle: 4 × the sum
+    of its distances along x and y, each divided by the target's extent.
 
     Args:
         low, high: (n, 3) lowest and highest corners of the placed boxes, mm.

@@ -56,7 +56,8 @@ def left_out_of(order_id: str, order: Order, placed: Iterable[PlacedBox], why: s
 
 
 def why_left_out(chosen_m3: float | None, found_m3: Iterable[float]) -> str:
-    """The reason why a packing that simulations have chosen leaves out items.
+    """The reason why items are missing in a packing. Simulations have chosen the packing from all packings of the
+    order.
 
     Args:
         chosen_m3: volume of the boxes of the chosen packing, m³; None if no packing was chosen.

@@ -230,7 +230,8 @@ def without_vanishing_boxes(plan_set: PlanSet, size_reduction_mm: float, strict:
 def without_narrow_walls(
     plan_set: PlanSet, carrier: Carrier | OwnCarrier, walls: Walls, strict: bool = False
 ) -> PlanSet:
-    """Skip plans for which the walls leave no room on the carrier. The carrier ``footprint`` is as large as the plan.
+    """Skip plans for which the walls leave no room on the carrier. With the carrier ``footprint``, the plan's own
+    extent is the extent of the carrier.
 
     Raises:
         InputError: with ``strict``, a plan would be skipped.

@@ -34,8 +34,8 @@ def plan_of_rows(
     arrays: Mapping[str, NDArray[Any]],
     texts: Mapping[str, Sequence[str]],
 ) -> Plan:
-    """The plan of some rows of columns. The checks of the constructor of ``Plan`` are skipped, because these checks
-    were made for all plans together.
+    """The plan whose boxes are the given rows of long columns. The checks of the constructor of ``Plan`` are skipped,
+    because these checks were made for all plans together.
 
     Args:
         arrays, texts: name of a field of ``Plan`` → values of all boxes.

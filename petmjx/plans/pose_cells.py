@@ -36,8 +36,8 @@ _RIGHT: Final = 0.02
 
 
 def with_pose_column(boxes: BoxList) -> BoxList:
-    """A list of boxes in which one column of matrices (nested lists) replaces several columns with the numbers of a
-    matrix, or a column of texts that hold a matrix. A list without such columns is returned unchanged."""
+    """A list of boxes with one column of matrices (nested lists). In ``boxes``, the numbers of a matrix are in several
+    columns, or each matrix is a text in one column. A list without such columns is returned unchanged."""
     table = boxes.table
     if not table.has_header or not table.rows:
         return boxes

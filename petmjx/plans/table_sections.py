@@ -128,8 +128,9 @@ def _table_below(
 
 
 def _unnamed_below(rows: Sequence[tuple[Any, ...]], head: int, width: int) -> list[str]:
-    """Empty names for the columns behind the last name of a header, if the line above names them and the row below has
-    values in them: a name may extend over both lines of a header."""
+    """Empty names for columns that only the upper line of a two-line header names. ``head`` is the number of the lower
+    line, which has ``width`` names. The columns follow the last name of the lower line, and have values in the row
+    below it."""
     group, below = rows[head - 1], rows[head + 1] if head + 1 < len(rows) else ()
     count = 0
     while width + count < min(len(group), len(below)) and group[width + count] and below[width + count] is not None:
@@ -138,7 +139,8 @@ def _unnamed_below(rows: Sequence[tuple[Any, ...]], head: int, width: int) -> li
 
 
 _Section = tuple[str, list[tuple[tuple[Any, ...], str]]]
-"""A section: its name, from the line before it ("" if it has none), and its rows with their places."""
+"""A section: its name, from the line before it ("" if it has none), and its rows, each with its place, such as "row
+7"."""
 
 
 def _sections(
@@ -150,7 +152,8 @@ def _sections(
     above: Sequence[str],
     notes: list[str],
 ) -> tuple[list[_Section], tuple[tuple[str, str], ...], list[str]]:
-    """The rows of a table by section, the rows that are lost, and the lines after the last row."""
+    """The rows of a table by section; the rows that cannot be read, each as (place, reason); and the lines after the
+    last row."""
     width, geometric = len(header), geometric_columns(header)
     names_pallets = [index for index, name in enumerate(header) if TITLE_WORDS.intersection(words_of(name))]
     sections: list[_Section] = [("", [])]
@@ -237,8 +240,8 @@ def part_role(title: str) -> str:
 
 def begins_section(title: str, first: str, above: Sequence[str] = ()) -> bool:
     """Whether a line between boxes is the title of the boxes below it, and no remark. A title must be like the title of
-    the first boxes. If the first boxes have no title, the line must have a number or letter, and a word for pallets,
-    orders, layers or stacks.
+    the first boxes below the header. If these boxes have no title, the line must have a number or letter, and a word
+    for pallets, orders, layers or stacks.
 
     Args:
         first: the title of the first boxes; "": they have none.

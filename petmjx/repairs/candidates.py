@@ -80,7 +80,8 @@ class Candidate:
         key: rank of the plan; smaller is better.
         parent: the node whose plan was changed.
         risk: two numbers by which statics compares plans that stand (``Candidates._risks``).
-        unsolved: how much of the failure of ``parent`` remains by statics, from 0 to 2 (``Candidates._unsolved``).
+        unsolved: measure of how much of the failure of ``parent`` remains, computed by statics: 0 (nothing) to 2
+            (``Candidates._unsolved``).
     """
 
     draft: Draft
@@ -196,7 +197,7 @@ def spread(ranked: Sequence[Candidate]) -> list[Candidate]:
 
 PER_REPETITION: Final = 0.5
 """A candidate's rank rises by this number for each better candidate that changes the same box in the same way by
-another amount. In the rank, a load beyond an edge has the weight 1."""
+another amount. For comparison: a load that is surely beyond an edge of its supports adds 1 to 2 to the rank."""
 
 HELD: Final = 0.15
 """Share of its weight that a load beyond an edge has in the ranking, if simulations have shown that the box with this
@@ -206,14 +207,16 @@ MOST_RANKED: Final = 168
 """Largest number of allowed changes of a plan that are kept: the most promising ones."""
 
 PER_WEAKNESS: Final = 1.0
-"""Weight of ``Balance.weakness``, the risk that a plan falls with errors, in the ranking. Loads beyond edges have the
-weight 1."""
+"""Weight of ``Balance.weakness``, the risk that a plan falls with errors, in the ranking of changes. The weight of
+``Balance.trouble``, the sum over all loads beyond an edge, is 1."""
 
 PER_COST: Final = 0.3
-"""Weight of a change's cost in the ranking. Loads beyond edges have the weight 1."""
+"""Weight of a change's cost in the ranking of changes. The weight of ``Balance.trouble``, the sum over all loads beyond
+an edge, is 1."""
 
 UNSOLVED: Final = 3.0
-"""Weight in the ranking of how much of the failure remains after the change (``Candidates._unsolved``)."""
+"""Weight of ``Candidates._unsolved`` in the ranking of changes: a measure of how much of the failure remains after a
+change."""
 
 SAME_COST: Final = 0.1
 """Costs of repairs are rounded down to multiples of this value, which is the cost of a move by 50 mm. Repairs with the
@@ -253,7 +256,7 @@ class Candidates:
         self._seen: set[bytes] = set()
         self._known: dict[bytes, Trial] = {}  # key of each draft that was judged → its trial
         self._falls: dict[bytes, Trial] = {}  # key of the placements up to an early fall → the trial
-        self._held_mm: dict[int, float] = {}  # box → largest depth beyond an edge at which it did not fall
+        self._held_mm: dict[int, float] = {}  # box → largest depth of its load beyond an edge without a fall
         self._in_worlds: dict[bytes, dict[int, Trial]] = {}  # key of a draft → number of a world → trial
 
     # ------------------------------------------------------------------ proposals
@@ -307,9 +310,10 @@ class Candidates:
         return ranked[:MOST_RANKED]
 
     def _unsolved(self, after: Balance, failing: Mapping[int, float], culprit: int | None) -> float:
-        """How much of a failure remains after a change, from 0 to 2. The failure is caused by loads beyond edges. The
-        result is the sum of two shares of distances beyond edges: the share that remains for all loads beyond edges
-        (the mean), and the share that remains for the load of the box that fell first.
+        """How much of a failure remains after a change, from 0 to 2. The plan fails because loads are beyond an edge of
+        their supports. For each of these loads, a part of its distance beyond the edge may remain after the change, as
+        a share of the distance before. The result is the mean of these shares plus the share for the load of the box
+        that fell first.
 
         Args:
             failing: box → depth of its load before the change, mm.
@@ -406,7 +410,7 @@ class Candidates:
     def _falls_early(self, key: bytes) -> bool:
         """Whether a draft with this key must fall like a draft that was judged before: both begin with the same
         placements, and the judged draft fell before its next box was placed."""
-        longer = key[:-1]  # without a further box, the draft would wait longer at its end than the judged draft did
+        longer = key[:-1]  # a further box is needed: at its end, a draft waits longer than before its next box
         return longer.startswith((*self._falls,))
 
     def _scored(self, states: Sequence[State]) -> Steps[list[State]]:

@@ -62,8 +62,8 @@ MOST_LIFTED: Final = 3
 for a simulation. Further faults come to light when the counted faults are mended."""
 
 ALONE: Final = 0.15
-"""Share of all trials in which only single changes are tried. A plan that still falls after all single changes has
-faults everywhere, so it is built anew."""
+"""Share of all trials in which only single changes are tried. If no repair is found in these trials, the plan probably
+has many faults, so it is built anew."""
 
 LATE_AT_ONCE: Final = 2 * AT_ONCE
 """Number of changed plans that are judged at once after single changes alone (``ALONE``) were in vain."""
@@ -75,8 +75,8 @@ others waiting."""
 
 PAIR: Final = 2
 """Once a repair with ``PAIR`` + 1 changes is known, the search for a repair with ``PAIR`` changes is wide: it judges
-more changes of the plan (``PAIRS_AT_ONCE``). A wide search for repairs with more than ``PAIR`` changes takes too many
-trials."""
+more changes of the original plan (``PAIRS_AT_ONCE``). A wide search for repairs with more than ``PAIR`` changes takes
+too many trials."""
 
 PAIRS: Final = 0.2
 """Share of all trials that the wide search for a repair with ``PAIR`` changes may take."""
@@ -86,7 +86,7 @@ SURPLUS: Final = 1.0
 two of the faults that were counted."""
 
 PAIRS_AT_ONCE: Final = 24
-"""Number of changes of the plan itself that are judged at once in the wide search for a repair with ``PAIR`` changes.
+"""Number of changes of the original plan that are judged at once in the wide search for a repair with ``PAIR`` changes.
 The first change of such a repair often has a bad rank by statics."""
 
 SHORTER: Final = 0.04
@@ -104,7 +104,8 @@ CONFIRMED_AT_ONCE: Final = 2
 """Of the plans that stand when judged, this many are scored at once."""
 
 MOST_FINALISTS: Final = 4
-"""Largest number of repairs with the fewest changes from which worlds with errors choose one."""
+"""Worlds with errors decide which of the repairs with the fewest changes is chosen. At most this many repairs are
+compared."""
 
 MOST_COMPARED: Final = 12
 """Largest number of repairs that are judged at once in a few worlds with errors (``COMPARED_IN``)."""
@@ -114,7 +115,8 @@ COMPARED_IN: Final = ALL_WORLDS[: ERROR_WORLDS // 2]
 """Numbers of the worlds with errors in which repairs are compared."""
 
 MOST_LOST: Final = 3
-"""The changes of a plan are first judged in at most this many of the worlds with errors in which the plan falls."""
+"""If a repair falls in some worlds with errors, further changes of it are first judged in at most this many of these
+worlds."""
 
 WIDE: Final = 2
 """A GPU judges many plans as fast as a few. So a search on a GPU judges this many times as many plans at once, and goes
@@ -127,10 +129,10 @@ MORE_TO_COMPARE: Final = 24
 """Number of additional changed plans that are judged at once, so that worlds with errors can choose from more plans."""
 
 MOST_UNDONE: Final = 8
-"""Limit of the total number of changes in all repairs that are compared. Each change is taken back for a trial, so
-fewer repairs are compared if repairs are long. The trials are judged. The trials of the chosen repair are also scored,
-unless this repair alone has more changes than the limit. On a GPU, no trial is scored: scores of plans that fall would
-keep all searches waiting."""
+"""Limit of the total number of changes in all repairs that are compared. For each change, the search judges the repair
+without this change, so the more changes repairs have, the fewer repairs are compared. Of the chosen repair, the plans
+without one change are also scored, unless the repair has more changes than the limit. On a GPU, they are only judged:
+scores of plans that fall would keep all searches waiting."""
 
 PER_DRIVE: Final = 6
 """A plan that is scored with a drive counts as this many trials. With a drive, every plan is scored, because no short
@@ -173,8 +175,8 @@ class Search(Candidates):
         return WIDE if self.is_wide else 1
 
     def _at_once(self, n_rounds: int, *, is_late: bool) -> int:
-        """Number of changed plans that are judged at once after so many rounds. ``is_late``: whether plans are built
-        anew."""
+        """Number of changed plans that are judged at once after ``n_rounds`` rounds. ``is_late``: whether plans are
+        built anew."""
         if self.is_wide:
             return WIDE * LATE_AT_ONCE if is_late else WIDE_AT_ONCE[min(n_rounds, len(WIDE_AT_ONCE) - 1)]
         return FIRST_AT_ONCE if self.before is None else LATE_AT_ONCE if is_late else AT_ONCE
@@ -196,7 +198,7 @@ class Search(Candidates):
         elif trial.culprit is not None and max(trial.culprit + 1, trial.n_placed) <= self.rules.built:
             yield from self._begun_with_built(trial)
         if not (self._stands or self.built_falls):
-            # a plan that falls is changed where it fell when judged, as all changed plans are
+            # if the plan fell when judged, this trial shows where to change it: changed plans are judged, too
             known = trial if is_scored and not trial.stands else self.before or trial
             yield from self._mended(State(self._start, (), known))
             if self.before is None:
@@ -287,7 +289,7 @@ class Search(Candidates):
         ways = Counter(_kind_of(node.state) for node in nodes)
         standing: list[State] = []
         judged: list[State] = []  # states that stand
-        doubtful: list[State] = []  # states of which this is in doubt
+        doubtful: list[State] = []  # states that may fall when scored (``_is_doubtful``)
         is_late = is_widened = False
         n_rounds = 0
         queues: list[list[Candidate]] = []
@@ -353,9 +355,10 @@ class Search(Candidates):
         return standing, [Node(node.state, node.faults) for node in nodes[:BEAM]]
 
     def _rivals(self, queues: Sequence[list[Candidate]], states: Sequence[State], count: int) -> list[Candidate]:
-        """Take candidates off the queues that may be chosen instead of the plans that stand. If worlds with errors are
-        simulated, any candidate may be chosen. If no worlds with errors are simulated, a candidate may be chosen only
-        if statics prefers it to all of the shortest plans that stand."""
+        """Remove from the queues at most ``count`` candidates, and return them. The search may choose one of them
+        instead of the plans that stand. If worlds with errors are simulated, it may choose any candidate. If no worlds
+        with errors are simulated, it may choose only a candidate that statics prefers to all standing plans with the
+        fewest changes."""
         if not self.options.worlds:
             standing = shortest([state for state in states if state.trial.stands])
             fewest, best = len(standing[0].changes), min(self._risks(standing))
@@ -394,9 +397,9 @@ class Search(Candidates):
         return self.is_wide and self.options.profile is None and state.trial.stands and not state.trial.is_score
 
     def _nearly(self, nodes: Sequence[Node], doubtful: list[State]) -> Steps[list[State]]:
-        """The shortest plans that stand when scored. Scored are plans with a single fault: in such a plan, a box tilts,
-        but may lean on something. On a GPU, the plans ``doubtful`` are scored instead (``_is_doubtful``). Scored ones
-        are taken off this list."""
+        """Score a few changed plans, and return those that stand, with the fewest changes. The search scores plans with
+        a single fault: in such a plan, a box tilts, but may lean on something. On a GPU, it scores plans of the list
+        ``doubtful`` instead (``_is_doubtful``). Plans that are scored are removed from ``doubtful``."""
         if self.options.profile is not None:
             return []
         falling = [node.state for node in nodes if node.n_faults <= 1]
@@ -452,9 +455,9 @@ class Search(Candidates):
         return tuple(faults)
 
     def _remaining(self, state: State, parent: Node) -> tuple[Fault, ...]:
-        """The expected faults of a changed plan, from its trial and the faults of the plan before the change. Faults
-        that come before the fault of the box that falls now count as mended. If the box that falls now was no fault
-        before the change, the change has added a fault, and the later faults remain. The faults are not counted by
+        """The expected faults of a changed plan, from its trial and the faults of the plan before the change. If the
+        box that falls in the trial was a fault before the change, all faults before this fault count as mended. If the
+        box was no fault, the change has added a fault, and the later faults remain. The faults are not counted by
         simulations without the boxes that fall, because each changed plan would then need a trial for each of its
         faults."""
         if state.trial.stands:
@@ -501,11 +504,11 @@ class Search(Candidates):
     def _confirmed(self, states: Sequence[State], *, is_known: bool) -> Steps[tuple[list[State], list[State]]]:
         """Score states that stand when judged, those with the fewest changes first, until some of them also stand when
         scored. Returns all states, and those that stand when scored. With a drive, nothing is scored here, because all
-        trials are scores. Plans of which it is in doubt whether they stand are not scored here.
+        trials are scores. Doubtful plans (``_is_doubtful``) are not scored here.
 
         Args:
-            is_known: whether a repair is known. If a repair is known, only the first states are scored: if these fall,
-                so do most others of the same batch.
+            is_known: whether a repair is known. If a repair is known, only the first ``CONFIRMED_AT_ONCE`` states are
+                scored: if these fall, so do most others of the same batch.
         """
         every = list(states)
         numbers = [k for k, state in enumerate(states) if state.trial.stands]
@@ -678,5 +681,5 @@ def _kind_of(state: State) -> tuple[object, ...]:
 
 
 def _n_finalists(states: Sequence[State]) -> int:
-    """Number of the given repairs whose changes are taken back one by one."""
+    """How many of the given repairs are tested for needless changes, one change after the other."""
     return min(MOST_FINALISTS, max(MOST_UNDONE // min(len(state.changes) for state in states), 1))

@@ -404,9 +404,9 @@ class SweepRun:
         """Search for the largest level survived, for all given placements, profiles and directions at the same time.
 
         A search item is one combination of a placement, a profile and a direction. When all tests of a search item have
-        ended, its next tests begin, while tests of other search items continue. If the pallet
-        does not stand at the end of a placement, no drive is simulated. The table ``worlds`` then has one row per
-        profile and direction, at the lowest level, with the outcome of the placement.
+        ended, its next tests begin, while tests of other search items continue. If the pallet does not stand at the end
+        of a placement, no drive is simulated. The table ``worlds`` then has one row per profile and direction, at the
+        lowest level, with the outcome of the placement.
         """
         items, tilt_deg = self.plan.search_items(), self.sim.thresholds.tilt_deg
         searches = [(start, number) for start in settled for number in range(len(items))]
@@ -476,8 +476,8 @@ class SweepRun:
             )
 
     def _answer_again(self, group: PlacementGroup) -> bool:
-        """Answer all questions about a placement from worlds that were completed before the run was resumed. Returns
-        False if a world is missing."""
+        """Find the answers of a search (the largest levels survived) for a placement in the rows of worlds that were
+        completed before the run was resumed. Returns False if a world is missing."""
         if not len(self.recorded):
             return False
         numbers = range(len(self.plan.search_items()))

@@ -113,7 +113,7 @@ def _solved_loads(
     weights: FloatArray,
 ) -> tuple[FloatArray, FloatArray] | None:
     """(n, 3) loads of one scene, and (n,) distances by which these loads are beyond edges, m. The result is None if the
-    programme has no solution.
+    linear programme has no solution.
 
     The programme determines the loads of the boxes ``changed``. The loads of all other boxes are those in ``load``. The
     unknowns of the programme are

@@ -1,8 +1,8 @@
 """Places at which boxes are released, so that they are at rest on their supports and overlap no other box.
 docs/rules.md, section 4, states the places.
 
-If places and sizes have errors, boxes may overlap when they appear. Contacts would throw overlapping boxes apart, the
-faster the stiffer the contacts and the shorter the timestep are. Whether the pallet stands would then depend on the
+If places and sizes have errors, boxes may overlap when they appear. Contacts would throw overlapping boxes apart.
+Stiffer contacts and shorter timesteps would throw them apart faster. Whether the pallet stands would then depend on the
 stiffness of contacts and on the timestep, which are no properties of boxes. So, before boxes are released, overlapping
 boxes are moved apart horizontally, by the smallest possible translations.
 """

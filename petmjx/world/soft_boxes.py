@@ -209,7 +209,7 @@ def point_name(box: str, point: int) -> str:
 
 
 def _add_points(spec: mujoco.MjSpec, box: str, places: FloatArray, mass: FloatArray) -> list[mujoco.MjsBody]:
-    """Add a body for each point of a box at the end of a spec. Each body has three slide joints."""
+    """Append a body for each point of a box to the bodies of ``spec``. Each body has three slide joints."""
     bodies = []
     for number, place in enumerate(places):
         body = spec.worldbody.add_body(name=point_name(box, number), pos=place)
@@ -261,8 +261,8 @@ def add_soft_box(
 
 
 def _set_contact(shape: mujoco.MjsGeom | mujoco.MjsFlex, friction: Triple) -> None:
-    """Set the contact law of soft boxes, which does not depend on the physics. MuJoCo mixes the laws of the two shapes
-    that touch by weights."""
+    """Set the contact law of soft boxes, which does not depend on the physics. If two shapes touch, MuJoCo takes the
+    mean of their laws, weighted with their ``solmix``."""
     shape.condim = 3
     shape.friction = np.array(friction)
     shape.solref, shape.solmix = np.array(CONTACT_SOLREF), _ALONE
@@ -306,8 +306,8 @@ class SoftFriction:
 
 
 def soft_friction(scene: Scene) -> SoftFriction:
-    """Coefficients for boxes and carrier. With the returned coefficients, each contact of a soft box has the friction
-    that the scene's table lists for the two surfaces that touch.
+    """Friction coefficients of boxes and carrier. With the returned coefficients, each contact of a soft box has the
+    friction that the scene's table lists for the two surfaces that touch.
 
     Raises:
         InputError: MuJoCo would use another coefficient than the table for some pair of surfaces. For soft boxes,

@@ -18,13 +18,13 @@ from petmjx.engines.mjx.world_state import State, take_rows
 from petmjx.options.simulation import Simulation
 
 READBACK_ROWS: Final = 256
-"""Number of rows that are read back at a time; a smaller table has fewer rows. Each number of rows needs its own
-program."""
+"""Number of rows that are read back at a time, or the number of rows of the table if that is smaller. The number is
+always the same, because JAX compiles a separate program for each number of rows."""
 
 
 class Readback(NamedTuple):
-    """States and metrics of some rows of a table, as the bits of one array. The host waits for each array that it
-    fetches from a GPU, so a single array is fastest.
+    """States and metrics of some rows of a table, packed as bits into one integer array. The host waits for each array
+    that it fetches from a GPU, so a single array is fastest.
 
     Attributes:
         rows: numbers of the rows; ``bits`` may have more rows, as padding.

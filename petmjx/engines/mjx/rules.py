@@ -64,7 +64,7 @@ class Rules:
         return jnp.arange(self.capacity)[None] < state.placed[:, None]
 
     def judged(self, state: State) -> Bool[Array, "world box"]:
-        """Whether each box is in play and no hand carries it."""
+        """Whether each box is in play (placed, in a running world), and no hand carries it."""
         standing = self.standing(state)
         if not self.carries:
             return standing
@@ -127,8 +127,8 @@ class Rules:
         return state._replace(status=jnp.where(goes, Status.RUNNING, state.status))
 
     def go_on_in_kernels(self, state: State, worlds: Worlds) -> State:
-        """Let each paused world continue whose constants have more boxes. The next box is not placed here but by the
-        kernels of mjx-warp, because JAX might compute other last digits of its place."""
+        """Let each paused world continue that has boxes left to place (``worlds.n_boxes``). The next box is not placed
+        here but by the kernels of mjx-warp, because JAX might compute other last digits of its place."""
         goes = (state.status == Status.PAUSED) & (state.placed < worlds.n_boxes)
         return self.noting_motion(state, goes)._replace(status=jnp.where(goes, Status.PLACES, state.status))
 
@@ -402,8 +402,8 @@ class Rules:
         return self._adaptive and self.sim.waits_for_rest
 
     def _rests_in_drive(self, state: State) -> Bool[Array, " world"]:
-        """(world,) whether the drive may end early if the pallet is quiet. The drive may end early only if a rest
-        window that begins now ends before the rest window at the drive's planned end begins."""
+        """(world,) whether the drive may end early if the pallet is quiet. There must be time for two rest windows: the
+        window that begins now, and the one before the world's planned end."""
         early = (state.end != NEVER) & (state.step <= state.end - 2 * self.timetable.rest_steps)
         return early & (self.driven and self._rests_first)
 

@@ -124,7 +124,7 @@ def _empty(n: int, width: int, boards: int) -> Rows:
 
 
 def _scene_values(scenes: Sequence[Scene]) -> Rows:
-    """The fields with one value per scene."""
+    """The rows of the fields that have one value per scene, not one per box."""
     return {
         "n_boxes": stacked_values(scenes, "n_boxes").astype(np.int32),
         "carrier_pos": stacked_values(scenes, "carrier.pos").astype(np.float32),

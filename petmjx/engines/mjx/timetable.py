@@ -100,8 +100,8 @@ def build_timetable(sim: Simulation, max_boxes: int) -> Timetable:
 
 
 def _after(clock: Float64[np.ndarray, " step"], wait_s: float, timestep_s: float) -> Int32[np.ndarray, " step"]:
-    """For each step, the first step that is at least ``wait_s`` later. A step beyond the end of the clock is replaced
-    by the step after the clock's last step."""
+    """For each step, the first step that is at least ``wait_s`` later. ``clock``: the time after 0, 1, … steps, s. If
+    the wait ends after the clock's last step, the value is the step after the last one."""
     n = len(clock) - 1
     # The clock is a sum of rounded timesteps, so the right step differs from this estimate by at most one.
     after = np.minimum(np.arange(n + 1) + seconds_to_steps(wait_s, timestep_s), n + 1)

@@ -39,8 +39,8 @@ class SettledState:
     metrics: OracleMetrics
     flags: Flag
     ended: Outcome | None
-    """The outcome of the world, if it ended before it settled. All forks have the same outcome. If the world settled,
-    the value is None."""
+    """The outcome of the world, if it ended before it settled: all forks then have this outcome, too. If the world
+    settled, the value is None."""
 
     def ended_as(self, stream_number: int) -> Outcome | None:
         """The outcome of a fork that needs no simulation. If the world that made this state ended before it settled,
@@ -199,7 +199,8 @@ class WorldRun:
         return n_steps
 
     def _is_spent(self) -> bool:
-        """Whether the world has used up its iterations. A world without iterations left gets a flag."""
+        """Whether the world has used up its iterations. If it has, the world gets the flag ``ITERATION_LIMIT``, or
+        ``EARLY_STOP`` if a box has failed for good."""
         if self._stepper.is_spent:
             self._flags |= self._flag_of_end(Flag.ITERATION_LIMIT)
         return self._stepper.is_spent
@@ -333,7 +334,7 @@ class WorldRun:
         self._wait(self._step)
 
     def _wait(self, since: int) -> None:
-        """Start to wait for the next event, after the step ``since``."""
+        """Begin to wait for the next event. The length of the wait is counted from step ``since``."""
         self._waiting = True
         self._quiet.restart()
         all_placed = self._live.n_placed == self._scene.n_boxes

@@ -140,7 +140,7 @@ def _run_cluster(options: RunOptions) -> Cluster:
 
 
 def _pool_choice(options: RunOptions, nodes: list[Node], work: Work, costs: Costs) -> Choice:
-    """The engine of the workers."""
+    """The engine of the workers, the reason for this choice, and the expected time."""
     workers, engine = options.asked_workers, str(options.engine)
     assert workers is not None
     threads = sum(node.cpus for node in nodes)

@@ -22,9 +22,9 @@ EXAMINED_AT_ONCE: Final = 32
 world of 96 boxes that all lie on several others 6 ms."""
 
 EXAMINING_S: Final = 0.015
-"""Longest time for examining worlds between two time slices of 0.1 s, s. So the device need not wait, and other threads
-get Python's lock. When up to 256 worlds were examined between two slices, 10,003 plans took the device a second
-longer."""
+"""Longest time, s, for which worlds are examined between two time slices, which take 0.1 s each. So the device need not
+wait, and other threads get Python's lock. When up to 256 worlds were examined between two slices, 10,003 plans took the
+device a second longer."""
 
 
 class Queues:
@@ -33,11 +33,11 @@ class Queues:
 
     First, worlds with a longer expected time come earlier, so that a run ends with short worlds. Second, worlds in
     which a load acts beyond or near an edge, according to a quick test of statics (``EdgeRisk``), come before worlds
-    without such loads, so that a run ends with worlds that stand. The time of a collapse cannot be predicted: of 10,003
-    generated plans, 40 of the 42 worlds with more than 5,000 steps were among the 4,279 with a load beyond an edge.
-    Besides, worlds that fall may be simulated again in stiffer contacts, which takes up to ten seconds on a CPU thread.
-    A second simulation is likely if a load acts near an edge, so worlds with a load near an edge come before worlds
-    with a load beyond an edge.
+    without such loads, so that a run ends with worlds that stand. How long a collapse takes cannot be predicted, so
+    worlds that may collapse begin early. (Of 10,003 generated plans, 42 took more than 5,000 steps, and 40 of these
+    were among the 4,279 plans with a load beyond an edge.) Besides, worlds that fall may be simulated again in stiffer
+    contacts, which takes up to ten seconds on a CPU thread. A second simulation is likely if a load acts near an edge,
+    so worlds with a load near an edge come before worlds with a load beyond an edge.
 
     Third, worlds that have completed a leg of a chain (a part of a journey) come before all others. Among them, the
     world that was queued last comes first. So chains end one after another during the whole run, and the CPU writes
@@ -105,7 +105,7 @@ class Queues:
         self._rank(live)
 
     def _rank(self, live: NDArray[np.bool_]) -> None:
-        """Write the queues of the live worlds."""
+        """Sort the live worlds, and write the order of each queue to the device."""
         ranked = np.lexsort((-self._cost, -self._risk, self._turn))
         ranked = ranked[live[ranked]]
         order = np.full((len(self._queues), len(live)), -1, np.int32)

@@ -31,8 +31,8 @@ board."""
 
 _MOST_BYTES: Final = 1 << 30
 _NO_FILE: Final = ".none"
-"""Name of a file that no run has. The name stands for any file in the folder of a run when the path of this folder is
-checked."""
+"""Name of a file that no run has. In the check of the paths that a board will write, a file of this name stands for all
+files in the folder of a run."""
 
 
 def names_of(packers: Collection[str], stories: int, orders: bool) -> list[str]:

@@ -135,8 +135,8 @@ def _moment(story: Story, which: str | float) -> Moment:
 
 
 def shift_mm(story: Story, poses: Poses) -> FloatArray:
-    """(k,) largest component of each placed box's shift from its planned place, mm. The verdict depends on this
-    component, too."""
+    """(k,) largest component of each placed box's shift from its planned place, mm. This is the component that the
+    verdict compares with the threshold of shifts."""
     moved = shift(poses.pos, story.scene.target[: poses.n_placed], 0.0)
     return np.asarray(1000.0 * np.abs(moved).max(axis=1, initial=0.0))
 
