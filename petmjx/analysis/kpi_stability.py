@@ -47,7 +47,7 @@ class Stability:
 
     @classmethod
     def assumed(cls) -> Stability:
-        """Answers in which all plans are assumed to stand according to BED-BPP's rule."""
+        """A ``Stability`` without simulations: all plans are assumed to stand according to BED-BPP's rule."""
         return cls(all_stand=True, notes=("stability is taken as 1 for all plans, not simulated",))
 
     def column(self, known: Mapping[str, bool], plan_ids: Iterable[str]) -> pd.Series:

@@ -45,8 +45,8 @@ def info(
 
     For files of other tools, the command shows the columns, the units, the axes, the point of a box that coordinates
     describe, the turns of boxes, the assumed values, and the second most plausible reading. A file that can be read in
-    two ways is refused, and both readings are named. For a file of orders, the command shows how petmjx samples
-    --orders reads the file.
+    two ways is refused, and both readings are named. For a file of orders, the command shows how the file is read by
+    the command "petmjx samples --orders".
     """
     from petmjx.plans.readings import reading_toml
     from petmjx.results.input_files import input_files

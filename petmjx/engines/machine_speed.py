@@ -68,8 +68,9 @@ def costs_here(work: Work, threads: int) -> Costs:
 
 @functools.cache
 def slowness() -> float:
-    """Time that a CPU thread of this machine needs, relative to a thread of the machine on which the costs ``MEASURED``
-    were measured. The time is measured, unless a process of this user has measured it at most ``KEPT_S`` ago.
+    """Time that a CPU thread of this machine needs for a simulation, divided by the time of a thread of the machine on
+    which the costs ``MEASURED`` were measured. The time is measured, unless a process of this user has measured it at
+    most ``KEPT_S`` ago.
     """
     with suppress(OSError, ValueError, EngineUnavailable):
         file = _kept_file()

@@ -67,7 +67,7 @@ class HandoverEngine(Engine, Generic[Faster]):
         self._mujoco, self._make_faster, self._costs = mujoco, make_faster, costs
         self._faster: Faster | None = None
         self._stays = False
-        """Whether the run stays on C MuJoCo, because the kernels turned out to be unavailable."""
+        """Whether the run stays on C MuJoCo, because the engine with the kernels is unavailable or has failed."""
         self._sim: Simulation | None = None
         self._worlds, self._spent_s, self._expected_s = 0, 0.0, 0.0
 
@@ -203,7 +203,7 @@ class _Shared(Generic[Faster]):
                 stream.put(ready_for(engine.name, job), (stream_number, job))
 
         feed()
-        stream.close()  # further jobs are added only between outcomes
+        stream.close()  # ``feed`` still adds jobs, but only between two outcomes
         with closing(outcomes_of_stream(engine, stream, self._sim, self._progress, sys.maxsize)) as outcomes:
             for outcome in outcomes:
                 job = None
@@ -245,7 +245,8 @@ class _Shared(Generic[Faster]):
         return [job for _, job in self.for_mujoco] + self._jobs.peek(sys.maxsize)
 
     def on_faster(self) -> Iterator[Outcome]:
-        """Simulate jobs in the kernels. If the kernels fail, C MuJoCo simulates the jobs without an outcome."""
+        """Simulate the jobs ``for_faster`` on the engine with the Warp kernels. If this engine fails, C MuJoCo
+        simulates the jobs that have no outcome yet."""
         faster, progress = self._engine._faster, self._progress
         assert faster is not None
         stream = JobStream[_Numbered](feedback=self._jobs.feedback, bounds=self._jobs.bounds)

@@ -62,8 +62,8 @@ def resolve_engine(
             busier now.
 
     Raises:
-        InputError, EngineUnavailable: see ``make_engine``. InputError is also raised for workers with a user's own
-            engine.
+        InputError, EngineUnavailable: see ``make_engine``. InputError is also raised if workers are requested and the
+            engine is an engine object of the user.
     """
     requested_engine = options.engine
     if not isinstance(requested_engine, str):

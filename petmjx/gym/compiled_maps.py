@@ -1,5 +1,5 @@
-"""Machine code that updates the maps of many pallets. This module is a twin of the NumPy code in
-``petmjx.gym.observation_maps``.
+"""Machine code that updates the maps of heights and of loads of many pallets. This module is a twin of the NumPy code
+in ``petmjx.gym.observation_maps``.
 
 Warp compiles the code (petmjx/gym/map_kernel.py) once per machine, for the CPU. The results are the same as NumPy's,
 bit for bit. The code writes only the cells that boxes cover, in threads that do not need Python's global lock.
@@ -42,7 +42,7 @@ def put_loads(
     Args:
         pallet: (m,) the pallets, each pallet once; ``force_n``: (m, k) force on the top of each of their boxes, N; 0 or
             less after the last box.
-        span: (n, c, 2, 2) the cells that each box on each pallet covers, c ≥ k.
+        span: (n, c, 2, 2) the cells that each box on each pallet covers, as in ``raise_heights``; c ≥ k.
         loads: (n, x, y) the maps of all pallets, N.
     """
     of_rows = table(pallet, wp.int64), table(force_n, wp.float32)

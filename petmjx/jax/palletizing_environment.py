@@ -44,8 +44,8 @@ _DRAWN: Final = 256
 their number must be finite."""
 
 _EDGE: Final = 1e-4
-"""Tolerance of single precision, as a share of a cell's side. A box that ends closer to the edge of a cell than this
-tolerance counts as ending at the edge."""
+"""Tolerance for rounding errors of single precision, as a share of a cell's side. A box that ends closer to the edge of
+a cell than this tolerance counts as ending at the edge."""
 
 _LARGEST: Final = float(np.finfo(np.float32).max)
 
@@ -170,7 +170,7 @@ class Palletizing:
         self._empty = empty(1, carrier=carrier, engine=engine, most_boxes=most_boxes, **options)
         sim = Simulation(**{"carrier": carrier, **options})
         extent = extent_m(sim.carrier)
-        assert extent is not None  # for any other engine, ``empty`` would have raised an error
+        assert extent is not None  # None: a carrier as large as the plan, which ``empty`` refuses
         self._extent = extent[0] * MM_PER_M, extent[1] * MM_PER_M
         gap, inside = (
             number_of(value, name, 0.0, LARGEST_GAP_MM)

@@ -102,7 +102,7 @@ def write_labels(
             damaged or were made with other orders or options, there is no place for any box of the orders, or shapely
             is missing.
     """
-    need_packers()  # the rules need SciPy and shapely, but are evaluated only after all labels have been made
+    need_packers()  # the card's rules need SciPy and shapely, but are evaluated only after all labels are made
     files = label_files(folder)
     outputs = [*files.values(), folder / CARD, folder / README]
     inputs = [source] if isinstance(source, Path) else []
@@ -247,8 +247,8 @@ def _remove_if_empty(folder: Path) -> None:
 
 
 def _groups(tables: Iterator[pa.Table], count: int) -> Iterator[pa.Table]:
-    """Join the first ``count`` rows of small tables into tables of at least ``_ROWS`` rows. The tables of parts that a
-    slow machine has written are small."""
+    """Join the first ``count`` rows of small tables into tables of at least ``_ROWS`` rows (the last table may be
+    smaller). Slow machines write small parts."""
     waiting: list[pa.Table] = []
     for table in tables:
         waiting.append(table.slice(0, count))

@@ -30,7 +30,8 @@ LONGEST_S: Final = 600.0
 timestep and 512 boxes."""
 MOST_STEPS: Final = 100_000
 MOST_ITERATIONS: Final = 1_000_000_000
-"""Largest ``iteration_limit``, also in attempts with a smaller timestep. The number fits into 32 bits."""
+"""Largest ``iteration_limit``. Attempts with a smaller timestep do not have a larger limit either, since counts of
+iterations must fit into 32 bits."""
 
 SOFT_START_STEPS: Final = 100
 """Number of steps in each half of the soft start, which precedes a simulation's time 0. In the first half, there is no

@@ -1,5 +1,5 @@
-"""Builds plans from the boxes of another tool's file (``PlanBuilder``): rows with one reading become a checked table of
-placements."""
+"""Builds plans from the boxes of another tool's file (``PlanBuilder``): the rows of the file, interpreted by one
+reading (units, vertical axis …), become a checked table of placements."""
 
 from __future__ import annotations
 
@@ -200,8 +200,8 @@ class PlanBuilder:
             )
 
     def _note_quantities(self) -> None:
-        """Add a note about quantities above 1, unless they count the rows of an article. A row is read as one box
-        whatever its quantity is, since it has only one place."""
+        """Add a note about quantities above 1, unless each of these quantities equals the number of rows that have the
+        article of its row. A row is read as one box whatever its quantity is, since it has only one place."""
         table, articles = self.boxes.table, self.columns.article or [""] * self.columns.n_boxes
         if self.columns.source.form == PACKINGSOLVER:  # the reader of this form adds a note about quantities itself
             return

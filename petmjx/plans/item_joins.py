@@ -35,8 +35,8 @@ _MOST_BESIDE: Final = 20
 
 
 def with_items(sources: Sequence[BoxSource], path: Path | None, items: Path | None) -> BoxSource:
-    """The list of boxes with places, of all lists in a file. Missing sizes and weights are added from a table of
-    items."""
+    """The first of the given lists of boxes. If it lacks sizes or weights, they are added from a table of items: the
+    file ``items``, another of the lists, or a file beside the file ``path``."""
     best = sources[0]
     if items is not None:
         tables = sources_of_bytes(bytes_of(items), items)
@@ -102,8 +102,8 @@ def has_named_places(path: Path) -> bool:
 
 
 def _with_items_beside(best: BoxSource, path: Path) -> BoxSource:
-    """packingsolver's certificate, with weights added from the file of items in the same folder if the sizes in both
-    files agree."""
+    """The boxes of packingsolver's certificate (its file of a solution), with weights added from the file of items in
+    the same folder if the sizes in both files agree."""
     stem = re.sub(r"_?(solution|certificate|output|result)s?$", "", path.stem, flags=re.IGNORECASE)
     for name in dict.fromkeys((f"{path.stem}_items.csv", f"{stem}_items.csv", "items.csv")):
         beside = path.with_name(name)
@@ -211,8 +211,8 @@ def _naming_columns(table: RawTable) -> list[int]:
 
 
 def _rows_by_name(table: RawTable, other: RawTable) -> list[int | None] | None:
-    """For each box, the row of its item. Rows are found by the pair of columns (of boxes and items) whose values agree
-    best."""
+    """For each box, the row of its item: the row that has the same value as the box in a column of names. Of all pairs
+    of a column of boxes and a column of items, the pair whose values agree most often is used."""
     best, most = None, _MATCHED * max(len(table.rows), 1)
     box_columns = _naming_columns(table)
     for item_column in _naming_columns(other):

@@ -404,7 +404,7 @@ _GEOMETRIC: Final = (*_SIZE_KINDS, "position", "positions", "low")
 
 
 def _named(names: Sequence[str], kinds: Collection[str]) -> set[str]:
-    """The names with a meaning whose kind is one of ``kinds``."""
+    """The names that have a known meaning of one of the ``kinds``, and that do not describe the container."""
     return {
         name for name, meaning in known_meanings(names).items() if meaning.kind in kinds and not meaning.of_container
     }

@@ -1,4 +1,5 @@
-"""Reads orders from text files of numbers (``order_source``): test problems of packing research, and lists of lengths.
+"""Reads orders from text files of numbers (``order_source``): test problems of packing research, and lists of box
+sizes.
 
 The forms are: Bischoff and Ratcliff's ``thpack`` and ``wtpack`` files of the OR-Library
 (people.brunel.ac.uk/~mastjjb/jeb, pages ``thpackinfo`` and ``conloadinfo``); files of the generator of Martello,
@@ -82,7 +83,7 @@ class _Line:
         return all(value is not None for value in self.values)
 
     def count(self, what: str) -> int:
-        """The count at the beginning of the line.
+        """The whole number at the beginning of the line. ``what``: what the number counts, in words for the message.
 
         Raises:
             InputError: the first word is not a whole number from 1 to ``MOST_ROWS``.

@@ -43,7 +43,7 @@ class Segment(NamedTuple):
     end: int
 
     def text(self) -> bytearray:
-        """The segment in braces.
+        """The text of the segment, enclosed in braces.
 
         Raises:
             OSError: the file cannot be read, or has become shorter.

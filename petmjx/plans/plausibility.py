@@ -18,8 +18,9 @@ from petmjx.common.units import FloatArray
 from petmjx.plans.plan_warnings import shared_length
 
 _OVERLAP, _FLOAT, _OUTSIDE, _SUPPORT, _TOUCH = 25.0, 20.0, 20.0, 4.0, 2.0
-"""Costs if all boxes overlap, float, are outside the carrier, hang over, or touch no neighbour. In the output of a
-packer, a box rarely overlaps or floats by mistake, whereas overhang and gaps are common."""
+"""Costs of five faults of a layout, each if all boxes have the fault: boxes overlap, float, are outside the carrier,
+hang over, or touch no neighbour. In the output of a packer, a box rarely overlaps or floats by mistake, whereas
+overhang and gaps are common."""
 _TOLERANCE: Final = 0.01
 """Largest gap at which boxes touch, as a share of the median of the boxes' smallest sides: 2 mm for cartons of 200 mm.
 Centres are often rounded to centimetres or half millimetres."""
@@ -113,9 +114,9 @@ def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]
 
 
 def _floor_of(low: FloatArray, high: FloatArray, tolerance: float) -> float:
-    """The height of the floor, which is usually the height of the lowest box. But if several boxes stand on a level,
-    and only a few boxes are lower and do not carry them, the floor is at this level, and the heights of the few lower
-    boxes are errors of the file."""
+    """The height of the floor: usually the bottom of the lowest box. Exception: several boxes stand at one level, on no
+    other box, and only a few boxes are lower. Then the floor is at this level, and the heights of the few lower boxes
+    are errors of the file."""
     bottoms = np.sort(low[:, 2])
     for level in bottoms[1 : max(1, int(_FEW_BELOW * len(low))) + 1]:
         below, at = low[:, 2] < level - tolerance, np.abs(low[:, 2] - level) <= tolerance
@@ -138,8 +139,9 @@ the origin is not a corner of the deck."""
 _ANY_ODD: Final = 1.0
 """Smallest cost of odd boxes, also if one of many boxes is odd."""
 _FIRST_ODD, _MORE_ODD = 3.0, 1.5
-"""Largest cost of the first odd box, and of each further one. The cost is limited, because one plan in 20 has a box
-that its packer placed wrongly, and because in a plan with few boxes, one odd box is a large share."""
+"""Largest cost of a layout with one odd box (such as a box that overlaps another), and largest additional cost of each
+further odd box. The cost is limited, because one plan in 20 has a box that its packer placed wrongly, and because in a
+plan with few boxes, one odd box is a large share."""
 
 
 def _odd_cost(odd: NDArray[np.bool_], weight: float) -> float:
@@ -211,8 +213,8 @@ of the top, with y upwards."""
 
 
 def are_other_points(layout: Layout, mm: float, point: FloatArray) -> bool:
-    """Whether coordinates that were read as those of a certain point of each box are probably those of another one,
-    with z or y upwards.
+    """Whether coordinates that were read as those of one point of each box, such as a corner, are probably those of
+    another point of each box. The vertical axis may be z or y.
 
     Two conditions must hold. If coordinates are read as those of the other point, the load begins at a corner of the
     deck, or is symmetric to the origin, along both horizontal axes. If coordinates are read as those of the given
@@ -263,7 +265,8 @@ def order_cost(layouts: Sequence[Layout]) -> float:
 
 
 _ON_SIDE: Final = 2.6
-"""Largest cost of an order. One load in 13 is built up from one side."""
+"""Largest cost of an order. The cost is limited because one load in 13 is built up from one side, so that its height
+falls often."""
 _FALLS: Final = 1.5
 """Cost of an order for each standard deviation by which the height falls more often than a level coordinate."""
 _ORDERED: Final = 0.2

@@ -108,7 +108,7 @@ _GROUPS_AND_DECIMALS: Final = {
     mark: re.compile(rf"^[+-]?\d{{1,3}}(?:{re.escape(other)}\d{{3}})+{re.escape(mark)}\d+$")
     for mark, other in ((",", "."), (".", ","))
 }
-"""Decimal sign → numbers that have it after groups of thousands: "1.234,5"."""
+"""Decimal sign → pattern of the numbers that have groups of thousands and this decimal sign: "1.234,5" for ","."""
 _ONLY_GROUPS: Final = {",": re.compile(r"^[+-]?\d{1,3}(?:\.\d{3})+$"), ".": re.compile(r"^[+-]?\d{1,3}(?:,\d{3})+$")}
 
 
@@ -123,8 +123,8 @@ _LEAST_GROUPED: Final = 3
 
 
 def are_grouped(cells: Sequence[Any], decimal: str) -> bool:
-    """Whether the points of a column can only separate thousands, since numbers of the file have decimal commas: the
-    column has no comma, and at least three numbers like "1.200"."""
+    """Whether the points in a column separate thousands. They do if the decimal sign of the file is a comma, at least
+    three numbers of the column are like "1.200", and no text of the column has a comma."""
     texts = [cell for cell in cells if isinstance(cell, str)]
     grouped = [text for text in texts if _ONLY_GROUPS[","].match(text)]
     return decimal == "," and len(grouped) >= _LEAST_GROUPED and not any("," in text for text in texts)

@@ -55,9 +55,9 @@ class Balance(NamedTuple):
         weight: (k,) weight of each load in ``trouble``: 1 to 2, times ``PERHAPS`` if the load may be inside.
         last_mm: (k,) distance of each load from the edge once all boxes are placed, positive inside.
         trouble: sum of the weights of the loads that are beyond an edge.
-        weakness: a number for the risk that the plan falls with errors, as a sum over loads and boxes. A load inside
-            its edge adds 1 to the risk if it is on the edge, and less further inside: 0 at ``SAFE_MM`` inside. A box
-            that is lowered between two other boxes adds 1 to the risk if it has no room, and less with more room: 0
+        weakness: a number for the risk that the plan falls with errors, as a sum over loads and boxes. A load that is
+            not beyond its edge adds a number that decreases from 1 on the edge to 0 at ``SAFE_MM`` inside the edge. A
+            box that is lowered between two other boxes adds 1 to the risk if it has no room, and less with more room: 0
             with ``ROOM_MM`` of room.
         order: numbers of the boxes in packing order.
         loads: the loads of all boxes. ``balances_with_last`` computes from ``loads`` the loads of a draft with one more
@@ -103,7 +103,7 @@ def balances(drafts: Sequence[Draft], sim: Simulation, *, spare_mm: float = 0.0)
         built = building_loads_of(bearing, np.diff(bearing.boxes.first).tolist())
         perhaps = depends_on_sharing(bearing, built)
         edge_mm = MM_PER_M * built.edge_m - spare_mm
-        rows = np.flatnonzero(~np.isnan(edge_mm))  # a box without supports has no edge, although it may bear a load
+        rows = np.flatnonzero(~np.isnan(edge_mm))  # NaN: the box has no supports, so no edge
         loads = _loads(built.box[rows], built.step[rows], edge_mm[rows], perhaps[rows])
         results += _balances(some, loads, _missing_room(some), bearing.boxes.first)
     return results
@@ -207,7 +207,7 @@ class _Loads(NamedTuple):
     perhaps: BoolArray
 
     def take(self, rows: slice, first: int) -> _Loads:
-        """The given rows of the loads. In the result, the numbers of boxes and steps are counted from ``first``."""
+        """The given rows of the loads. In the result, ``first`` is subtracted from the numbers of boxes and steps."""
         some = self.of(rows)
         return some._replace(box=some.box - first, step=some.step - first)
 
@@ -217,7 +217,8 @@ class _Loads(NamedTuple):
 
     @classmethod
     def joined(cls, some: Sequence[_Loads], first: IntArray) -> _Loads:
-        """The loads of several drafts in one record. The boxes and steps of draft k are counted from ``first[k]``."""
+        """The loads of several drafts in one record. ``first[k]`` is added to the numbers of boxes and steps of draft
+        k."""
         begin = np.repeat(first[:-1], [len(loads.box) for loads in some])
         joined = cls._make(map(np.concatenate, zip(*some, strict=True)))
         return joined._replace(box=joined.box + begin, step=joined.step + begin)
@@ -282,8 +283,8 @@ def _missing_room(drafts: Sequence[Draft], *, only_last: bool = False) -> list[F
 
 
 def _missing(low: FloatArray, high: FloatArray, begin: int) -> FloatArray:
-    """(c, n − begin) numbers as in ``_missing_room``, for boxes with these (c, n, 3) corners, mm. Boxes before
-    ``begin`` get no number."""
+    """(c, n − begin) numbers as in ``_missing_room``, for c drafts of n boxes. ``low``, ``high``: (c, n, 3) corners of
+    the boxes, mm. Boxes before the box ``begin`` get no number."""
     n = low.shape[1]
     before = np.triu(np.ones((n, n), bool), k=1)[:, begin:]  # the row's box is placed before the column's
     stands = before & (high[:, :, None, 2] > low[:, None, begin:, 2] + TOLERANCE_MM)

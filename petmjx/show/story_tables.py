@@ -53,7 +53,8 @@ def _events_table(story: Story) -> Table:
 
 
 def _boxes_table(story: Story) -> FittedTable:
-    """A table of the first box to fail and the boxes with the largest forces on top, with their numbers."""
+    """A table with the mass, motion and forces of two kinds of boxes: the first box to fail, and the boxes with the
+    largest forces on top."""
     boxes, plan, culprit = story.outcome.boxes, story.plan, story.outcome.culprit
     forces = np.nan_to_num(boxes.max_top_force_n[: story.outcome.n_placed])
     pressed = np.argsort(-forces, kind="stable")[:MOST_PRESSED].tolist()

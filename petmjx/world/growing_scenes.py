@@ -71,7 +71,7 @@ class OpenScenes:
         self._count[rows] += 1
 
     def copy(self, sources: Sequence[int], into: Sequence[int]) -> None:
-        """Copy the scenes of the worlds ``sources`` into the worlds ``into``."""
+        """Replace the scene of each world in ``into`` by the scene of the world at the same position in ``sources``."""
         rows, copied = np.asarray(into, np.intp), np.asarray(sources, np.intp)
         n_used = int(max(self._count[rows].max(initial=0), self._count[copied].max(initial=0)))
         for table in (self._scenes, self._count, *(columns[:, :n_used] for columns in self._columns)):

@@ -90,7 +90,7 @@ def speed(vel: Float[Array, "world box 6"], half: Float[Array, "world box 3"]) -
 def moved(
     before: Float[Array, "world box 7"], after: Float[Array, "world box 7"], half: Float[Array, "world box 3"]
 ) -> Float[Array, "world box"]:
-    """Upper bound of the distance by which any point of a box has moved, m. For small angles, the angle is twice the
-    chord between the two quaternions."""
+    """Upper bound of the distance by which any point of a box has moved, m. A small angle of rotation is twice the
+    distance (chord) between the two quaternions."""
     change = (after - before) ** 2
     return jnp.sqrt(change[..., :3].sum(-1)) + 2 * radius(half) * jnp.sqrt(change[..., 3:].sum(-1))

@@ -1,4 +1,5 @@
-"""Engine ``mjx-jax``: batches of worlds on one padded MJX model, in pure JAX. The rules are array programs."""
+"""Engine ``mjx-jax``: simulates batches of worlds in pure JAX. All worlds of a batch share one MJX model, which has
+room for the largest of them. The rules of docs/rules.md are computed on arrays, for all worlds at once."""
 
 from __future__ import annotations
 
@@ -108,7 +109,7 @@ class Group:
 
 
 MOST_KEPT = 16
-"""Number of programs that a process keeps for later engines."""
+"""Largest number of compiled programs that a process keeps for later engines."""
 
 _kept: dict[tuple[type, ProgramKey], Program] = {}
 """(Class of an engine, key) → program; the newest program is last. Engines of several threads may share a program."""
@@ -140,7 +141,8 @@ class MjxJaxEngine(Engine):
         self._running = RunLock(self.name)
 
     def make_model(self, capacity: int, boards: int, sim: Simulation, *, held: bool) -> PaddedModel:
-        """The padded model for worlds of up to ``capacity`` boxes."""
+        """A model for worlds of up to ``capacity`` boxes and ``boards`` boards of the carrier. ``held``: whether the
+        carrier is clamped."""
         return PaddedModel(capacity, boards, sim, held=held)
 
     def paths(self, bodies: FreeBodies, sim: Simulation) -> FloatArray:

@@ -25,10 +25,11 @@ def trembling_mask(state: State, sim: Simulation) -> Bool[Array, "world box"]:
 def stay_mask(
     state: State, sim: Simulation, moved: Float[Array, "world box"] | float = 0.0
 ) -> Bool[Array, "world box"]:
-    """Whether each box stays. A box stays if it stayed near its place in the last complete period of measurement, and
-    has been near its place in the present period until now. As with ``trembling_mask``, no box counts as staying right
-    after a placement. ``moved``: distances by which boxes moved in the last steps of a world, m; 0 at a look. The
-    larger of this distance and ``tremble_away`` counts."""
+    """Whether each box counts as staying at its place. A box counts as staying if it was near its place during the
+    whole last complete period of measurement, and in the present period until now. For some time after a placement, no
+    box counts as staying, for the same reason as in ``trembling_mask``. ``moved``: distances by which boxes moved in
+    the last steps of a world, m; 0 at a look. The larger of this distance and ``tremble_away`` must be below the limit
+    of ``_most_away``."""
     stayed = (state.trembles != 0) & (state.tremble_looks > 2 * sim.quiet.tremble_looks)[:, None]
     return stayed & (jnp.maximum(state.tremble_away, moved) < _most_away(state.tremble_path, sim))
 

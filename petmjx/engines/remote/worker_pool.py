@@ -48,8 +48,8 @@ worker with this engine gets all jobs, since a device takes as long for a few wo
 entry simulates job after job."""
 
 MOST_TAKEN = GPU_WORLDS
-"""Largest number of jobs per device that are taken from the stream and have no outcome. The longest of them go to
-workers first."""
+"""Largest number of jobs per device that are taken from the stream and have no outcome yet. The jobs that are expected
+to take longest go to workers first."""
 
 _HIGHEST = (" lanes", " contacts")
 """Endings of names in ``Progress.extra``. If a name has one of these endings, the largest value of all workers is
@@ -163,7 +163,7 @@ class WorkerPool(Engine):
             self._kill(worker)
 
     def retire(self) -> None:
-        """Start to end the workers, and the cluster if it was started for them."""
+        """Begin to end the workers, and the cluster if it was started for them; do not wait until they have ended."""
         try:
             self.dismiss()
         finally:
@@ -182,7 +182,8 @@ class WorkerPool(Engine):
     def run(
         self, jobs: Sequence[Job] | JobStream[Any], sim: Simulation, progress: Progress | None = None
     ) -> Iterator[Outcome]:
-        """Simulate each job once. Outcomes are yielded as by the engine itself.
+        """Simulate each job once. Outcomes are the same as those of the engine itself, and are yielded in any order, as
+        worlds finish.
 
         Raises:
             EngineUnavailable: workers die while they start, a worker has other versions of packages than this process,

@@ -17,8 +17,9 @@ MORE_BOXES = 2
 """Number of additional boxes for which buffers have room: one for the carrier, and one that small plans need."""
 
 MAX_GROWTH = 8
-"""Largest factor by which buffers grow. Buffers are doubled at each overflow. A world for which buffers of this size
-are still too small becomes invalid."""
+"""The largest buffers have ``MAX_GROWTH`` times the room that the largest number of boxes of their block size needs by
+default. Buffers are doubled at each overflow. If buffers of the largest size (``most_room``) are still too small for a
+world, the world becomes invalid."""
 
 
 def pairs_and_contacts(shapes: int) -> tuple[int, int]:
@@ -39,7 +40,7 @@ class ContactBuffers:
 
     def __init__(self) -> None:
         self._growth: dict[tuple[Cone, int], int] = {}
-        """(Friction cone, size of worlds) → factor by which buffers are larger than the default."""
+        """(Friction cone, block size of worlds) → factor by which buffers are larger than the default."""
 
     def grow(self, run: TableRun, size: int) -> int | None:
         """Double the buffers for worlds of a size. Returns the factor by which the buffers are now larger than the

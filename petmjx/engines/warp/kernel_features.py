@@ -43,7 +43,7 @@ class KernelFeatures:
         hands: whether kernels need hands, which carry or drop boxes.
         gives: whether kernels need compliant boxes.
         wraps: whether kernels need stretch film that holds boxes.
-        stiff: the values of ``Job.stiff``, apart from None. Worlds with different values need different constants.
+        stiff: the values of ``Job.stiff``, apart from None. Each value needs constants of its own in the kernels.
     """
 
     widths: Mapping[int, int]

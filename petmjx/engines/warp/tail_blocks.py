@@ -19,9 +19,9 @@ from petmjx.engines.warp.block_pool import BlockPool
 from petmjx.engines.warp.small_world_blocks import with_first_queue
 
 MOST_EXPECTED: Final = 16
-"""Largest number of worlds that get blocks for last worlds while other worlds still wait: the worlds that are expected
-to end last because they have the largest numbers of steps so far. A block for last worlds fills a GPU multiprocessor,
-which otherwise has room for two usual blocks."""
+"""While other worlds still wait, at most this number of worlds get the large thread blocks that are meant for the last
+worlds: the worlds that are expected to end last because they have taken the most steps so far. A block for last worlds
+fills a GPU multiprocessor, which otherwise has room for two usual blocks."""
 
 LONG: Final = 2.0
 """A world is *long* if its number of steps is more than LONG times the mean number of steps of finished worlds."""

@@ -1,9 +1,9 @@
 """Motion of a world's bodies: from poses to accelerations without contacts, and from accelerations to the next poses.
 
 Bodies are rigid, with diagonal inertia in their frames (petmjx/world/body_shapes.py). Body 0 is the carrier, and box k
-is body k + 1. All bodies are free, except a held carrier. A free body can move, and has six rows in the equations. Free
-bodies are numbered from 0: the number is the body's number, or one less if the carrier is held. A negative number
-stands for a body that cannot move. Geom 0 is the floor, and shape k is geom k + 1.
+is body k + 1. All bodies are free, except a held carrier. A free body can move, and has six rows in the equations of
+motion. Free bodies are numbered from 0: the number is the body's number, or one less if the carrier is held. A negative
+number stands for a body that cannot move. Geom 0 is the floor, and shape k is geom k + 1.
 """
 
 from __future__ import annotations

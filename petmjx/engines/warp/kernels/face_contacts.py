@@ -20,7 +20,7 @@ area."""
 
 MOST = wp.constant(10)
 Polygon = wp.types.matrix(shape=(10, 2), dtype=wp.float32)
-"""Corners of a parallelogram that is clipped by five lines."""
+"""Room for the corners (x, y) of a parallelogram that has been clipped by five lines."""
 
 
 @wp.func

@@ -41,7 +41,7 @@ def _import(
 
 
 def _load(name: str) -> ModuleType:
-    """A file of mujoco_warp, executed once."""
+    """The module of a file of mujoco_warp. The file is executed only once per process."""
     own_name = f"{__name__}.{name}"
     if own_name in sys.modules:
         return sys.modules[own_name]
