@@ -1,5 +1,5 @@
-"""Pallets for jitted programs, simulated by MuJoCo on the CPU. The pytree holds only the boxes. The simulated worlds
-are kept outside the program, which reaches them through a callback.
+"""Pallets for jitted programs, simulated by MuJoCo on the CPU. The pytree of a state (``HostState``) holds only the
+boxes of the pallets. The simulated worlds are kept outside the jitted program, which reaches them through a callback.
 
 The state of a pallet depends only on its boxes and their sequence, so the boxes identify the state. The settled worlds
 (pallets at rest) that were used most recently are kept in a cache, with their boxes as the key. A world that is needed,
@@ -26,7 +26,7 @@ from petmjx.loop.placement_arguments import Placements
 from petmjx.options.simulation import Simulation
 
 KEPT_PER_PALLET: Final = 4
-"""Number of settled worlds in the cache for each pallet of a state."""
+"""Number of settled worlds in the cache for each of the n pallets of a ``HostState``."""
 
 
 MOST_ASKED: Final = 64

@@ -102,7 +102,8 @@ _POSITION: Final = word_set(
     "flbcoordinates ecke corner coin esquina angolo rog left"
 )
 _ENDS: Final = word_set("max maximum end extremity extremities extremite")
-"""Words for the far corner of a box, also beside a word for a size: "endCoordinates.width"."""
+"""Words for the corner of a box with the largest x, y and z. In "endCoordinates.width", too, the value is a coordinate
+of this corner, not a size."""
 _LOW: Final = word_set("min minimum low lower start begin from von flb front minimal")
 _HIGH: Final = word_set("max maximum high upper end to bis rrt far maximal top") | _ENDS
 CENTRE_WORDS: Final = word_set(

@@ -175,7 +175,8 @@ def _plans_of(
 ) -> list[Plan | None]:
     """Make a plan from each list of placements; None for a plan with a value that is not allowed.
 
-    Whole columns are checked, for all plans at once. The plans share their arrays.
+    Whole columns are checked, for all plans at once. The arrays of each plan are slices of arrays with the boxes of all
+    plans.
     """
     if not plans:
         return []
