@@ -127,7 +127,7 @@ class Host:
                 pinned.add(into[-1])
             if fresh:
                 self._placed(replace(request, pallet=np.array(into)).take(np.array(fresh)), np.array(slots)[fresh])
-            self._slots.update(world_of_key)  # from here on, the pallets have the new boxes
+            self._slots.update(world_of_key)  # the new pallets enter the cache only after their simulation
             write_results(columns, rows, self._pallets.results(np.array(into)))
         return columns
 

@@ -25,7 +25,7 @@ _THREADS: Final = 4
 """Number of threads that lower boxes. Machine code does not need Python's lock, so the threads do not wait for it."""
 
 _WORTH_A_THREAD: Final = 32
-"""Smallest number of boxes or pallets for which another thread is started."""
+"""If several threads are started, each gets at least this number of boxes or pallets."""
 
 _AT_ONCE: Final = 4096
 """Largest number of new boxes that are lowered at a time. With more boxes at a time, the results would take more

@@ -241,8 +241,8 @@ class ColumnMeaning:
     Attributes:
         kind: role of the column.
         axis: axis of a size or a position; "": no axis. The axis of a size is length, width, height or depth, or x, y
-            or z (``dx``, ``LX``). The axis of a position is x, y or z, or the word for a size. The axis of a member of
-            a list is "0", "1" or "2".
+            or z (``dx``, ``LX``). The axis of a position is x, y or z, or a word for a size, such as length. The axis
+            of a member of a list is "0", "1" or "2".
         unit: name of the unit in ``LENGTH_UNITS``, ``MASS_UNITS`` or ``DENSITY_UNITS``; "": no unit.
         anchor: for positions, the point according to the name (``centre``, ``base-centre``, ``corner``); "": none is
             given.

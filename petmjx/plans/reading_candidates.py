@@ -35,7 +35,8 @@ _TURNED_ARRAY: Final = 0.6
 """Cost of sizes before turning in a table without names. Arrays mostly come from programs that train packers, and have
 sizes as placed."""
 _FIRM: Final = 3.0
-"""Cost of a reading that contradicts a known fact about a form."""
+"""Cost of a reading that contradicts what is known from the form of the file, the names of its columns, or the
+rotations."""
 
 
 _UP: Final = {"z": (0, 1, 2), "y": (0, 2, 1), "x": (1, 2, 0)}

@@ -50,8 +50,9 @@ WEAK_LEAD: Final = 3.0
 """A weak reading (see ``WEAK``) wins only if its cost is lower than the cost of every other reading by at least this
 value. If a plan really has odd boxes, even more boxes are odd in wrong readings."""
 _SHIFTED: Final = 3.6
-"""Cost of a reading with coordinates of corners if they are probably those of other points (``are_other_points``). With
-coordinates of centres, the cost is half as large: perhaps they are those of tops, with y upwards."""
+"""Cost of a reading in which coordinates are those of corners, if they are probably those of other points
+(``are_other_points``). With coordinates of centres, the cost is half as large: perhaps they are those of tops, with y
+upwards."""
 _OF_WALL: Final = 2.0
 """Cost of a reading in which boxes form a wall (``is_wall``). If y is as likely to be the vertical as z, and the file
 has more than a few boxes, the reading as a flat layer wins; else the user is asked for the vertical axis."""
@@ -395,8 +396,8 @@ def _are_large_cells(best: _Judged) -> bool:
 
 
 _FEW_CELLS: Final = 5
-"""If the shortest side of most boxes has fewer cells of a grid than this number, the cells are probably larger than
-millimetres, centimetres or inches."""
+"""If the shortest side of most boxes has fewer cells of a grid than this number, the cells are probably no millimetres,
+centimetres or inches."""
 _TRIED: Final = ("mm", "cm", "m", "in")
 """Units of lengths that are tried. Two such units are a tie if boxes and load fit a carrier in both units."""
 _THIN, _DENSE = 20.0, 2000.0

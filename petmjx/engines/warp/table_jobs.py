@@ -21,7 +21,7 @@ SPARE_ROWS: Final = 4
 WAITING_ROWS: Final = 8
 """A table begins with this number of rows for each of its first jobs, if more jobs may come, but none that follow from
 outcomes. Thread blocks begin with the longest worlds of the table. So the more worlds wait in the table, the shorter
-are the worlds with which the run ends. A GPU begins with 1,600 worlds, so all worlds of a run of 10,000 plans are in
+are the worlds that are simulated last. A GPU begins with 1,600 worlds, so all worlds of a run of 10,000 plans are in
 the table after some slices."""
 
 LEAST_FOLLOWING_ROWS: Final = 2048
