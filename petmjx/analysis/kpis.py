@@ -384,8 +384,8 @@ def _odd_boxes(
 
 
 def _unknown(frame: pd.DataFrame, stability: Stability) -> list[str]:
-    """Lines for the user about plans that no run answers for, although a run tells for other plans whether they
-    stand."""
+    """Lines for the user about plans of which it is unknown whether they stand, although the runs give this for other
+    plans."""
     notes = []
     for column, known in (("kpi_6", stability.their_rule), ("stable", stability.stable)):
         missing = frame.loc[frame[column].isna(), "plan_id"].tolist()

@@ -33,8 +33,8 @@ exploded."""
 STIFF_QUIET_STEPS = 25
 """In attempts with stiff contacts, boxes must be quiet for at least this number of steps (``Quiet.steps``). The
 verdicts of these attempts depend on movements of less than a millimetre. Of 6,000 small stacks whose verdicts follow
-from statics, some fell although they should stand: 5 stacks with 15 steps, 4 with 25, and 3 with 50. With 50 steps, the
-simulation of a pallet with trembling boxes takes three times as long."""
+from statics, some fell although they should stand: 5 stacks if boxes had to be quiet for 15 steps, 4 for 25 steps, and
+3 for 50 steps. With 50 steps, the simulation of a pallet with trembling boxes takes three times as long."""
 
 STIFF_INTERVAL_S = 0.2
 """Value of ``Simulation.interval_s`` in attempts with stiff contacts and the schedule ``adaptive``, s: the time after

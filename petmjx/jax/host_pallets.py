@@ -1,5 +1,5 @@
-"""Pallets for jitted programs, simulated by MuJoCo on the CPU. The pytree holds only the boxes. The simulated worlds
-are kept outside the program, which reaches them through a callback.
+"""Pallets for jitted programs, simulated by MuJoCo on the CPU. The pytree of a state (``HostState``) holds only the
+boxes of the pallets. The simulated worlds are kept outside the jitted program, which reaches them through a callback.
 
 The state of a pallet depends only on its boxes and their sequence, so the boxes identify the state. The settled worlds
 (pallets at rest) that were used most recently are kept in a cache, with their boxes as the key. A world that is needed,
@@ -26,7 +26,7 @@ from petmjx.loop.placement_arguments import Placements
 from petmjx.options.simulation import Simulation
 
 KEPT_PER_PALLET: Final = 4
-"""Number of settled worlds in the cache for each pallet of a state."""
+"""Number of settled worlds in the cache for each of the n pallets of a ``HostState``."""
 
 
 MOST_ASKED: Final = 64
@@ -127,7 +127,7 @@ class Host:
                 pinned.add(into[-1])
             if fresh:
                 self._placed(replace(request, pallet=np.array(into)).take(np.array(fresh)), np.array(slots)[fresh])
-            self._slots.update(world_of_key)  # from here on, the pallets have the new boxes
+            self._slots.update(world_of_key)  # the new pallets enter the cache only after their simulation
             write_results(columns, rows, self._pallets.results(np.array(into)))
         return columns
 

@@ -25,7 +25,7 @@ _THREADS: Final = 4
 """Number of threads that lower boxes. Machine code does not need Python's lock, so the threads do not wait for it."""
 
 _WORTH_A_THREAD: Final = 32
-"""Smallest number of boxes or pallets for which another thread is started."""
+"""If several threads are started, each gets at least this number of boxes or pallets."""
 
 _AT_ONCE: Final = 4096
 """Largest number of new boxes that are lowered at a time. With more boxes at a time, the results would take more
@@ -109,8 +109,8 @@ def lowered_boxes(
 
 
 def launch(kernel: Any, m: int, of_rows: list[Any], others: list[Any]) -> None:
-    """Launch a kernel for m rows, on several threads. The kernel's arguments are ``of_rows``, the first row of the
-    launch, and ``others``."""
+    """Launch a kernel for m rows, on several threads. The kernel's arguments are those in ``of_rows``, then the number
+    of the launch's first row, then those in ``others``."""
 
     def launch_rows(rows: range) -> None:
         wp.launch(kernel, dim=len(rows), inputs=[*of_rows, rows.start, *others], device="cpu")

@@ -47,7 +47,8 @@ def open_engine(requested_engine: str | Engine, n: int, of_run: dict[str, Any]) 
 
 
 def chooses_gpu(requested_engine: str | Engine, n: int) -> bool:
-    """Whether the requested engine is a name that means a GPU engine for n pallets."""
+    """Whether the requested engine is a name, and this name stands for an engine on a GPU (``mjx-warp``) for n
+    pallets."""
     return isinstance(requested_engine, str) and _name_of(requested_engine, gpu=n >= MANY_PALLETS) == "mjx-warp"
 
 

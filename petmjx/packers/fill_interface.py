@@ -1,5 +1,5 @@
 """The interface between Python and fill.cpp, which fills up a packing: the tables that describe a packing (``AXES``),
-and enumerations that name entries of these tables."""
+and enumerations that name positions and values in two of these tables (``counts``, ``numbers``)."""
 
 from __future__ import annotations
 

@@ -2,10 +2,10 @@
 
 ``python -m petmjx.packers.handmade_plans`` writes the file with all these plans.
 
-Statics determines whether the hand-made plans stand, if boxes are placed one by one on the carrier ``footprint``, which
-is as large as the plan's bounding box. The simulation makes boxes smaller by 0.1 mm. A reduction by 0.1 mm changes no
-verdict, since in all hand-made plans, the boxes are several centimetres away from the limit between standing and
-falling.
+For boxes that are placed one by one on the carrier ``footprint``, which is as large as the plan's bounding box, statics
+determines whether the hand-made plans stand. The simulation makes boxes smaller by 0.1 mm. A reduction by 0.1 mm
+changes no verdict, since in all hand-made plans, the boxes are several centimetres away from the limit between standing
+and falling.
 """
 
 from __future__ import annotations

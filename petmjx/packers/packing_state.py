@@ -267,7 +267,7 @@ def _size(item: Item, orientation: int) -> tuple[float, float, float]:
 
 
 def _worth(sizes: FloatArray, weight: FloatArray, taste: Taste) -> FloatArray:
-    """(s,) value of each shape, without regard to its place, mm.
+    """(s,) the part of a candidate's value that depends only on its shape, for each shape, in mm of height (``Taste``).
 
     Args:
         sizes: (s, 3) sizes of the shapes, mm.

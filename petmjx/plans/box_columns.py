@@ -39,7 +39,7 @@ from petmjx.plans.turn_columns import Turns, are_yes_or_no, turns_of
 GROSS: Final = word_set("gross brutto bruttogewicht bruto brut lordo")
 """Words for gross weights, which are preferred to net weights."""
 _SECOND_SIZES: Final = 0.5
-"""Cost of a reading with the second of two sets of sizes, before any numbers are considered."""
+"""Cost of a reading with the sizes from the second of two sets of columns, before any numbers are considered."""
 
 
 @dataclass(frozen=True, eq=False)

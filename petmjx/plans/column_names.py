@@ -102,7 +102,8 @@ _POSITION: Final = word_set(
     "flbcoordinates ecke corner coin esquina angolo rog left"
 )
 _ENDS: Final = word_set("max maximum end extremity extremities extremite")
-"""Words for the far corner of a box, also beside a word for a size: "endCoordinates.width"."""
+"""Words for the corner of a box with the largest x, y and z. In "endCoordinates.width", too, the value is a coordinate
+of this corner, not a size."""
 _LOW: Final = word_set("min minimum low lower start begin from von flb front minimal")
 _HIGH: Final = word_set("max maximum high upper end to bis rrt far maximal top") | _ENDS
 CENTRE_WORDS: Final = word_set(
@@ -240,8 +241,8 @@ class ColumnMeaning:
     Attributes:
         kind: role of the column.
         axis: axis of a size or a position; "": no axis. The axis of a size is length, width, height or depth, or x, y
-            or z (``dx``, ``LX``). The axis of a position is x, y or z, or the word for a size. The axis of a member of
-            a list is "0", "1" or "2".
+            or z (``dx``, ``LX``). The axis of a position is x, y or z, or a word for a size, such as length. The axis
+            of a member of a list is "0", "1" or "2".
         unit: name of the unit in ``LENGTH_UNITS``, ``MASS_UNITS`` or ``DENSITY_UNITS``; "": no unit.
         anchor: for positions, the point according to the name (``centre``, ``base-centre``, ``corner``); "": none is
             given.

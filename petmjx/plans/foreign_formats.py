@@ -93,8 +93,8 @@ _FIRST_COMMENTS: Final = re.compile(r"\A(?:\s|(?://|;)[^\n]*|/\*.*?\*/)++(?=[{\[
 """Comments above a value of JSON5, JavaScript or EDN."""
 _COMMENT: Final = re.compile(r'("(?:\\.|[^"\\\n])*+")|//[^\n]*+|/\*.*?(?:\*/|\Z)', re.DOTALL)
 _LAST_COMMA: Final = re.compile(r'("(?:\\.|[^"\\\n])*+")|,(?=\s*+[}\]])')
-"""Both patterns also match a text in quotation marks, which is kept. Otherwise, ``_COMMENT`` matches a comment, and
-``_LAST_COMMA`` a comma behind the last value of a list or object."""
+"""The patterns ``_COMMENT`` and ``_LAST_COMMA`` match texts in quotation marks, which are kept. Outside such texts,
+``_COMMENT`` matches a comment, and ``_LAST_COMMA`` a comma behind the last value of a list or object."""
 
 
 def _blank(match: re.Match[str]) -> str:
@@ -212,7 +212,7 @@ def sources_of_tables(raw_tables: Sequence[RawTable], kind: str) -> list[BoxSour
 
 
 def _without_unplaced(boxes: BoxList) -> BoxList:
-    """A list of boxes without those that a column such as "placed" says are not placed."""
+    """A list of boxes without the boxes that were not placed, according to a column such as "placed"."""
     kept = rows_with_boxes(boxes.table)
     left_out = (*boxes.left_out, *not_placed(len(boxes.table.rows) - len(kept)))
     return replace(rows_of(boxes, kept), left_out=left_out)

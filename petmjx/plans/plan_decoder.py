@@ -35,7 +35,7 @@ from petmjx.plans.plan_transfer_arrays import plan_of_rows
 from petmjx.plans.plan_validation import PlanError, parse_plan
 
 _MOST_PLANS: Final = 2000
-"""Number of plans that are decoded together: 90,000 records of 200 bytes."""
+"""Number of plans that are decoded together. 2,000 plans have about 90,000 placements, each a record of 200 bytes."""
 
 _Name = Annotated[str, msgspec.Meta(max_length=LONGEST_NAME)]
 
@@ -107,8 +107,8 @@ class DecoderOptions:
 
 def decode_entries(data: bytes | bytearray, options: DecoderOptions) -> list[ReadEntry] | None:
     """Decode the entries of a file, in order. The result is None if the text is not JSON, or not an object with
-    distinct ids. If the result is None, the caller reads the text again, up to the error; ``options.unread`` is not
-    changed."""
+    distinct ids. If the result is None, the caller reads the text again, entry by entry up to the error
+    (``scan_plans``); ``options.unread`` is not changed."""
     try:
         values = _PLANS.decode(data)
     except (msgspec.DecodeError, UnicodeError, RecursionError):
@@ -175,7 +175,8 @@ def _plans_of(
 ) -> list[Plan | None]:
     """Make a plan from each list of placements; None for a plan with a value that is not allowed.
 
-    Whole columns are checked, for all plans at once. The plans share their arrays.
+    Whole columns are checked, for all plans at once. The arrays of each plan are slices of arrays with the boxes of all
+    plans.
     """
     if not plans:
         return []

@@ -50,7 +50,7 @@ _SPACE: Final = re.compile(r"\s*")
 _QUOTED: Final = re.compile(r"""\\?(?:"((?:\\.|[^"\\])*)"|'((?:\\.|[^'\\])*)'|`([^`]*)`)""")
 _NAME: Final = re.compile(
     r""":([A-Za-z][\w.?!/-]*)(?=\s)"""  # EDN
-    r"""|\[\s*+['"]?([^\]\[\n'"]{1,200}+)['"]?\s*+\]\s*+=>?"""  # PHP, Lua; possessive, for long white space
+    r"""|\[\s*+['"]?([^\]\[\n'"]{1,200}+)['"]?\s*+\]\s*+=>?"""  # PHP, Lua; possessive against slow backtracking
     r"""|:?['"]?([A-Za-z_$][\w$.-]*)['"]?\s*(?:=>|=(?!=)|:(?!:))"""
 )
 _EMPTY: Final = re.compile(r"[ \t]+(?=[A-Za-z_]\w{0,99}[:=](?:[^\s,;]++(?!\s*[,;])|[ \t]{1,9}[A-Za-z_]\w{0,99}[:=]))")
@@ -87,7 +87,7 @@ _FIELD: Final = re.compile(r"#[^\n]*|\"(?:\\.|[^\"\\\n])*+\"?|(?<!\w)([A-Za-z_]\
 """A field of a message of protocol buffers: "boxes {" or "sku:"; or a comment, or a text in quotation marks, which may
 contain something that looks like a field."""
 _RULES: Final = re.compile(r"^(?:[-=]{3,}|[#%][^\n]*)$", re.MULTILINE)
-"""Lines between named arrays that hold no values."""
+"""Lines without values that stand between named arrays: rules of dashes or equals signs, and comments."""
 
 
 def printed_values(text: str) -> Any:
@@ -130,7 +130,7 @@ def _with_separator(field: re.Match[str]) -> str:
 
 
 def _repeated_names(value: Any) -> set[str]:
-    """The names under which a nested value has a list of objects anywhere."""
+    """The names of all fields, at any depth of a nested value, whose value is a list with an object."""
     if isinstance(value, list):
         return set().union(*map(_repeated_names, value))
     names: set[str] = set()
@@ -217,7 +217,7 @@ _COMMENT: Final = re.compile(r"\s*(?:[;#].*)?")
 
 def values_of_blocks(text: str) -> Any:
     """The values in blocks of lines with one named value each, below a line that begins the block; None for other
-    texts. Blocks whose names differ in their numbers are one list: "[box1]", "[box2]".
+    texts. Blocks whose names have the same letters become one list: "[box1]", "[box2]".
 
     Raises:
         InputError: a line of a block has no named value, or the name of an earlier line of the block. The error names
@@ -322,7 +322,7 @@ def _inside(text: str, at: int, kind: str, close: str, depth: int) -> tuple[Any,
             key = next(filter(None, name.groups())).strip()
             key = re.sub(r"(?::[\w\\]+)?:(?:private|protected)$", "", key)  # PHP: "x:protected", "x:Box:private"
             begin_of_pair = at
-            if name[1]:  # a text of EDN has quotation marks, so that no value has several words
+            if name[1]:  # EDN puts texts into quotation marks, so an unquoted value is one word
                 value, at = _value(text, _behind(_SPACE, text, name.end()), depth + 1, "M")
             else:
                 of_dotnet = close == "}" and name[0].endswith(" =")  # C# writes the record's name, F# does not
@@ -383,7 +383,8 @@ def _behind_gap(text: str, at: int, depth: int = 0) -> int:
 
 
 def _behind(pattern: re.Pattern[str], text: str, at: int) -> int:
-    """The position behind a match of a pattern that may be empty."""
+    """The position behind the match of a pattern at the position ``at``; ``at`` itself if the pattern does not match
+    there."""
     match = pattern.match(text, at)
     return at if match is None else match.end()
 

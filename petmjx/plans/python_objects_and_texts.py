@@ -65,7 +65,8 @@ def is_printed_object(text: str) -> bool:
 
 
 def _value_of(node: ast.expr) -> Any:
-    """The value of an expression. Calls with named arguments are objects with these fields: "Box(x=0)".
+    """The value of an expression. A call with named arguments, such as "Box(x=0)", becomes an object whose fields are
+    the arguments.
 
     Raises:
         ValueError: the expression is no value.
@@ -163,7 +164,7 @@ def source_of_printed(text: str) -> BoxSource | None:
     end_fields()
     if not rows and not lost:
         return None
-    if len(set(parts)) == 1:  # other bins may be empty
+    if len(set(parts)) == 1:  # all boxes are in one bin; other bins may be empty
         containers = {"": containers[parts[0]]} if parts[0] in containers else {}
         parts = [""] * len(parts)
     table = RawTable(PY3DBP_COLUMNS, rows, places, ".", lost=tuple(lost))
@@ -236,7 +237,8 @@ _MISSING: Final = ("NoneType", "NAType", "NaTType")
 
 
 def _bins_of(value: Any) -> list[Any]:
-    """The bins among py3dbp's objects; empty for any other object."""
+    """The bins with items in an object of py3dbp (a packer or a bin), or in a list of such objects; empty for any other
+    object."""
     if isinstance(value, Mapping | str | bytes | np.ndarray) or value is None:
         return []
     if isinstance(value, list | tuple):

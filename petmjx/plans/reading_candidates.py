@@ -35,7 +35,8 @@ _TURNED_ARRAY: Final = 0.6
 """Cost of sizes before turning in a table without names. Arrays mostly come from programs that train packers, and have
 sizes as placed."""
 _FIRM: Final = 3.0
-"""Cost of a reading that contradicts a known fact about a form."""
+"""Cost of a reading that contradicts what is known from the form of the file, the names of its columns, or the
+rotations."""
 
 
 _UP: Final = {"z": (0, 1, 2), "y": (0, 2, 1), "x": (1, 2, 0)}
@@ -116,7 +117,7 @@ def layout_of(columns: BoxColumns, candidate: Candidate, container: Mapping[str,
     low = place - candidate.point * size
     extents = _container_along(candidate, container or {}, order)
     if candidate.up == "y" and container and container.keys() == {"0", "1", "2"}:
-        listed = np.array([*container.values()])  # perhaps length, width and height
+        listed = np.array([*container.values()])  # perhaps length, width, height, not x, y, z
         far = np.nanmax(low + size, axis=0)
         is_listed = (far <= listed).all() and ((far > extents).any() or listed[2] > extents[2])
         extents = listed if is_listed else extents
@@ -186,8 +187,8 @@ def candidates_on_side(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidat
 
 
 def candidates_of_corners(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
-    """Yield all readings with coordinates of corners that ``candidates`` does not try, unless names, the form or the
-    caller give the point."""
+    """Yield the readings in which coordinates are those of a corner that ``candidates`` does not try. Yield none if
+    names, the form or the caller say which point of a box coordinates describe."""
     free = [geometry for geometry in columns.geometries if not geometry.anchor and geometry.turn is None]
     is_known = not free or wishes.anchor or columns.source.form.anchor
     for corner in () if is_known else ANCHORS.keys() - _ANCHOR_PRIOR.keys():
@@ -237,7 +238,7 @@ def _pairs(
             usual_level = ["length", "width"] if "length" in level and "width" in level else ["width", "depth"]
             if "length" in level and "depth" in level:
                 usual_level = ["length", "depth"]
-            # width before length, as in graphics with y upwards
+            # with y upwards, graphics list the width before the length
             is_listed = up == "y" or (listed.index(level[0]) < listed.index(level[1]))
             prior = 0.0 if level == usual_level else 0.8 if is_listed else 2.0
         elif pair == (0, 1, 2):  # this pairing follows the order of the axes, not the names of the sizes

@@ -47,11 +47,12 @@ _POOR: Final = 0.8 * WEAK
 """If every reading has a layout with a higher cost than this, coordinates in another unit than sizes are tried. Layouts
 with x upwards and with a higher cost are not considered."""
 WEAK_LEAD: Final = 3.0
-"""A weak reading wins only if its cost is lower than the cost of every other reading by at least this value. If a plan
-really has odd boxes, even more boxes are odd in wrong readings."""
+"""A weak reading (see ``WEAK``) wins only if its cost is lower than the cost of every other reading by at least this
+value. If a plan really has odd boxes, even more boxes are odd in wrong readings."""
 _SHIFTED: Final = 3.6
-"""Cost of a reading with coordinates of corners if they are probably those of other points (``are_other_points``). With
-coordinates of centres, the cost is half as large: perhaps they are those of tops, with y upwards."""
+"""Cost of a reading in which coordinates are those of corners, if they are probably those of other points
+(``are_other_points``). With coordinates of centres, the cost is half as large: perhaps they are those of tops, with y
+upwards."""
 _OF_WALL: Final = 2.0
 """Cost of a reading in which boxes form a wall (``is_wall``). If y is as likely to be the vertical as z, and the file
 has more than a few boxes, the reading as a flat layer wins; else the user is asked for the vertical axis."""
@@ -65,7 +66,8 @@ _LOWEST_UNIT_COST: Final = -2.5
 
 _UNIT_PRIOR: Final = {"mm": 0.0, "cm": 0.0, "m": 0.0, "in": 0.7, "tick": 1.0, "ft": 3.0}
 MASS_PRIOR: Final = {"kg": 0.0, "g": 0.0, "lb": 0.7, "t": 3.0}
-"""Unit that is tried if nothing names it → its cost before any numbers are considered."""
+"""Unit of masses that is tried if the file names no unit of masses → cost of this unit, before any numbers are
+considered."""
 
 
 class _Units(NamedTuple):
@@ -139,7 +141,7 @@ def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], dama
 
 
 def _are_positive(geometry: Geometry) -> NDArray[np.bool_]:
-    """(n,) whether a geometry has sizes and a place for each box."""
+    """(n,) for each box, whether the geometry has three positive sizes and all coordinates of the place."""
     return np.asarray((geometry.size > 0).all(axis=1) & ~np.isnan(geometry.place).any(axis=1))
 
 
@@ -179,16 +181,16 @@ _UNEVEN: Final = 2.5
 """Cost of a reading in which the plans of a file begin at different heights above the deck. All plans of a file measure
 heights from the same level."""
 _BY_AXES: Final = 0.4
-"""Weight of the order of boxes in files of py3dbp, which fills a container along x, then y, then z, whatever its
-vertical is."""
+"""Weight with which the order of boxes counts in the cost of a reading, for files of py3dbp. The weight is low because
+py3dbp fills a container along x, then y, then z, whichever axis is the vertical."""
 
 
 def _order_cost(judged: _Judged, mm: float, weight: float) -> float:
-    """The cost of where loads begin, and of the order of boxes.
+    """How implausible it is that the loads begin where they do, and that boxes are listed in this order.
 
     Args:
         mm: millimetres of a unit of the layouts.
-        weight: weight of the order.
+        weight: weight with which the order of boxes counts.
     """
     anchor = judged.candidate.anchor
     is_close = judged.layout_cost <= 2 * WEAK  # readings with higher costs cannot win
@@ -289,8 +291,8 @@ def choose_reading(
 
 
 def _changes_by_anchor(reading: Reading, columns: BoxColumns, wishes: Wishes, sample: _Sample) -> list[str]:
-    """A line about what is read otherwise because the caller gives the anchor; none if nothing is. Without the anchor,
-    another vertical, for example, would be as plausible or more plausible."""
+    """A list with one line that states what the given anchor changes in the reading; empty if it changes nothing.
+    Without the anchor, another vertical, for example, would be as plausible or more plausible."""
     judged = _judged_candidates(columns, replace(wishes, anchor=""), sample)
     for other in judged:
         if other.cost < judged[0].cost + TIE:
@@ -354,8 +356,8 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
 
 
 def _within_reach(judged: _Judged) -> bool:
-    """Whether coordinates are in their range in the most plausible units. If coordinates were read in a larger unit
-    than sizes, boxes could be so far apart that they cannot overlap."""
+    """Whether all coordinates, in the most plausible units, are at most ``FARTHEST_MM`` from 0. If coordinates were
+    read in a larger unit than sizes, boxes could be so far apart that they cannot overlap."""
     factor = LENGTH_UNITS[judged.units[0].length]
     return all(float(np.abs(layout.low).max()) * factor <= FARTHEST_MM for layout in judged.layouts)
 
@@ -394,16 +396,17 @@ def _are_large_cells(best: _Judged) -> bool:
 
 
 _FEW_CELLS: Final = 5
-"""If most boxes have a side of fewer cells of a grid than this, the cells are hardly millimetres, centimetres or
-inches."""
+"""If the shortest side of most boxes has fewer cells of a grid than this number, the cells are probably no millimetres,
+centimetres or inches."""
 _TRIED: Final = ("mm", "cm", "m", "in")
 """Units of lengths that are tried. Two such units are a tie if boxes and load fit a carrier in both units."""
 _THIN, _DENSE = 20.0, 2000.0
 """A unit of masses is plausible if it gives a density, in kg/m³, between these two values: those of crisps and of
 bricks."""
 _CONVERTED, _NOT_CONVERTED = 0.95, 0.6
-"""Lengths count as converted to a unit if two conditions hold. If they are read in this unit, at least the first share
-of the lengths are whole millimetres. If they are read in any other unit, at most the second share are."""
+"""Lengths count as converted to a unit if two conditions hold. If they are read in this unit, at least the share
+``_CONVERTED`` of the lengths are whole millimetres. If they are read in any other unit, at most the share
+``_NOT_CONVERTED`` are whole millimetres."""
 
 
 def _fit(best: _Judged, unit: str, wishes: Wishes) -> int:

@@ -255,7 +255,8 @@ def frame_table(frame: Any) -> Table:
 
 
 def _table(names: Sequence[str], column: Callable[[int], Any], n_rows: int) -> Table:
-    """The table with the columns that have known ``names``. ``column`` returns the column at a position."""
+    """The table of those columns whose names petmjx knows. ``names`` has the names of all columns, and ``column``
+    returns the column at a position."""
     where, unread = sorted_columns(names)
     columns = {name: as_column(column(index)) for name, index in where.items()}
     return Table(columns, unread, np.arange(n_rows))

@@ -56,7 +56,8 @@ class WorldCounts:
         return WorldCounts(*(getattr(self, entry.name) + getattr(other, entry.name) for entry in fields(self)))
 
     def iteration_limit_warning(self, limit: int | None) -> str | None:
-        """The warning about the worlds that have used up their iterations; None if there are none."""
+        """The warning about the worlds that have used up the solver iterations that ``limit`` allows for a world; None
+        if there are no such worlds."""
         count = self.verdicts[Verdict.INVALID, Reason.ITERATION_LIMIT]
         if not count:
             return None

@@ -30,8 +30,8 @@ WORTH_A_PROCESS: Final = 16 << 20
 can read smaller files in less time than another process takes to start."""
 
 MOST_IN_A_PROCESS: Final = 4 << 30
-"""Largest size of plan files, in bytes, for which a process reads the plans. For a moment, the plans are in the memory
-of both processes."""
+"""Largest size of plan files, in bytes, for which another process reads the plans. For a moment, the plans are in the
+memory of this process and of the other process."""
 
 MOST_PROCESSES: Final = 6
 """Largest number of processes that read segments of a file. With six processes, starting them takes as long as reading

@@ -28,8 +28,8 @@ RATE_1_S: Final = 100.0
 displaces the box by 1 mm."""
 
 MOST_RATE_PER_STEP: Final = 0.2
-"""Largest product of the natural frequency of a box that film holds and the timestep. With a larger product, the spring
-would be unstable."""
+"""Largest product of the timestep and the natural angular frequency of a box that film holds (``spring_rate_1_s``).
+With a larger product, the spring with which the film holds the box would be unstable."""
 
 SIDES: Final = ((0, -1.0), (0, 1.0), (1, -1.0), (1, 1.0))
 """Axis and sign of the outward normal of each side of the load."""

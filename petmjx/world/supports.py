@@ -402,8 +402,8 @@ class Bearing:
 
     @cached_property
     def borne_together(self) -> list[IntArray]:
-        """For each group of ``levels``, the numbers of all contacts that carry a box with several supports, for the
-        upper boxes of the group. Contacts with the carrier are included."""
+        """For each group of ``levels``, the numbers of the contacts below those upper boxes of the group that have
+        several supports. Contacts with the carrier are included."""
         groups = []
         upper = self.upper[self.together]
         for between in self.levels:

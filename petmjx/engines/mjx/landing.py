@@ -31,7 +31,7 @@ class Landing(NamedTuple):
 
     @classmethod
     def of(cls, state: State, worlds: Worlds) -> Landing:
-        """The landings in all worlds. Geom 0 is the floor, which has surface 0."""
+        """The landing boxes, surfaces and landing laws of all worlds. Geom 0 is the floor, which has surface 0."""
         surface = jnp.pad(worlds.shape_surface, ((0, 0), (1, 0)))
         return cls(state.landing_left, state.landing_qvel, surface, worlds.pair_landing)
 

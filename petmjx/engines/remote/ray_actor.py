@@ -129,8 +129,8 @@ class Worker:
         return pickle.dumps(WorkerReady(os.getpid(), platform.node(), device, package_versions(), error))
 
     def _build(self) -> None:
-        """Create the engine, and for ``mjx-warp`` start JAX and Warp before. If the engine cannot be created, the error
-        is kept for the worker pool, because a worker has no fallback engine.
+        """Create the engine. For ``mjx-warp``, start JAX and Warp first. If the engine cannot be created, the error is
+        kept for the worker pool, because a worker has no fallback engine.
         """
         name = self._recipe.name
         try:
@@ -174,7 +174,8 @@ class Worker:
                 yield pickle.dumps(Report(outcomes, so_far, jobs.error))
 
     def _take_packets(self, jobs: _RunJobs) -> None:
-        """Put the jobs of packets into the stream of the engine, until an empty packet comes."""
+        """Put the jobs of each packet into the stream from which the engine takes jobs, until an empty packet
+        arrives."""
         try:
             while packet := self._packets.get():
                 jobs.put(pickle.loads(packet))

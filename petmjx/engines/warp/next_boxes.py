@@ -103,7 +103,7 @@ class ReadingInputs(NamedTuple):
 
     @classmethod
     def of(cls, state: State) -> ReadingInputs:
-        """The fields of all worlds."""
+        """The inputs for the readings of all worlds."""
         return cls(**{name: getattr(state if name in State._fields else state.metrics, name) for name in cls._fields})
 
     def flags_now(self, sim: Simulation) -> NDArray[np.int64]:
@@ -117,8 +117,8 @@ class ReadingInputs(NamedTuple):
 
 @jax.jit
 def reading_inputs(worlds: Worlds, state: State, rows: Int[Array, " row"]) -> ReadingInputs:
-    """The fields of the worlds in these rows, with the middles of boxes instead of their centres of mass. For a row
-    beyond the table, the fields are those of an arbitrary world."""
+    """The inputs for the readings of the worlds in the rows ``rows``, with the middles of boxes instead of their
+    centres of mass. For a row beyond the table, the inputs are those of an arbitrary world."""
     inputs = take_rows(ReadingInputs.of(state), rows)
     middles = motion.middles(inputs.qpos, take_rows(worlds, rows).middle)
     return inputs._replace(qpos=jnp.concatenate([middles, inputs.qpos[..., 3:]], axis=-1))

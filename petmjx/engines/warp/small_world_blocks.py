@@ -59,7 +59,7 @@ def small_world_queues(
 
 
 def with_first_queue(order: Int[Array, "queue world"], chosen: Bool[Array, " world"]) -> Int[Array, "queue+1 world"]:
-    """The queues, preceded by a new queue of the chosen worlds of the last queue. Worlds keep their order."""
+    """The queues, preceded by a new queue: the chosen worlds, which leave the last queue. Worlds keep their order."""
 
     def compacted(queue: Int[Array, " world"], stays: Bool[Array, " world"]) -> Int[Array, "1 world"]:
         place = jnp.where(stays, jnp.cumsum(stays) - 1, len(queue))

@@ -21,7 +21,7 @@ SPARE_ROWS: Final = 4
 WAITING_ROWS: Final = 8
 """A table begins with this number of rows for each of its first jobs, if more jobs may come, but none that follow from
 outcomes. Thread blocks begin with the longest worlds of the table. So the more worlds wait in the table, the shorter
-are the worlds with which the run ends. A GPU begins with 1,600 worlds, so all worlds of a run of 10,000 plans are in
+are the worlds that are simulated last. A GPU begins with 1,600 worlds, so all worlds of a run of 10,000 plans are in
 the table after some slices."""
 
 LEAST_FOLLOWING_ROWS: Final = 2048
@@ -46,12 +46,14 @@ one call for 256 jobs."""
 
 MOST_PROFILE_BYTES: Final = 1 << 30
 """Largest memory for the profiles (motions of the carrier) of the drives that follow from settled placements, bytes.
-1 GiB has room for 7,000 different profiles of 20 s. Further worlds wait until the row of a profile is free."""
+1 GiB has room for 7,000 different profiles of 20 s. A world whose profile finds no room waits until no running world
+needs one of the stored profiles."""
 
 _SAMPLE_BYTES: Final = 3 * 4
 
 LARGE_GRANULE: Final = 64
-"""If larger plans may follow, the number of box columns for worlds of the larger size is a multiple of this number."""
+"""If larger plans may follow, a table's number of columns for boxes is rounded up to a multiple of this number, in all
+block sizes but the smallest."""
 
 
 class TableJobs:
@@ -85,7 +87,7 @@ class TableJobs:
 
     @property
     def feedback(self) -> bool:
-        """Whether jobs may follow from outcomes."""
+        """Whether the caller may put jobs that follow from outcomes into the stream."""
         return self._stream.feedback
 
     @property
@@ -184,8 +186,8 @@ class TableJobs:
         return self._stream.wait_for_following(self.in_flight, self.left)
 
     def answered(self, stream_number: int) -> None:
-        """Note that the caller has taken the outcome of a job, and has put the jobs that follow from this outcome into
-        the stream."""
+        """Record that the caller has taken the outcome of a job, and has put the jobs that follow from this outcome
+        into the stream."""
         del self.in_flight[stream_number]
         self.left.discard(stream_number)
         self._stream.wake()
@@ -205,7 +207,8 @@ class TableJobs:
 
 
 def _roomy(needs: KernelFeatures) -> KernelFeatures:
-    """The same features and block sizes, with columns for larger plans of each size."""
+    """The same features and block sizes, but with more columns for boxes in each block size, since larger plans may
+    follow."""
     small = SIZES[0].most_boxes
     widths = {
         size: size if size == small else min(round_up(width, LARGE_GRANULE), size)

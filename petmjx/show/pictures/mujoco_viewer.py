@@ -71,7 +71,8 @@ class Player:
             self.time_s = float(times[min(max(frame, 0), len(times) - 1)])
 
     def wait(self, seconds: float) -> None:
-        """Advance the shown time after ``seconds`` of real time."""
+        """Advance the shown time by ``speed`` × ``seconds``, unless it stands still. ``seconds`` is the real time that
+        has passed."""
         if not self.paused:
             self.time_s = min(self.time_s + self.speed * seconds, self.last_s)
 

@@ -1,6 +1,6 @@
 """Collective operations of a world's threads, and products that are rounded alike in all kernels.
 
-These are Warp functions for the C++ of petmjx/engines/warp/solver/block.cuh.
+The Warp functions of this module call the C++ functions in petmjx/engines/warp/solver/block.cuh.
 """
 
 from __future__ import annotations
