@@ -515,7 +515,8 @@ class RunWriter(RunInfo):
         self._write_info()
 
     def _copies(self, parts: Parts, ranks: WorldRanks | None) -> dict[Path, str]:
-        """Copy the tables of worlds of a run. Returns copy → digest. The copies do not belong to the run yet."""
+        """Copy the tables of worlds of a run. Returns path of a copy → digest of the copied file. The copies do not
+        belong to the run yet."""
         digests: dict[Path, str] = {}
         for path, digest in self._tables.copies(parts, ranks):
             digests[path] = digest

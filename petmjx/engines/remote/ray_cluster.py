@@ -228,8 +228,8 @@ def _check_reachable(address: str) -> None:
 
 
 class Cluster:
-    """One user of the cluster that this process uses. Ray allows one cluster per process. The cluster ends when its
-    last user closes it.
+    """Ray's cluster, as one run uses it. Ray allows one cluster per process, so the runs of a process share it. The
+    cluster ends when the last run has left it (``leave``).
 
     If the program that uses petmjx has already started Ray, this Ray is used and is not ended.
 
@@ -244,7 +244,7 @@ class Cluster:
 
     _lock = threading.Lock()
     _latest: _LocalRay | None = None
-    """The instance of Ray that this process started or joined last. If this instance has no users, it is ending."""
+    """The instance of Ray that this process started or joined last. If no run uses this instance, it is ending."""
 
     def __init__(self, address: str | None = None) -> None:
         cls = Cluster
@@ -280,8 +280,8 @@ class Cluster:
             )
 
     def leave(self) -> None:
-        """Stop using the cluster. Returns at once. If this was the last user, the cluster takes one or two seconds to
-        end."""
+        """Stop using the cluster. Returns at once. If no other run of this process uses the cluster, it takes one or
+        two seconds to end."""
         with Cluster._lock:
             uses, self._uses = self._uses, False
             if uses and self._ours is not None:
