@@ -2,10 +2,9 @@
 
 The contacts below a box give way, and they give way more on the side on which the load acts. So the box turns by an
 angle: the difference between the depths of the contacts on its two sides, divided by the width between these sides. The
-load is at a height above
-the contacts, so the load moves towards the edge when the box turns. A box stands on a base of width w, and the side of
-the base away from the edge carries the share r of the load. Then the load acts at the distance r·w from the edge. If no
-contact had given way, the load would act at the distance
+load is at a height above the contacts, so the load moves towards the edge when the box turns. A box stands on a base of
+width w, and the side of the base away from the edge carries the share r of the load. Then the load acts at the distance
+r·w from the edge. If no contact had given way, the load would act at the distance
 
     e(r) = r·w + h·(x(1 − r) − x(r)) / w
 
@@ -179,7 +178,7 @@ def contact_tilt_suspects(
         beyond = bool((edges < -BEYOND_M).any())
         reach = (SURE if beyond else most_safety) * tipping
         least = BEYOND_M
-        if not (beyond or has_errors):  # in worlds with errors, boxes are not at their planned places
+        if not (beyond or has_errors):  # ``ROCKING_M`` holds for boxes at their planned places
             reach, least = np.maximum(reach, ROCKING_M), 0.0
         return bool(((edges > least) & (edges <= reach)).any())
 

@@ -69,8 +69,8 @@ def placed_boxes(
     wishes: Wishes,
     notes: list[str],
 ) -> tuple[FloatArray, FloatArray]:
-    """(n, 3) sizes and (n, 3) corners along the plan's axes, mm. Adds to ``notes`` how boxes were
-    moved to the deck's corner."""
+    """(n, 3) sizes and (n, 3) corners along the plan's axes, mm. Adds to ``notes`` how the boxes of
+    plans were moved so that the origin is the deck's corner."""
     factor = LENGTH_UNITS[reading.length_units[1]]
     n = columns.n_boxes
     size, low = np.full((n, 3), np.nan), np.full((n, 3), np.nan)

@@ -123,7 +123,7 @@ def is_gltf(value: Any) -> bool:
 
 
 class _Scene:
-    """The boxes of a scene, while its objects are visited."""
+    """Collects the boxes of a scene while the objects of the scene are visited."""
 
     def __init__(self) -> None:
         self.boxes: list[dict[str, Any]] = []

@@ -411,7 +411,7 @@ class RunWriter(RunInfo):
             for name, table in Part(sorted(rows, key=lambda row: row.rank)).tables(self.schemas):
                 digests |= self._tables.write(name, number, table)
         self._tables.add(digests)
-        self.counts += WorldCounts.of(table)  # the loop writes ``worlds`` last
+        self.counts += WorldCounts.of(table)  # ``table`` is ``worlds``, which the loop writes last
         del self._rows[begin : begin + len(rows)]
         n_bytes = sum(row.nbytes for row in rows)
         self._row_bytes -= n_bytes

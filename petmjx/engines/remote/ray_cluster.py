@@ -137,7 +137,8 @@ class _LocalRay:
             raise
 
     def end(self) -> None:
-        """Let a thread stop Ray, or leave the cluster, as soon as Ray has started. This method returns at once."""
+        """Tell the thread of this instance to stop Ray, or to leave the cluster, as soon as Ray has started. This
+        method returns at once."""
         self._enough.set()
 
     def wait_until_ended(self) -> None:
@@ -169,7 +170,7 @@ class _LocalRay:
         self.end()
         with suppress(KeyboardInterrupt):
             self._thread.join(END_S)
-        if self._thread.is_alive():  # Ray's processes end with this process.
+        if self._thread.is_alive():  # Ray does not end in time. Its processes end with this process.
             atexit.unregister(self._ray.shutdown)  # This function would also wait for Ray.
             self._remove_folder()
 

@@ -39,9 +39,9 @@ def most_steps(jobs: Sequence[Job], sim: Simulation) -> NDArray[np.int32]:
     """(n,) number of steps after which the world of each job leaves the GPU.
 
     The number is ``NEVER`` for worlds that stay on the GPU. With the fixed schedule, all worlds stay, since all are
-    long. A placement from whose state drives start also stays, since the drives wait for the state. The
-    world of a placement that pauses after some boxes (``Job.pauses_after``) stays, too, as does a placement that starts
-    from the state at such a pause.
+    long. A placement from whose state drives start also stays, since the drives wait for the state. The world of
+    a placement that pauses after some boxes (``Job.pauses_after``) stays, too, as does a placement that starts from the
+    state at such a pause.
     """
     if sim.schedule is Schedule.FIXED:
         return np.full(len(jobs), NEVER, np.int32)
