@@ -113,7 +113,7 @@ class JobStream(Generic[Tag]):
 
     def put_all(self, entries: Iterable[tuple[Job, Tag]]) -> None:
         """Add several jobs, which follow from outcomes, and their tags at once (see ``put``). An engine that waits for
-        jobs takes them together."""
+        jobs gets all these jobs together."""
         with self._changed:
             for job, tag in entries:
                 self._following.append((job, tag))

@@ -442,7 +442,8 @@ class _PlanLoader:
     def _read_table(
         self, source: str, read: Callable[[], Table], otherwise: Callable[[], InputError | None] | None
     ) -> None:
-        """Read a table of a file. Arguments are those of :meth:`_table_fault`."""
+        """Read a table of a file. If the table cannot be read, the file is skipped (see :meth:`_skip`). Arguments are
+        those of :meth:`_table_fault`."""
         if (fault := self._table_fault(source, read, otherwise)) is not None:
             self._skip(source, None, f"{source}: {fault}", fault)
 

@@ -84,7 +84,7 @@ def _is_toml(text: str) -> bool:
 
 
 def value_of_toml(text: str) -> Any:
-    """The tables of TOML.
+    """The tables of a text in TOML.
 
     Raises:
         InputError: the text is not TOML. The error does not name the file.
@@ -99,7 +99,7 @@ def value_of_toml(text: str) -> Any:
 
 
 def value_of_yaml(text: str) -> Any:
-    """The value of the document in YAML; a list of values if there are several documents.
+    """The value of a text in YAML; if the text has several documents, a list of their values.
 
     Raises:
         InputError: the text is not YAML, or uses a part of YAML that petmjx does not read. The error does not name the

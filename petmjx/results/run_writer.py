@@ -299,9 +299,9 @@ class RunWriter(RunInfo):
         return {**self.entries(self.counts), LISTED: self.parts.digests}
 
     def _ask(self, call: Callable[[], Any]) -> Any:
-        """Let the writer's thread call a function after it has processed everything in the queue. Returns the result of
-        the function, or raises its error. The function is called even if the thread that waits for the result is
-        interrupted."""
+        """Let the writer's thread call a function after this thread has processed everything in the queue. Returns the
+        result of the function, or raises its error. The function is called even if the thread that waits for the result
+        is interrupted."""
         request = _Request(call, SimpleQueue())
         self._queue.put(request)
         while True:

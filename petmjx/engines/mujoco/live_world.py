@@ -210,7 +210,7 @@ class LiveWorld:
         self.scene = scene
         if self._landings is not None:
             self._landings = self._landings.extended(scene)
-        for name in ("release", "approach_path"):  # both values are computed again when they are needed
+        for name in ("release", "approach_path"):  # these properties are computed again when they are needed
             vars(self).pop(name, None)
 
     def fork(self, *, grows: bool = False) -> LiveWorld:
