@@ -1,16 +1,17 @@
 """Contact tilt: how near to tipping over soft contacts bring stacks that would stand on hard contacts.
 
 The contacts below a box give way, and they give way more on the side on which the load acts. So the box turns by an
-angle: the difference of the depths on its two sides, divided by the width between them. The load is at a height above
-the contacts, so the load moves towards the edge when the box turns. A box stands on a base of width w, and the side of
-the base away from the edge carries the share r of the load. Then the load acts at the distance r·w from the edge. If no
-contact had given way, the load would act at the distance
+angle: the difference between the depths of the contacts on its two sides, divided by the width between these sides. The
+load is at a height above the contacts, so the load moves towards the edge when the box turns. A box stands on a base of
+width w, and the side of the base away from the edge carries the share r of the load. Then the load acts at the distance
+r·w from the edge. If no contact had given way, the load would act at the distance
 
     e(r) = r·w + h·(x(1 − r) − x(r)) / w
 
 from the edge. h is the height of the load's centre, and x is the depth of a side that carries a share of the load
 (``petmjx.world.contact_laws``). The smallest e(r) is called the *tipping distance*. A load that would act nearer to the
-edge than its tipping distance tips over. If boxes below lean, their angle times h is added to the tipping distance.
+edge than its tipping distance tips over. If boxes below lean, the angle by which they lean, times h, is added to the
+tipping distance.
 
 The tipping distance may be millimetres for a column of slender boxes, or for a light box under a heavy box, but is much
 less for real cartons. If the tilt by soft contacts may have decided the verdict of a world, the world is simulated
@@ -36,7 +37,7 @@ from petmjx.world.supports import Bearing
 CONTACTS_PER_SIDE: Final = 2
 
 SHARES: Final = np.array([1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5])
-"""The shares r (defined above) for which e(r) is computed."""
+"""The shares r for which e(r) is computed (see the module's docstring)."""
 
 SAFETY: Final = 10.0
 """A load may tip over if its distance from the edge is at most this multiple of its tipping distance (see the module's
@@ -51,8 +52,8 @@ most 28 times the load's tipping distance."""
 
 SURE: Final = 1.0
 """Multiple of the tipping distance that replaces ``SAFETY`` for a stack in which a load acts beyond an edge in the
-plan. A stack with a load beyond an edge would also fall on hard contacts. So soft contacts may be the cause only if
-another load is nearer to its edge than its tipping distance."""
+plan. A stack with a load beyond an edge would also fall on hard contacts. So soft contacts may be the cause of the fall
+only if another load is nearer to its edge than the tipping distance of this load."""
 
 BEYOND_M: Final = 0.0004
 """A load that is farther beyond an edge than this distance, m, surely acts beyond the edge. The distance is half a
@@ -64,8 +65,8 @@ its tipping distance is smaller: a box rocks by some tenths of a millimetre when
 
 BOUND_SHARE: Final = 0.25
 """If soft contacts tilt a box by more than this share of the tilt threshold, or move it by more than this share of the
-shift threshold (5 mm of 20 mm, down or sideways), they may have decided the verdict. A stack of ten equal boxes
-descends by 1 mm, a stack of thirty by 9 mm."""
+shift threshold (5 mm of 20 mm, down or sideways), soft contacts may have decided the verdict. A stack of ten equal
+boxes descends by 1 mm, a stack of thirty by 9 mm."""
 
 
 class ContactTilt(NamedTuple):
@@ -177,7 +178,7 @@ def contact_tilt_suspects(
         beyond = bool((edges < -BEYOND_M).any())
         reach = (SURE if beyond else most_safety) * tipping
         least = BEYOND_M
-        if not (beyond or has_errors):  # in worlds with errors, boxes are not at their planned places
+        if not (beyond or has_errors):  # ``ROCKING_M`` holds for boxes at their planned places
             reach, least = np.maximum(reach, ROCKING_M), 0.0
         return bool(((edges > least) & (edges <= reach)).any())
 

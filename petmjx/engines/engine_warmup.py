@@ -41,7 +41,7 @@ def engine_warmup(options: RunOptions, plans: object, sim: Simulation) -> Iterat
     if may_use_gpu(options, plans):
         thread = threading.Thread(target=_start_if_gpu, args=(sim,), name="petmjx-start")
         thread.start()
-    # if the caller raises an error here, such as one about plans, it is reported at once: the thread is not joined
+    # an error that the caller raises here, such as one about plans, is reported at once: the thread is not joined then
     yield None
     if thread is not None:
         thread.join()

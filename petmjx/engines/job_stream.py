@@ -113,7 +113,7 @@ class JobStream(Generic[Tag]):
 
     def put_all(self, entries: Iterable[tuple[Job, Tag]]) -> None:
         """Add several jobs, which follow from outcomes, and their tags at once (see ``put``). An engine that waits for
-        jobs takes them together."""
+        jobs gets all these jobs together."""
         with self._changed:
             for job, tag in entries:
                 self._following.append((job, tag))
@@ -151,8 +151,11 @@ class JobStream(Generic[Tag]):
             return [self._pop(self._following or self._waiting) for _ in range(min(most, self.ready))]
 
     def take_peeked(self, jobs: Iterable[Job]) -> None:
-        """Take the first jobs that the last ``peek`` returned. Jobs that were added after this ``peek`` stay in the
-        stream.
+        """Take jobs that the last ``peek`` returned out of the stream. Jobs that were added after this ``peek`` stay in
+        the stream.
+
+        Args:
+            jobs: the first ones of the jobs that ``peek`` returned, in the same order.
         """
         with self._changed:
             for job in jobs:
@@ -160,7 +163,7 @@ class JobStream(Generic[Tag]):
                 self._pop(self._following if follows else self._waiting)
 
     def peek(self, most: int, *, least: int = 1, wait: bool = False) -> list[Job]:
-        """Return the jobs that ``take`` would take, and leave them in the stream."""
+        """Return the jobs that ``take`` would return with these arguments, and leave them in the stream."""
         with self._changed:
             ready = chain(self._following, self._waiting) if self._ready(least, wait) else ()
             return [job for job, _ in islice(ready, most)]

@@ -54,7 +54,7 @@ def outcome_checks(
         sim: the options with which the engine simulated.
         verdicts_only: whether only the verdicts, and what decides about further attempts, are needed. With
             ``verdicts_only``, worlds that stand get no distances from edges, no ``Flag.KNIFE_EDGE`` and no
-            ``Flag.LEANS``. Computing these takes most of the time of all checks.
+            ``Flag.LEANS``. Computing these distances and flags takes most of the time of all checks.
     """
     noted = note_penetration(outcomes, jobs, sim)
     for outcome, margin in zip(noted, margins_of(noted, sim.thresholds), strict=True):
@@ -142,7 +142,7 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation
     least, boxes_of = edges.least, [slice(*ends) for ends in pairwise(first)]
     scene = np.repeat(np.arange(len(boxes_of)), np.diff(first))
     least_of = dict(zip(*(values.tolist() for values in first_least(least, scene)), strict=True))
-    # Only a few loads are close to an edge.
+    # Only loads close to an edge can set ``Flag.KNIFE_EDGE``. They are few, so only they are examined.
     close = np.flatnonzero(np.fmin(np.abs(edges.by_weight), np.abs(edges.by_load)) <= NEAR_M)
     by_weight, by_load = edges.by_weight[close], edges.by_load[close]
     near, contradicts_stable, contradicts_unstable = (
@@ -167,9 +167,10 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation
 
 
 def edges_again(scene: Scene, outcome: Outcome) -> Iterator[KnifeEdge]:
-    """All distances of loads from edges that ``note_edges`` examined. The result includes two kinds of distances that
-    have no column: those of the boxes' own weights and, while the plan is built, the distance of the load that is
-    nearest to an edge on either side. (The column ``build_edge_m`` has the smallest signed distance instead.)"""
+    """Yield again all distances of loads from edges that ``note_edges`` examined. The result includes two kinds of
+    distances that have no column: those of the boxes' own weights and, while the plan is built, the distance of the
+    load that is nearest to an edge on either side. (The column ``build_edge_m`` has the smallest signed distance
+    instead.)"""
     in_order, at_rest = not np.isnan(outcome.build_edge_m), not np.isnan(outcome.rest_edge_m)
     joined = _Joined([(scene, outcome.n_placed, in_order)])
     if at_rest:

@@ -28,7 +28,7 @@ class Curriculum:
 
     Attributes:
         boxes: largest number of boxes of an order. If an order has more boxes than this number, the last boxes are
-            dropped. If ``boxes`` is None, no boxes are dropped.
+            left out. If ``boxes`` is None, no boxes are left out.
         sizes: how much the boxes of an order differ. With the value 0, all boxes have the mean size and mass of the
             order's boxes; with the value 1, all boxes have their own size and mass.
         errors: size of the random placement errors, as in the option ``errors``.

@@ -1,5 +1,5 @@
-"""Pallets for jitted programs, simulated by the engine ``mjx-warp``. The pytree holds the state of the simulated worlds
-on the device, and the kernel runs inside the program."""
+"""Pallets for jitted programs, simulated by the engine ``mjx-warp``. The state of the pallets, a pytree
+(``DeviceState``), has the simulated worlds on the device; the kernel runs inside the jitted program."""
 
 from __future__ import annotations
 

@@ -59,8 +59,8 @@ GROUPS_ON_GPU: Final = 2
 results of the other group and chooses its next places."""
 
 PALLETS_ON_GPU: Final = 4096
-"""Default number of pallets that are packed at the same time on a GPU. Half of these pallets keep the GPU busy, and the
-two groups take turns."""
+"""Default number of pallets that are packed at the same time on a GPU. One of the two groups (``GROUPS_ON_GPU``), half
+of these pallets, is enough to keep the GPU busy; the groups take turns on the GPU."""
 
 PALLETS_ON_CPU: Final = 64
 
@@ -357,7 +357,8 @@ class _Packing:
         self._fallen: list[int] = []
 
     def steps(self) -> Generator[None]:
-        """Pack episodes until the schedule is complete. Yields after each label and after each pause."""
+        """Pack episodes until all episodes are over and no further episode will begin. Yields after each label and
+        after each pause."""
         while True:
             with closing(self._pallets.outcomes(self.next_pallets, self.name)) as outcomes:
                 for row, outcome in outcomes:
@@ -434,8 +435,8 @@ class _Packing:
 
 
 def _careful_places(places: Places, some: NDArray[np.intp]) -> NDArray[np.intp]:
-    """The lowest places with enough support. ``some`` are the indices of the places from which the lowest places are
-    chosen."""
+    """Indices of the lowest places at which at least the share ``CAREFUL_SUPPORT`` of the base is supported: at most
+    ``LOWEST`` places. ``some`` are the indices of the places from which they are chosen."""
     borne = some[places.support[some] >= CAREFUL_SUPPORT]
     return borne[np.argsort(places.corner_mm[borne, 2], kind="stable")][:LOWEST]
 

@@ -1,10 +1,11 @@
 """The packer ``balanced``, which packs by best fit and keeps the pile in static balance, so that plans stand.
 
-A candidate is a kind of remaining box at a corner point of the pile. At every step, the packer rates all candidates, as
-in the best-fit method of Allen, Burke, Kendall (2011, "A hybrid placement strategy for the three-dimensional strip
-packing problem", European J. of Operational Research 209, 219–227). Low places, large bases, heavy boxes and tall boxes
-are rated well; overhangs are rated badly. The packer chooses the best candidate with which the pile stays in static
-balance (:mod:`petmjx.packers.pile_balance`). So the pile is in balance after every step.
+A candidate is a remaining box, in one orientation, at a corner point of the pile (equal boxes count once). At every
+step, the packer rates all candidates, as in the best-fit method of Allen, Burke, Kendall (2011, "A hybrid placement
+strategy for the three-dimensional strip packing problem", European J. of Operational Research 209, 219–227). Low
+places, large bases, heavy boxes and tall boxes are rated well; overhangs are rated badly. The packer chooses the best
+candidate with which the pile stays in static balance (:mod:`petmjx.packers.pile_balance`). So the pile is in balance
+after every step.
 
 The packer is deterministic: an order always gets the same plan.
 """

@@ -102,9 +102,10 @@ class Articles:
     by_material: Mapping[str, Article] = field(default_factory=dict)
 
     def find(self, article: str, group: str, material: str = "") -> Article:
-        """All properties of a box.
+        """The properties of a box: from its article, else its product group, else its material.
 
         Args:
+            article, group: the box's article and product group in the plan; "" if the plan gives none.
             material: the box's material in the plan; "" if the plan gives none.
         """
         entry = self.by_article.get(article, _NOTHING)

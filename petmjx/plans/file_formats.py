@@ -160,8 +160,8 @@ def wide_encoding(data: bytes | bytearray) -> str | None:
 
 
 def nul_fault(text: str) -> str | None:
-    """The error text for a text that ends in NUL characters and has no others; else None. A file ends in NUL characters
-    if the program or the computer that wrote it was stopped."""
+    """The error text for a text that ends in NUL characters and has none before its end; else None. A file ends in NUL
+    characters if the program or the computer that wrote it was stopped."""
     n_nul = len(text) - len(text.rstrip("\0"))
     if not n_nul or text.count("\0") > n_nul:
         return None

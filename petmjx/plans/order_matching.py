@@ -313,7 +313,7 @@ MOST_LISTED: Final = 10_000
 that are not listed."""
 
 MOST_ARTICLES: Final = 5
-"""Largest number of articles that a line names."""
+"""Largest number of articles that one line of text names; further articles are only counted."""
 
 
 class PlanOrderCounts(NamedTuple):
@@ -509,14 +509,14 @@ def on_target(plan: Plan, order: Order) -> NDArray[np.bool_]:
 
 @dataclass(eq=False)
 class OddBoxes:
-    """Differences between many plans and their orders: the number of boxes of each kind, and a description of the first
-    boxes."""
+    """Differences between many plans and their orders: for each kind of difference, the number of boxes that have it,
+    and a description of the first of these boxes."""
 
     counts: Counter[str] = field(default_factory=Counter)
     first: dict[str, str] = field(default_factory=dict)
 
     def add(self, plan: Plan, order: Order, matching: Matching) -> None:
-        """Add the boxes of one plan."""
+        """Add the differences of one plan."""
         kinds = {
             "not_ordered": matching.not_ordered,
             "resized": matching.resized & ~matching.same_size,
@@ -535,7 +535,7 @@ class OddBoxes:
                 self.first[kind] = words
 
     def lines(self, whose: str = "") -> Iterator[str]:
-        """A line for each kind that has at least one box.
+        """A line for each kind of difference that at least one box has.
 
         Args:
             whose: "of NAME", with the name of a packer; may be empty.

@@ -182,7 +182,8 @@ def _check_entries(data: bytearray, name: str) -> None:
 
 
 def _foreign(path: Path, name: str, reading: OrderReading | None) -> ForeignOrders | None:
-    """Read the orders of a file without orders in BED-BPP's form; None if it is a JSON object without boxes.
+    """Read the orders of a file that is not in the form of BED-BPP's orders. The result is None if the file is a JSON
+    object without boxes.
 
     Raises:
         InputError: the file cannot be read as orders.

@@ -53,8 +53,9 @@ _OF_DECKS_MM: Final = ((380.0, 580.0), (1320.0, 1500.0))
 """Limits of the sides of a pallet, mm: the smallest short and long side, and the largest short and long side."""
 _HIGHEST_DECK_MM: Final = 250.0
 _AHEAD: Final = 0.49
-"""Smallest distance between a pallet and a box on it along the vertical axis, as a share of the pallet's height. If
-coordinates are those of centres, this share is little more than a half for a thin box."""
+"""Along the vertical axis, the coordinate of a box on a pallet is larger than that of the pallet by at least this share
+of the pallet's height. If coordinates are those of centres, the difference for a thin box is little more than half of
+the pallet's height."""
 _LEVEL: Final = 0.01
 """The lowest box counts as standing on the deck if the distance between its bottom and the deck is at most this share
 of the boxes' median height: 2 mm for cartons of 200 mm. Centres are often rounded to millimetres."""
@@ -68,7 +69,8 @@ def placed_boxes(
     wishes: Wishes,
     notes: list[str],
 ) -> tuple[FloatArray, FloatArray]:
-    """(n, 3) sizes and (n, 3) corners along the plan's axes, mm. Adds notes to ``notes``."""
+    """(n, 3) sizes and (n, 3) corners along the plan's axes, mm. Adds to ``notes`` how the boxes of
+    plans were moved so that the origin is the deck's corner."""
     factor = LENGTH_UNITS[reading.length_units[1]]
     n = columns.n_boxes
     size, low = np.full((n, 3), np.nan), np.full((n, 3), np.nan)
@@ -97,8 +99,8 @@ def _deck_heights(
     """Height of the deck of each plan, mm. All plans of a file measure heights from the same level.
 
     The level is 0 if the lowest box of any plan is at 0; else it is the height of the lowest box of the file. So if a
-    plan lacks its bottom layer, its boxes float. If heights are measured from the middle of a container, the deck is at
-    the plan's own lowest box (half the container's height below 0).
+    plan lacks its bottom layer, its boxes float above the deck. If heights are measured from the middle of a container,
+    the deck is at the plan's own lowest box (half the container's height below 0).
     """
     small = {name: _LEVEL * float(np.nanmedian(size[rows, 2])) for name, rows in plans.items()}
     below = rows_below_deck(low, plans, size)
@@ -113,8 +115,9 @@ def _deck_heights(
 
 
 def rows_below_deck(low: FloatArray, plans: Mapping[str, NDArray[np.int64]], size: FloatArray) -> set[int]:
-    """Numbers of the rows of boxes below the deck, whose heights are probably wrong. A plan's deck is taken to be at 0
-    if the boxes below 0 have less than half of the area of the boxes at 0: then they cannot carry the boxes at 0."""
+    """Numbers of the rows of boxes below the deck, whose heights are probably wrong. A plan's deck is taken to be at
+    height 0 if the boxes below 0 have, together, less than half of the base area of the boxes at 0: such boxes cannot
+    carry the boxes at 0."""
     below: set[int] = set()
     area = size[:, 0] * size[:, 1]
     for rows in plans.values():
@@ -380,7 +383,8 @@ def height_fault(reading: Reading, candidate: Candidate, row: int) -> str:
 
 
 _ALONG_EDGE: Final = 3
-"""An edge of the load is at coordinate 0 if this number of boxes begin there; one less if the container is known."""
+"""Least number of boxes that must begin at coordinate 0, so that an edge of the load is taken to be there. If the
+container is known, one box less is enough."""
 
 
 def edge_faults(

@@ -58,9 +58,10 @@ MOST_LINES: Final = 100_000
 REPEATED: Final = "repeated plan id"
 FRAME: Final = "data frame"
 OBJECT: Final = "python"
-"""Names of a data frame, and of any other object, in messages."""
+"""Names in messages: ``FRAME`` stands for a data frame, ``OBJECT`` for any other Python object."""
 _MOSTLY_OWN: Final = 4
-"""A table that has more of petmjx's own column names than this is read as a table in petmjx's own form."""
+"""If a table has more than this number of petmjx's own column names, but no sizes or places, its error is that of
+petmjx's own reader (``_likelier``)."""
 OPTIONS_OF_OTHERS: Final = (
     ("up", "--up"), ("sizes", "--sizes"), ("columns", "--columns"), ("density", "--density"), ("items", "--items"),
     ("reading", "--as"),
@@ -425,7 +426,7 @@ class _PlanLoader:
             return
         if fault is not None:
             self._skip(source, None, f"{source}: {fault}")
-        if is_csv(path) or (regular_file(path) != path and looks_like_table(data)):  # a pipe's name tells no form
+        if is_csv(path) or (regular_file(path) != path and looks_like_table(data)):  # the name of a pipe has no suffix
             if looks_like_json(data):
                 self._skip(source, None, f"{source}: is JSON: it is read as such if its name ends in .json")
                 return
@@ -441,7 +442,8 @@ class _PlanLoader:
     def _read_table(
         self, source: str, read: Callable[[], Table], otherwise: Callable[[], InputError | None] | None
     ) -> None:
-        """Read a table of a file. Arguments are those of :meth:`_table_fault`."""
+        """Read a table of a file. If the table cannot be read, the file is skipped (see :meth:`_skip`). Arguments are
+        those of :meth:`_table_fault`."""
         if (fault := self._table_fault(source, read, otherwise)) is not None:
             self._skip(source, None, f"{source}: {fault}", fault)
 

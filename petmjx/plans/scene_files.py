@@ -67,7 +67,7 @@ def source_of_scene(text: str) -> BoxSource:
         if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
     }
     if all(_NO_BOX.search(model.body(body).name) for body in free_bodies):
-        # boxes without joints, as in a model of a whole load
+        # no free body is a box: in the model of a whole load, boxes may be bodies without joints
         jointless = [body for body in range(1, model.nbody) if model.body_jntnum[body] == 0]
         free_bodies |= {body for body in jointless if model.body_geomnum[body]}
     for body in sorted(free_bodies):
@@ -123,7 +123,7 @@ def is_gltf(value: Any) -> bool:
 
 
 class _Scene:
-    """The boxes of a scene, while its objects are visited."""
+    """Collects the boxes of a scene while the objects of the scene are visited."""
 
     def __init__(self) -> None:
         self.boxes: list[dict[str, Any]] = []
@@ -173,7 +173,7 @@ def source_of_three_js(value: Mapping[str, Any]) -> BoxSource:
     """The boxes of a three.js scene: meshes, also instanced ones, whose geometry is a box.
 
     Raises:
-        InputError: a matrix is no matrix, or no mesh is a box.
+        InputError: the matrix of an object is not a list of 16 numbers, or no mesh is a box.
     """
     geometries = {geometry.get("uuid"): geometry for geometry in value["geometries"] if isinstance(geometry, Mapping)}
     scene = _Scene()

@@ -45,7 +45,8 @@ _DEEPEST: Final = 50
 """Largest depth of values that are read."""
 _FORMATS: Final = {".toml": "TOML", ".yaml": "YAML", ".yml": "YAML"}
 _NAMES: Final = ("article", "item_id", "plan", "group", "material")
-"""Kinds of fields with names and ids, whose values stay text: no, 1e5, 1.10."""
+"""Kinds of fields with names and ids. Their values stay text, even values such as ``no``, ``1e5`` and ``1.10``, which
+elsewhere are a truth value or a number."""
 
 
 class _Line(NamedTuple):
@@ -83,7 +84,7 @@ def _is_toml(text: str) -> bool:
 
 
 def value_of_toml(text: str) -> Any:
-    """The tables of TOML.
+    """The tables of a text in TOML.
 
     Raises:
         InputError: the text is not TOML. The error does not name the file.
@@ -98,7 +99,7 @@ def value_of_toml(text: str) -> Any:
 
 
 def value_of_yaml(text: str) -> Any:
-    """The value of the document in YAML; a list of values if there are several documents.
+    """The value of a text in YAML; if the text has several documents, a list of their values.
 
     Raises:
         InputError: the text is not YAML, or uses a part of YAML that petmjx does not read. The error does not name the
@@ -135,7 +136,7 @@ class _Reader:
         return InputError(f"not YAML at line {line.number} ({why})")
 
     def _block(self, indent: int, depth: int, key: str = "") -> Any:
-        """The mapping or sequence that begins at the next line, whose lines have this indent. The key is that of
+        """The mapping or sequence that begins at the next line, whose lines have this indent. ``key``: as in
         :meth:`_scalar`."""
         line = self.lines[self.next]
         if depth > _DEEPEST:
@@ -233,7 +234,7 @@ class _Reader:
         return _ESCAPED.sub(escaped, text[1:-1])
 
     def _typed(self, line: _Line, text: str, key: str) -> Any:
-        """The value of a scalar. The key is that of :meth:`_scalar`."""
+        """The value of the text of a scalar. ``key``: as in :meth:`_scalar`."""
         plain = self._plain(line, text)
         if plain != text:
             return plain
@@ -247,7 +248,7 @@ class _Reader:
         return text
 
     def _flow(self, line: _Line, text: str, start: int, depth: int, key: str = "") -> tuple[Any, int]:
-        """The value at a position of a text, and the position behind it. The key is that of :meth:`_scalar`."""
+        """The value at a position of a text, and the position behind it. ``key``: as in :meth:`_scalar`."""
         at = _behind_space(text, start)
         if depth > _DEEPEST or at == len(text):
             raise self._fault(line, "nested too deeply" if at < len(text) else "a bracket is not closed")

@@ -14,7 +14,7 @@ from petmjx.plans.plan_fields import SPARSE
 
 DIGEST_BYTES: Final = 8
 """Length of the digest of a plan, bytes. A digest of 8 bytes has 2^64 possible values. In a run of a million plans, the
-probability that two different plans have the same digest is one in 30 million."""
+probability that two different plans have the same digest is one in 37 million."""
 
 
 def plan_digest(plan: Plan) -> str:

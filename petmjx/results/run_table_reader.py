@@ -116,8 +116,8 @@ class Parts:
         return Parts(self.folder, remaining, set(self._checked))
 
     def without_numbers(self, numbers: Collection[int]) -> Parts:
-        """A copy of this list of files without some of the files of tables with rows about worlds, such as ``worlds``
-        and ``boxes``: those that have one of these numbers."""
+        """A copy of this list of files without the files that have one of the given numbers. Only files of tables with
+        rows about worlds, such as ``worlds`` and ``boxes``, are left out."""
         removed_names = {part_name(number) for number in numbers}
         remaining = {
             table: {

@@ -299,9 +299,9 @@ class RunWriter(RunInfo):
         return {**self.entries(self.counts), LISTED: self.parts.digests}
 
     def _ask(self, call: Callable[[], Any]) -> Any:
-        """Let the writer's thread call a function after it has processed everything in the queue. Returns the result of
-        the function, or raises its error. The function is called even if the thread that waits for the result is
-        interrupted."""
+        """Let the writer's thread call a function after this thread has processed everything in the queue. Returns the
+        result of the function, or raises its error. The function is called even if the thread that waits for the result
+        is interrupted."""
         request = _Request(call, SimpleQueue())
         self._queue.put(request)
         while True:
@@ -411,7 +411,7 @@ class RunWriter(RunInfo):
             for name, table in Part(sorted(rows, key=lambda row: row.rank)).tables(self.schemas):
                 digests |= self._tables.write(name, number, table)
         self._tables.add(digests)
-        self.counts += WorldCounts.of(table)  # the loop writes ``worlds`` last
+        self.counts += WorldCounts.of(table)  # ``table`` is ``worlds``, which the loop writes last
         del self._rows[begin : begin + len(rows)]
         n_bytes = sum(row.nbytes for row in rows)
         self._row_bytes -= n_bytes
@@ -515,7 +515,8 @@ class RunWriter(RunInfo):
         self._write_info()
 
     def _copies(self, parts: Parts, ranks: WorldRanks | None) -> dict[Path, str]:
-        """Copy the tables of worlds of a run. Returns copy → digest. The copies do not belong to the run yet."""
+        """Copy the tables of worlds of a run. Returns path of a copy → digest of the copied file. The copies do not
+        belong to the run yet."""
         digests: dict[Path, str] = {}
         for path, digest in self._tables.copies(parts, ranks):
             digests[path] = digest

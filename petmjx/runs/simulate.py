@@ -199,7 +199,7 @@ class _Run:
         }
 
     def results(self, watcher: Watcher | None, held: Mapping[str, Plan]) -> RunResults:
-        """Simulate the missing worlds, and write everything to the output folder.
+        """Simulate all worlds that are not recorded in the output folder yet, and write everything to this folder.
 
         Args:
             held: plan id → plan, for plans that are in no file.

@@ -38,7 +38,7 @@ def packer_tables(comparison: PackerComparison, max_rows: int = 40) -> Iterator[
         yield line(f"note: {note}", style="yellow")
     yield from _not_compared(comparison)
     if not comparison.packers["n"].any():
-        return  # one of the notes gives the reason
+        return  # no plan is compared, and one of the notes says why
     yield ""
     yield _packers_table(comparison)
     if KPIS[0] in comparison.packers:

@@ -97,7 +97,7 @@ class PaddedModel:
             inputs: fields of the data: qpos, qvel, qacc_warmstart, xfrc_applied, and the place of a held carrier.
             forces: constraint forces of the previous step.
             faces: the faces of the geoms, needed for compliant boxes.
-            landing: the landing boxes, if a law of landing is in use.
+            landing: the landing boxes (petmjx/engines/mjx/landing.py), if the physics has a law of landing.
         """
         if self.pyramidal:
             return self._step_of_mjx(fields, inputs, forces)

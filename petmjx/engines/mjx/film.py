@@ -11,8 +11,8 @@ from petmjx.world.film import SLACK_M, spring_rate_1_s
 
 
 def hold(state: State, worlds: Worlds, timestep_s: float) -> tuple[Float[Array, "world box 3"], State]:
-    """Forces on boxes during the next step, N, and states with the new anchors of the film. When a drive begins, film
-    is put around the boxes at their current places."""
+    """Forces of the film on boxes during the next step, N, and the states with the new anchors of the film. When a
+    drive begins, film is put around the boxes at their current places."""
     rate = spring_rate_1_s(timestep_s)
     mass, most = worlds.mass[:, 1:, None], worlds.wrap_hold[..., None]
     place = state.qpos[..., :3] - state.carrier_qpos[:, None, :3]

@@ -112,10 +112,12 @@ def _put_at_rest(jobs: Sequence[Job], host: State) -> None:
 
 
 def _put_unplaced(paused: Mapping[int, int], host: State, fresh: State) -> None:
-    """In states on the host, take the columns of boxes that are not placed yet from fresh states.
+    """In states on the host, replace the columns of boxes that are not placed yet by those of fresh states.
 
     Args:
         paused: row → number of placed boxes, for placements that had paused.
+        host: the states.
+        fresh: states before the first step, in which no such box is placed.
     """
     pairs: tuple[tuple[Any, Any], ...] = ((host, fresh), (host.metrics, fresh.metrics))
     for record, new in pairs:
@@ -133,8 +135,8 @@ def started_states(jobs: Sequence[Job], fresh: State) -> State:
     device only if a job needs them. Rows without a job never run, so they may have any state.
 
     Args:
-        fresh: fresh states. If all jobs start from settled states, an argument with shapes and types but without values
-            is enough.
+        fresh: the states of the worlds before their first step (``world_state.fresh_state``). If all jobs start from
+            settled states, an argument with shapes and types but without values is enough.
     """
     # A drive (the motion of the carrier in a test) that directly follows its placement starts from a state on the
     # device. The boxes of a state on the device cannot be moved to other poses.

@@ -114,7 +114,7 @@ def _oldest(running: Mapping[int, Budget]) -> str:
     """The progress of the running world that began first, as text. The text is empty if this world has not taken long
     yet.
     """
-    with suppress(ValueError, KeyError, RuntimeError):  # other threads begin and end worlds at the same time
+    with suppress(ValueError, KeyError, RuntimeError):  # other threads change ``running`` at the same time
         return running[min(running)].so_far
     return ""
 

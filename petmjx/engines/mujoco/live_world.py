@@ -1,4 +1,5 @@
-"""``LiveWorld``: a MuJoCo world that grows while boxes are placed, with access to the boxes' states for the rules."""
+"""``LiveWorld``: a MuJoCo world that grows while boxes are placed. The code that applies the rules (docs/rules.md)
+reads the boxes' states from this world."""
 
 from __future__ import annotations
 
@@ -209,7 +210,7 @@ class LiveWorld:
         self.scene = scene
         if self._landings is not None:
             self._landings = self._landings.extended(scene)
-        for name in ("release", "approach_path"):  # both values are computed again when they are needed
+        for name in ("release", "approach_path"):  # these properties are computed again when they are needed
             vars(self).pop(name, None)
 
     def fork(self, *, grows: bool = False) -> LiveWorld:
@@ -268,8 +269,8 @@ class LiveWorld:
             press_waiting(self.model, self.data, waiting_kg, self._sim.physics.gravity_m_s2)
 
     def _take_up(self, path: ApproachPath, box: int, rest: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(3,) the position at which a box starts, m, and (4,) the quaternion of its orientation. If the box is
-        carried, a hand is created.
+        """(3,) the position at which a box begins its approach or its fall, m, and (4,) the quaternion of its
+        orientation. If the box is carried, a hand is created.
 
         Args:
             rest: (3,) the position at which the box would be at rest, m.

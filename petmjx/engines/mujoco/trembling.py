@@ -19,9 +19,9 @@ def _no_boxes() -> NDArray[np.bool_]:
 
 
 def _most_away_m(sim: Simulation, path_m: FloatArray | float) -> FloatArray:
-    """Upper limits of distances, m. A box trembles or stays only if, during the whole period of measurement, its
-    distance from its pose at the beginning of the period has been below the limit. ``path_m``: length of each box's
-    path in the period, m."""
+    """(n,) limit of how far each box may be from its pose at the beginning of a period of measurement, m. Only a box
+    that was nearer than its limit during the whole period can count as trembling or staying. ``path_m``: length of each
+    box's path in the period, m."""
     rule = sim.quiet
     still_m = rule.still_m_s * rule.tremble_looks * rule.poll_steps * sim.physics.timestep_s
     return np.asarray(rule.tremble_share * np.maximum(path_m, still_m))

@@ -137,7 +137,8 @@ class _LocalRay:
             raise
 
     def end(self) -> None:
-        """Let a thread stop Ray, or leave the cluster, as soon as Ray has started. This method returns at once."""
+        """Tell the thread of this instance to stop Ray, or to leave the cluster, as soon as Ray has started. This
+        method returns at once."""
         self._enough.set()
 
     def wait_until_ended(self) -> None:
@@ -169,7 +170,7 @@ class _LocalRay:
         self.end()
         with suppress(KeyboardInterrupt):
             self._thread.join(END_S)
-        if self._thread.is_alive():  # Ray's processes end with this process.
+        if self._thread.is_alive():  # Ray does not end in time. Its processes end with this process.
             atexit.unregister(self._ray.shutdown)  # This function would also wait for Ray.
             self._remove_folder()
 
@@ -228,8 +229,8 @@ def _check_reachable(address: str) -> None:
 
 
 class Cluster:
-    """One user of the cluster that this process uses. Ray allows one cluster per process. The cluster ends when its
-    last user closes it.
+    """Ray's cluster, as one run uses it. Ray allows one cluster per process, so the runs of a process share it. The
+    cluster ends when the last run has left it (``leave``).
 
     If the program that uses petmjx has already started Ray, this Ray is used and is not ended.
 
@@ -244,7 +245,7 @@ class Cluster:
 
     _lock = threading.Lock()
     _latest: _LocalRay | None = None
-    """The instance of Ray that this process started or joined last. If this instance has no users, it is ending."""
+    """The instance of Ray that this process started or joined last. If no run uses this instance, it is ending."""
 
     def __init__(self, address: str | None = None) -> None:
         cls = Cluster
@@ -280,8 +281,8 @@ class Cluster:
             )
 
     def leave(self) -> None:
-        """Stop using the cluster. Returns at once. If this was the last user, the cluster takes one or two seconds to
-        end."""
+        """Stop using the cluster. Returns at once. If no other run of this process uses the cluster, it takes one or
+        two seconds to end."""
         with Cluster._lock:
             uses, self._uses = self._uses, False
             if uses and self._ours is not None:

@@ -2,8 +2,8 @@
 
 A thread block of a GPU takes about four times as long for a step as a CPU thread, so a run would wait for its longest
 worlds. A world leaves the GPU after a number of steps that depends on its job alone (``most_steps``). So its outcome
-does not depend on the worlds beside it, or on how busy the machine is. The last digits of its numbers are those of
-``mjx-warp-cpu`` from then on.
+does not depend on the worlds beside it, or on how busy the machine is. From this step on, the last digits of the
+world's numbers are those of ``mjx-warp-cpu``.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from petmjx.options.simulation import Schedule, Simulation
 from petmjx.world.job import Job
 
 PAUSE_S: Final = 0.05
-"""Interval at which answers are awaited when no world is left on the GPU, s."""
+"""When no world is left on the GPU: time between two checks whether CPU threads have ended a world, s."""
 
 WORTH_A_PROCESS: Final = 64
 """With 64 worlds or more in the first table, the process for long worlds starts before a world needs it. The process
@@ -39,8 +39,9 @@ def most_steps(jobs: Sequence[Job], sim: Simulation) -> NDArray[np.int32]:
     """(n,) number of steps after which the world of each job leaves the GPU.
 
     The number is ``NEVER`` for worlds that stay on the GPU. With the fixed schedule, all worlds stay, since all are
-    long. A placement from whose state drives start also stays, since the drives wait for the state. Worlds that begin
-    or end with a placement that pauses stay, too.
+    long. A placement from whose state drives start also stays, since the drives wait for the state. The world of
+    a placement that pauses after some boxes (``Job.pauses_after``) stays, too, as does a placement that starts from the
+    state at such a pause.
     """
     if sim.schedule is Schedule.FIXED:
         return np.full(len(jobs), NEVER, np.int32)
@@ -64,8 +65,8 @@ class ContinuedWorlds:
     def __init__(self, simulator: AttemptSimulator, sim: Simulation, progress: Progress) -> None:
         self._simulator, self._sim, self._progress = simulator, sim, progress
         self._many, self._prepared = False, set[bool]()
-        """Two values: whether there are many jobs; and the kinds of worlds for which the process has been made ready,
-        True for worlds with a drive and False for worlds without."""
+        """Two values: whether there are at least ``WORTH_A_PROCESS`` jobs; and the kinds of worlds for which the
+        process has been made ready, True for worlds with a drive and False for worlds without."""
         self._left: dict[int, tuple[Job, Outcome]] = {}
         """Stream number → job of each world that a CPU thread continues, and outcome with which the world left the
         GPU."""
@@ -78,7 +79,8 @@ class ContinuedWorlds:
             self._get_ready(jobs[0])
 
     def _get_ready(self, job: Job) -> None:
-        """Let the process simulate one box of a job, with the drive of the job if it has one."""
+        """Let the process simulate the first box of a job, with the drive of the job if it has one, so that the process
+        has loaded its kernel and programs before a long world needs them."""
         if self._many and (driven := job.drive is not None) not in self._prepared:
             self._prepared.add(driven)
             self._simulator.begin(AttemptTask(READY, ENGINE, Job(job.scene.first(1), job.drive), self._sim))
@@ -119,7 +121,7 @@ class ContinuedWorlds:
 
     def last(self) -> Iterator[Outcome]:
         """Wait for the outcomes of all worlds, when no world is left on the GPU. If ``Progress.pauses`` is set, also
-        yields None."""
+        yields None before each wait of ``PAUSE_S``."""
         before = self._progress.message
         while self._left:
             self._progress.message = f"{count_text(len(self._left), 'long world')} on CPU threads"

@@ -78,10 +78,10 @@ def smaller_parts(lost: Mapping[int, Job]) -> list[NDArray[np.int64]]:
     size, or in half if all have the same size.
 
     Args:
-        lost: number in the run's stream of jobs → job.
+        lost: stream number of a job (its number in the run's stream of jobs) → job.
 
     Returns:
-        The numbers of each part.
+        The stream numbers of the jobs of each part.
     """
     stream_numbers = np.array([*lost], int)
     sizes = np.array([size_of(job) for job in lost.values()])

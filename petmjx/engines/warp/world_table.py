@@ -73,7 +73,8 @@ class TableRun:
         return cls(sim, build_timetable(sim, needs.most_boxes), needs, progress, progress.message, long_leave)
 
     def with_most_steps(self, worlds: Worlds, jobs: Sequence[Job]) -> Worlds:
-        """The constants of the worlds of jobs, with the number of steps after which each world leaves the device."""
+        """``worlds``, the constants of the jobs' worlds, completed by the number of steps after which each world leaves
+        the device."""
         if not self.long_leave:
             return worlds
         steps = np.full(len(worlds.most_steps), NEVER, np.int32)
@@ -184,7 +185,7 @@ class WorldTable(Batch):
             return len(jobs)
         live = [self.jobs[row] for row in np.flatnonzero(self.live).tolist()]
         needed = {id(excitation) for excitation in map(_excitation, live) if excitation is not None}
-        # an excitation that no world needs may have been freed, and another excitation may have the same id
+        # excitations that no world needs are forgotten: they may have been freed, and others may have got their ids
         self.profile_rows = {key: row for key, row in self.profile_rows.items() if key in needed}
         free = sorted({*range(len(self.profiles))} - {*self.profile_rows.values()}, reverse=True)
         rows, samples = list[int](), list[NDArray[np.float32]]()

@@ -26,7 +26,7 @@ NEAR_MARGIN: Final = 0.1
 and between machines."""
 
 NEAR_FLAGS: Final = Flag.SINKING | Flag.MOVING | Flag.KNIFE_EDGE | Flag.TIMESTEP
-"""Flags of worlds whose verdicts may also differ between engines and between machines."""
+"""Flags of worlds whose verdicts may differ between engines and between machines, whatever their margins are."""
 
 _VALID: Final = (Verdict.STABLE.value, Verdict.UNSTABLE.value)
 

@@ -110,11 +110,11 @@ class Camera:
 def framing(points: FloatArray, view: View, size: tuple[int, int], margins: Margins | None = None) -> Camera:
     """The nearest camera with which all points are within the margins of its picture.
 
-    Let (cx, cy, cz) be the camera's position along its own axes, and r the tangent of the angle between its forward
-    direction and the right margin. A point (x, y, z) is to the left of the right margin if x − cx ≤ r (z − cz). So cx −
-    r cz ≥ A with A = max(x − r z) over all points. Likewise, −cx − l cz ≥ B for the left margin. The sum of both
-    inequalities gives cz ≤ −(A + B) / (r + l). The upper and lower margins give another limit for cz. The smaller one
-    of the two limits is used.
+    Let (cx, cy, cz) be the camera's position along its own axes, and r and l the tangents of the angles between its
+    forward direction and the right and the left margin. A point (x, y, z) is to the left of the right margin if x − cx
+    ≤ r (z − cz). So cx − r cz ≥ A with A = max(x − r z) over all points. Likewise, −cx − l cz ≥ B with B = max(−x − l
+    z) for the left margin. The sum of both inequalities gives cz ≤ −(A + B) / (r + l). The upper and lower margins give
+    another limit for cz. The smaller one of the two limits is used.
 
     Args:
         points: (k, 3) the points, m.

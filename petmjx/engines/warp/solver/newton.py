@@ -46,8 +46,8 @@ from petmjx.engines.warp.world_arrays import PANEL
 from petmjx.world.contact_laws import ENOUGH_M_S2, RELAXATION
 
 PANELS_MACRO = "PETMJX_MOST_PANELS"
-"""C++ macro for the number of panels of a kernel's largest system. The kernel's shared memory has
-room for this system.
+"""C++ macro for the number of panels (groups of ``PANEL`` rows) of a kernel's largest system. The kernel's shared
+memory has room for this system.
 """
 
 FEW_PANELS = 40
@@ -57,7 +57,7 @@ other kernels factor two panels at a time (cholesky_large.cuh)."""
 SLIP_ROUNDS = 12
 """Number of iterations after the first that may change the slip excess of contacts (petmjx/world/contact_laws.py). The
 other engines change slip excesses between two calls of their solver. With 12 rounds, steps of bricks that slide and tip
-take 6.6 iterations (7.4 without the law of sliding), and steps of a heap take 24.9 (21.8 without the law). With 40
+take 6.6 iterations (7.4 without slip excesses), and steps of a heap take 24.9 (21.8 without slip excesses). With 40
 rounds, steps of a heap take 40 iterations."""
 
 SLIP_MACROS = {
