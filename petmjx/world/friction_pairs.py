@@ -58,12 +58,13 @@ def scaled_pairs(
 
 
 def filled_up(table: FloatArray | None, entry: tuple[int, ...] = ()) -> FloatArray:
-    """(``MOST_SURFACES``, ``MOST_SURFACES``, …) a world's table of friction, of landings or of kinetic friction, filled
-    up with entries without a value (``LARGER`` and ``FROM_PHYSICS``, which are the same number).
+    """(``MOST_SURFACES``, ``MOST_SURFACES``, …) a world's table of friction, of kinetic friction, or of landings
+    (restitution and landing time). All entries that ``table`` lacks are ``FROM_PHYSICS``, which means "no value" and
+    equals ``LARGER``.
 
     Args:
         table: (k, k, …) the table. If ``table`` is None, no entry has a value.
-        entry: shape of an entry, which is (2,) for landings.
+        entry: shape of an entry: (2,) for landings, () for friction.
     """
     filled = np.full((MOST_SURFACES, MOST_SURFACES, *entry), FROM_PHYSICS)
     if table is not None:

@@ -111,7 +111,7 @@ class Recorder:
             frames.insert(0, _of_state(job, job.start))
         last = _of_state(job, world)
         if not frames or frames[-1].step[-1] != last.step[0]:
-            frames.append(last)  # the host ended the world outside a step
+            frames.append(last)  # the host ended the world after its last recorded step
         parts: dict[str, Any] = {
             name: np.concatenate([getattr(part, name) for part in frames]) for name in Frames._fields
         }
