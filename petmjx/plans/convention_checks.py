@@ -36,9 +36,9 @@ from petmjx.plans.plan_warnings import (
 MOST_UNEXPLAINED: Final = 100
 ONE_IN: Final = 50
 """Limits of the search for conventions. The search is limited because reading a plan in all conventions takes 2 ms.
-After ``MOST_UNEXPLAINED`` odd plans that no convention explains, only one in ``ONE_IN`` of such plans is read in all
-conventions. The other plans that no convention explains are read only in conventions that explain at least
-``LEAST_SHARE`` of the odd plans so far."""
+After ``MOST_UNEXPLAINED`` odd plans that no convention explains, odd plans are read only in conventions that explain at
+least ``LEAST_SHARE`` of the odd plans so far. One in ``ONE_IN`` of the plans that no convention explains is still read
+in all conventions."""
 
 LIGHTEST_KG_M3: Final = 2.0
 HEAVIEST_KG_M3: Final = 20_000.0

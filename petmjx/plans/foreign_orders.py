@@ -53,7 +53,7 @@ def foreign_orders(data: bytes | bytearray, path: Path, source: str, reading: Or
         if (sheet := _sheet_of_deli(data)) is not None:
             return _orders_of(sheet, source, reading)
         raise
-    # these columns would be lost if the file were read as plans of another tool
+    # if the file were read as plans of another tool, columns with ``BOX_PROPERTIES`` would be lost
     has_properties = reading.for_episodes and not {*BOX_PROPERTIES}.isdisjoint(sources[0].boxes.table.header)
     if _has_three_places(sources[0]) and sources[0].boxes.has_sizes and not has_properties:
         return orders_of_plans(path, source, reading)

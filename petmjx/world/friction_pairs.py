@@ -85,9 +85,9 @@ class Surfaces(NamedTuple):
         friction: (k, k) coefficient of sliding friction between two surfaces; ``LARGER`` if the larger friction of the
             two bodies acts.
         landing: (k, k, 2) coefficient of restitution between two surfaces, and time in which a landing box is stopped,
-            s; or ``FROM_PHYSICS``.
-        kinetic: (k, k) kinetic friction between two surfaces as a share of their static friction, or
-            ``FROM_PHYSICS``. If ``kinetic`` is None, no pair has a share of its own.
+            s. ``FROM_PHYSICS``: the value of ``Physics`` acts.
+        kinetic: (k, k) kinetic friction between two surfaces as a share of their static friction. ``FROM_PHYSICS``: the
+            share of ``Physics`` acts. If ``kinetic`` is None, no pair has a share of its own.
     """
 
     of_boxes: NDArray[np.intp]
@@ -171,8 +171,8 @@ def check_surfaces(plans: Iterable[Plan], sim: Simulation) -> list[str]:
 def _pair_friction(one: str, other: str, sim: Simulation) -> float:
     """The entry of two materials in the table of friction.
 
-    A pair without known friction also gets ``LARGER``: ``check_pairs`` has made sure that bodies with this pair of
-    materials never touch.
+    A pair without known friction also gets ``LARGER``, which has no effect: ``check_pairs`` has made sure that bodies
+    with this pair of materials never touch.
     """
     friction = friction_between(one, other, sim.friction_pairs) if one and other else None
     return LARGER if friction is None else friction

@@ -21,7 +21,7 @@ from petmjx.world.job import Job
 class Trail(NamedTuple):
     """The steps of a chunk, for each world. All values are those after a step and after the rules that follow the step.
 
-    ``ran``: whether the step was taken; ``fresh``: whether a box was just placed.
+    ``ran``: whether the world took the step; ``fresh``: whether a box was placed after the step.
     """
 
     ran: Bool[Array, "step world"]

@@ -135,7 +135,7 @@ class Model:
     hand_rate: float  # Rate of the hand's spring, 1/s.
     lowering_rate: float  # Rate of the damper by which the hand sets boxes down, 1/s.
     stuck_steps: int  # Largest number of steps for which a hand waits.
-    film_rate: float  # Rate of a box's spring on its film, 1/s.
+    film_rate: float  # Rate of the spring by which film holds a box, 1/s.
     landing_time: float  # Time in which a landing box is stopped, s.
     landing_lasts: int  # Number of steps for which a box counts as landing after its first touch.
     restitution: float
