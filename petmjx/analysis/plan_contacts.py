@@ -61,9 +61,14 @@ class Hulls:
         return inside
 
     def reach(self, hull: IntArray, middle: FloatArray, point: FloatArray) -> FloatArray:
-        """(p,) position of each of p points on a ray that starts at ``middle`` (p, 2), inside the polygon of box
-        ``hull`` (p,), and passes through the point. The position is 0 at ``middle``, 1 on the polygon's edge, and more
-        than 1 outside the polygon."""
+        """(p,) distance of each of p points from a start inside the polygon of a box, as a share of the distance from
+        the start to the polygon's edge in the same direction: 0 at the start, 1 on the edge, more than 1 outside.
+
+        Args:
+            hull: (p,) for each point, the index of the box whose polygon is used.
+            middle: (p, 2) x and y of the starts, mm.
+            point: (p, 2) x and y of the points, mm.
+        """
         start = self.vertex[hull]
         along = np.roll(start, -1, axis=1) - start
         outward = np.stack([along[..., 1], -along[..., 0]], axis=-1)

@@ -11,8 +11,8 @@ from petmjx.engines.job_stream import JobStream
 from petmjx.engines.world_results import AnyWorld
 
 PENDING_BOXES: Final = 1 << 20
-"""The thread that makes worlds pauses while the waiting jobs have this number of boxes. The scenes of these jobs take
-130 MB."""
+"""The thread that makes worlds pauses while the waiting jobs have at least this number of boxes in total. The scenes of
+this number of boxes take 130 MB."""
 
 PENDING_BOXES_GPU: Final = 1 << 17
 """The number that replaces ``PENDING_BOXES`` if a GPU takes the jobs: 3,000 plans of 43 boxes. With a larger number,

@@ -223,9 +223,9 @@ class Episodes:
 
     def _look_ahead(self, rows: NDArray[np.int64]) -> None:
         """Find the first box that has a legal action, among the boxes after the next box, and leave out all boxes
-        before it. Of each kind of box (equal size and mass), only one box is examined, because equal boxes have equal
-        actions. Several kinds are examined in one call, and their number grows from call to call, because even a call
-        for few boxes takes time."""
+        before it. Of each kind of box (equal size and mass), only one box is examined, because boxes of a kind have the
+        same legal actions. Several kinds are examined in one call, and their number grows from call to call, because
+        even a call for few boxes takes time."""
         if not len(rows):
             return
         of, position, boxes = self._queues.kinds(rows)

@@ -94,8 +94,8 @@ def contacts_of(size_mm: Float[Array, "placement 3"], corner_mm: Float[Array, "p
 
 
 def hull_planes(contacts: Contacts) -> Planes:
-    """(q, 32, 3) the edges of the hull of each box's contacts, relative to the middle of the box's base. A box on the
-    carrier has no edges."""
+    """(q, 32, 3) the edges of the hull of each box's contacts, relative to the middle of the box's base. A box that
+    stands on the carrier gets no edges (their offset is ``_NO_EDGE``), since it cannot tip."""
     x, y = (jnp.asarray(values, jnp.float32)[None, None] for values in (np.cos(_ANGLES), np.sin(_ANGLES)))
     # (q, k, 32): the corner of each contact that reaches farthest in each direction
     at_x = jnp.where(x > 0, contacts.end[..., :1], contacts.start[..., :1])
@@ -161,7 +161,7 @@ def with_box(
     load = mass_kg * jnp.stack([jnp.float32(1.0), x, y])
     loads = statics.load + jnp.einsum("bxy,y->bx", passed, load, precision=_EXACT)
     planes = hull_planes(contacts)[0]
-    # ``planes`` measures x and y from the middle of the box's base; ``offset`` belongs to x and y from the origin
+    # ``planes`` is for x and y measured from the middle of the box's base; ``offset``, for x and y from the origin
     offset = planes[:, 0] - planes[:, 1] * x - planes[:, 2] * y
     is_edge = planes[:, 0] > _NO_EDGE
     planes = jnp.stack([jnp.where(is_edge, offset, _NO_EDGE), planes[:, 1], planes[:, 2]], axis=1)

@@ -139,9 +139,9 @@ def _lowered_boxes(
     *,
     hulls: bool,
 ) -> _Lowered:
-    """At points of pallets, lower boxes until they rest on something. Returns four values for each place: the index of
-    the box, the box's corner, the supported share of its base, and whether its centre is over the convex hull of the
-    areas on which it rests.
+    """Let each new box down at each point of its pallet until the box rests on something. Returns four values for each
+    place: the index of the box, the box's corner, the supported share of its base, and whether its centre is over the
+    convex hull of the areas on which it rests.
 
     Args:
         points: (m, p) points as x + iy; ``low``, ``high``: (m, k, 3) lowest and highest corners of the boxes on the

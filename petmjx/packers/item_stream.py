@@ -114,8 +114,8 @@ class ItemStream(Packing):
         return self._masses[: len(self.placed)]
 
     def worth(self, places: Places) -> FloatArray:
-        """(c,) value of each candidate's box as in the packer ``balanced``, without regard to the box's place, in mm of
-        height."""
+        """(c,) value of each candidate's box, whatever its place, mm. The value is subtracted from the cost of the
+        place, as in the packer ``balanced``."""
         worths: FloatArray = self._worth[places.shape]
         return worths
 

@@ -51,9 +51,9 @@ CPU: Final = Orders(4, 16, 0, 1024)
 GPU: Final = Orders(16, 1024, 256, 8192)
 
 GRANULE: Final = 96
-"""Number of boxes of which the engine's capacities (boxes per world) are multiples. With a smaller number, orders would
-exceed the present capacity more often. An order that exceeds the capacity, and all orders after it, must wait until the
-worlds of the earlier orders have ended."""
+"""The engine's capacity (largest number of boxes of a world) is a multiple of this number. With a smaller number,
+orders would exceed the present capacity more often. An order that exceeds the capacity, and all orders after it, must
+wait until the worlds of the earlier orders have ended."""
 
 Searched = tuple[str, Order, list[Finalist]]
 """The result of a search: id of the order, the order, and the packings to simulate."""

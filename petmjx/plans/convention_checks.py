@@ -36,9 +36,9 @@ from petmjx.plans.plan_warnings import (
 MOST_UNEXPLAINED: Final = 100
 ONE_IN: Final = 50
 """Limits of the search for conventions. The search is limited because reading a plan in all conventions takes 2 ms.
-After ``MOST_UNEXPLAINED`` odd plans that no convention explains, only one in ``ONE_IN`` of such plans is read in all
-conventions. The other plans that no convention explains are read only in conventions that explain at least
-``LEAST_SHARE`` of the odd plans so far."""
+After ``MOST_UNEXPLAINED`` odd plans that no convention explains, odd plans are read only in conventions that explain at
+least ``LEAST_SHARE`` of the odd plans so far. One in ``ONE_IN`` of the plans that no convention explains is still read
+in all conventions."""
 
 LIGHTEST_KG_M3: Final = 2.0
 HEAVIEST_KG_M3: Final = 20_000.0
@@ -80,8 +80,8 @@ class Convention:
             corners and sizes.
         least_odd: smallest number of floating boxes and overlaps that a plan must have before this convention may
             explain it. ``least_odd`` applies only if the lowest box does not float.
-        of_turned: whether ``read`` is applied only to boxes that their orientation turns. Boxes that are not turned
-            stay unchanged.
+        of_turned: whether ``read`` changes only turned boxes (boxes with orientation 1). All other boxes stay
+            unchanged.
         of_some: whether ``read`` changes only those turned boxes that overlap fewer boxes after the change.
         least_share: the convention is considered only if two conditions hold. At least this share of the boxes that do
             not stand directly on the carrier must float or overlap. At least one box must float or overlap by more than
@@ -107,7 +107,11 @@ class Convention:
 
 
 def _scale_convention(unit: str, sizes: bool) -> Convention:
-    """The convention in which only sizes, or only coordinates, have another unit."""
+    """The convention in which either the sizes or the coordinates of boxes are not in millimetres, but in ``unit``.
+
+    Args:
+        sizes: True: the sizes are in ``unit``; False: the coordinates are in ``unit``.
+    """
     factor, name = LENGTHS_MM[unit]
     subject, other = ("sizes", "coordinates") if sizes else ("coordinates", "sizes")
     return Convention(
@@ -346,7 +350,8 @@ def _overlapping_less(plan: Plan, size: FloatArray) -> NDArray[np.bool_]:
     """(n,) whether each box is turned and overlaps fewer boxes with its size in ``size``, (n, 3), mm, than with its
     size in the plan.
 
-    The boxes are changed one by one, in passes, until a pass changes none.
+    The boxes are tried one by one. Each box gets its other size if the box then overlaps fewer boxes. Passes over all
+    boxes are repeated, at most ``_MOST_ROUNDS`` times, until a pass changes no size.
     """
     chosen, sizes, low = np.zeros(plan.n_boxes, bool), plan.size_mm.copy(), plan.corner_mm
     turned = np.flatnonzero(plan.turned & (plan.size_mm != size).any(axis=1))
@@ -369,9 +374,10 @@ def _overlapping_less(plan: Plan, size: FloatArray) -> NDArray[np.bool_]:
 
 
 def _is_mostly_odd(plan: Plan, least_share: float) -> bool:
-    """Whether two conditions hold. At least the share ``least_share`` of the boxes that do not stand directly on the
-    carrier must float or overlap. At least one box of the plan must float or overlap by more than ``_SMALL_MM``. If all
-    boxes stand directly on the carrier, the share of all boxes counts."""
+    """Whether enough boxes of a plan are odd. At least one box of the plan must float or overlap by more than
+    ``_SMALL_MM``, and at least the share ``least_share`` of the boxes that do not stand directly on the carrier must
+    float or overlap. If all boxes stand directly on the carrier, at least this share of all boxes must float or
+    overlap."""
     gap, overlap = gaps_mm(plan.corner_mm, plan.size_mm), overlaps_mm(plan.corner_mm, plan.size_mm)
     above = plan.corner_mm[:, 2] > DEFAULT_TOLERANCE_MM
     above |= not above.any()

@@ -53,7 +53,7 @@ def foreign_orders(data: bytes | bytearray, path: Path, source: str, reading: Or
         if (sheet := _sheet_of_deli(data)) is not None:
             return _orders_of(sheet, source, reading)
         raise
-    # these columns would be lost if the file were read as plans of another tool
+    # if the file were read as plans of another tool, columns with ``BOX_PROPERTIES`` would be lost
     has_properties = reading.for_episodes and not {*BOX_PROPERTIES}.isdisjoint(sources[0].boxes.table.header)
     if _has_three_places(sources[0]) and sources[0].boxes.has_sizes and not has_properties:
         return orders_of_plans(path, source, reading)
@@ -150,7 +150,7 @@ def _array_of_sizes(data: bytes | bytearray) -> BoxSource | None:
     try:
         array = loaded_array(data)
     except InputError:
-        return None  # the next reader reports the error
+        return None  # ``sources_of_bytes``, which reads the file next, reports the error
     if array.ndim not in (2, 3) or array.shape[-1] != 3 or array.dtype.kind not in "fiu":
         return None
     rows: list[tuple[float, ...]] = []
@@ -171,7 +171,7 @@ def _sheet_of_deli(data: bytes | bytearray) -> BoxSource | None:
     try:
         rows = next(iter(sheets_of_xlsx(data).values()), [])
     except InputError:
-        return None  # the first reader reports the damage
+        return None  # the error of ``sources_of_bytes`` is reported instead
     head = next((number for number, row in enumerate(rows[:60]) if set(_DELI) <= set(row)), None)
     if head is None:
         return None

@@ -188,7 +188,7 @@ def catalogue(seed: int) -> tuple[Item, ...]:
 
 @functools.lru_cache(maxsize=4)
 def _volumes_m3(seed: int) -> FloatArray:
-    """(a,) volumes of the articles of ``seed``."""
+    """(a,) volumes of the articles in ``catalogue(seed)``, m³."""
     return np.array([article.volume_m3 for article in catalogue(seed)])
 
 

@@ -31,7 +31,7 @@ COM_FIELDS: Final = ("com_length_mm", "com_width_mm", "com_height_mm")
 """Columns of a centre of mass in tables, along the item's length, width and height."""
 
 COM_FIELDS_JSON: Final = tuple(name.replace("_mm", "/mm") for name in COM_FIELDS)
-"""Fields of a centre of mass in JSON."""
+"""Names of the fields of a centre of mass in JSON, along the item's length, width and height."""
 
 LARGEST_DEG: Final = 360.0
 """Largest absolute value of the direction of approach."""
@@ -126,7 +126,7 @@ def plan_id_fault(value: str) -> str | None:
 
 
 def number_fault(field: str, value: object) -> str | None:
-    """The error text for a value that must be a finite number; None if it is one."""
+    """The error text for a value that is not a finite number; None if the value is a finite number."""
     if type(value) not in _NUMBERS:
         return f"{field} must be a number, got {kind(value)}{number_hint(value) if isinstance(value, str) else ''}"
     try:
@@ -137,7 +137,7 @@ def number_fault(field: str, value: object) -> str | None:
 
 
 def positive_fault(field: str, value: Any, smallest: float, largest: float, unit: str) -> str | None:
-    """The error text for a size or a mass; None if it is good. The value and the limits are in ``unit``."""
+    """The error text for a size or a mass; None if the value is allowed. The value and the limits are in ``unit``."""
     fault = number_fault(field, value)
     if fault is not None:
         return fault
@@ -151,7 +151,7 @@ def positive_fault(field: str, value: Any, smallest: float, largest: float, unit
 
 
 def coordinate_fault(field: str, value: Any, smallest: float, largest: float, unit: str) -> str | None:
-    """The error text for a coordinate; None if it is good."""
+    """The error text for a coordinate; None if the coordinate is allowed."""
     fault = number_fault(field, value)
     if fault is None and not smallest <= value <= largest:
         return _out_of_range(field, value, smallest, largest, unit)
@@ -163,7 +163,7 @@ def _out_of_range(field: str, value: Any, smallest: float, largest: float, unit:
 
 
 def com_fault(field: str, value: Any, size: float) -> str | None:
-    """The error text for a centre of mass along one side of a box; None if it is good.
+    """The error text for a centre of mass along one side of a box; None if the centre of mass is allowed.
 
     Args:
         size: length of this side, in the unit of the value.
@@ -185,14 +185,14 @@ def com_along_axes(item_com_mm: FloatArray, turned: NDArray[np.bool_]) -> FloatA
 
 
 def integer_fault(field: str, value: object) -> str | None:
-    """The error text for a sequence number; None if it is good."""
+    """The error text for a sequence number; None if the number is allowed."""
     if type(value) is not int:
         return f"{field} must be an integer, got {kind(value)}"
     return None if _INT64.min <= value <= _INT64.max else f"{field} is too large, got {kind(value)}"
 
 
 def orientation_fault(value: object) -> str | None:
-    """The error text for an orientation; None if it is good."""
+    """The error text for an orientation; None if the orientation is allowed."""
     is_valid = type(value) is int and value in (0, 1)
     return None if is_valid else f"orientation must be 0 or 1, got {kind(value)}"
 
@@ -205,7 +205,7 @@ def sparse_fault(field: str, value: object) -> str | None:
 
 
 def kind_fault(value: object) -> str | None:
-    """The error text for the kind of an item; None if it is good."""
+    """The error text for the kind of an item; None if the kind is allowed."""
     if value is None or value == "" or (isinstance(value, str) and value in KINDS):
         return None
     return f"kind must be {KINDS_IN_WORDS}, got {kind(value)}"

@@ -45,7 +45,7 @@ def overlap(low: FloatArray, high: FloatArray, tolerance: float = 0.0) -> NDArra
         low, high: (…, n) lower and upper ends of the boxes along the axis.
     """
     over: NDArray[np.bool_]
-    if tolerance == 0.0:  # a difference of floats is positive only if the first float is larger
+    if tolerance == 0.0:  # high - low > 0 exactly if high > low, so no differences are computed
         over = high[..., :, None] > low[..., None, :]
         thick = high > low
     else:

@@ -23,7 +23,8 @@ _BY_WIDTH: Final = {"width": "x", "depth": "y", "height": "z"}
 
 
 def _on_axes(columns: Mapping[str, list[int]]) -> dict[str, list[int]]:
-    """x, y and z → columns, from the names of the axes of coordinates (``ColumnMeaning.axis``)."""
+    """x, y and z → the columns with coordinates along this axis. ``columns`` has the same columns, but with the words
+    that names of columns use for axes (``ColumnMeaning.axis``), such as "width"."""
     words = _BY_WIDTH if _BY_WIDTH.keys() <= columns.keys() else _ON_AXES
     by_axis: dict[str, list[int]] = {}
     for axis, indices in columns.items():
@@ -36,8 +37,8 @@ _SIZE_SETS: Final = (
     ("length", "height", "depth"), XYZ, ("0", "1", "2"),
 )  # fmt: skip
 _GOALS: Final = word_set("to bis top")
-"""Words such as "to". Beside columns of near corners ("from"), a column with such a word has the far corners; alone, it
-may describe any point of the box."""
+"""Words in names of columns, such as "to". Beside columns of near corners ("from"), a column with such a word has the
+far corners; without columns of near corners, it may have any point of the box."""
 _FAR_SIDES: Final = word_set("right back rear far rechts hinten droite arriere derecha destra")
 """Words for the sides of a box that are far from the origin. "back_right_top" is the far corner, whereas "top" alone
 may be any point of the top."""
@@ -88,7 +89,8 @@ class Sizes(NamedTuple):
 
 
 class Places(NamedTuple):
-    """The places of boxes, and their columns. The fields are as in :class:`Geometry`; ``unit`` is ``place_unit``."""
+    """The places of boxes, and their columns. The fields mean the same as in :class:`Geometry`, where
+    ``unit`` is called ``place_unit``."""
 
     place: FloatArray
     unit: str
@@ -193,7 +195,7 @@ def places_in(extraction: ColumnExtraction) -> Places | None:
                 named_up="z" if "height" in words else ""
             )
     if {"", "centre"} <= by_name.keys() and not (by_name["centre"].place <= by_name[""].place).any():
-        return by_name[""]._replace(anchor="corner")  # centres may be rounded: "center": {"x": 18} of a box of 35 cm
+        return by_name[""]._replace(anchor="corner")  # corners are exact; centres may be rounded (17.5 to 18)
     if by_name:
         return next(iter(by_name.values()))
     for index, meaning in enumerate(extraction.meanings):
@@ -319,12 +321,12 @@ def _between(
     lows: Sequence[str],
     columns: Mapping[str, str],
 ) -> Geometry:
-    """Sizes and places from (n, 3) near and far corners. Equal whole numbers are no fault yet: a box may be one cell
-    thick (``with_last_cells``).
+    """Sizes and places from (n, 3) near and far corners. If all coordinates are whole numbers, a size of 0 is no error:
+    the corners may be cells of a grid, and the box one cell thick (``with_last_cells``).
 
     Args:
         highs: indices of the columns of the far corners.
-        lows: what the far corners must be beyond, in words.
+        lows: for each axis, the name of the coordinate that the far corner must exceed, for messages.
     """
     size = far_corner - corner
     is_short = size < 0 if _are_whole(corner, far_corner) else size <= 0
@@ -340,8 +342,9 @@ _EXTENTS: Final = word_set("extent extents")
 
 
 def with_half_extents(geometry: Geometry) -> Geometry | None:
-    """The geometry with its sizes read as half extents, if the names of the columns allow half extents without stating
-    them; else None."""
+    """The geometry with its sizes read as half extents. The result is None unless a name of a column of sizes has the
+    word "extent", which may mean half an extent. The result is also None if a name says "half" (the sizes are then
+    known to be half extents), or if the places are corners."""
     names = [name for role, name in geometry.columns.items() if role not in (*XYZ, "position")]
     words = {word for name in names for word in words_of(name)}
     if not words & _EXTENTS or "half" in words or geometry.anchor == "corner":
@@ -351,7 +354,8 @@ def with_half_extents(geometry: Geometry) -> Geometry | None:
 
 
 _OF_LAST_CELLS: Final = 2.0
-"""Cost of a reading in which far corners are last cells, before any numbers are considered."""
+"""Cost of reading far corners as the last cells of boxes on a grid (``with_last_cells``), which is added to
+``Geometry.prior``."""
 
 
 def with_last_cells(geometry: Geometry) -> Geometry | None:
@@ -381,7 +385,8 @@ def _same_stems(header: Sequence[str], picked: Sequence[Sequence[int]]) -> Itera
 
 
 def _stem(name: str) -> str:
-    """The path of a name, and the words before a number at its end: "sp_size_1" → "sp_size_"."""
+    """The part of a column's name that the columns of one object have in common: the name without a digit at its end
+    ("sp_size_1" → "sp_size_"), or else the part before the last dot ("dimensions.length" → "dimensions")."""
     path, dot, last = name.rpartition(".")
     return f"{path}{dot}{last[:-1]}" if last[-1:].isdigit() else path
 
@@ -408,8 +413,8 @@ not match have bad cells."""
 
 
 def array_choices(extraction: ColumnExtraction) -> list[Geometry]:
-    """Geometries of columns without names. The first columns may hold sizes or places, or the columns may hold two
-    corners of each box."""
+    """Possible sizes and places in a table without names of columns. Six columns, from the first or the second one on,
+    hold sizes and places, places and sizes, or two corners of each box."""
     header, width = extraction.table.header, len(extraction.table.header)
     starts = [start for start in (0, 1) if width >= start + 6]
     geometries = []

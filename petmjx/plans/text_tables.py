@@ -258,7 +258,7 @@ def _delimiter_of(text: str) -> str:
             return 0, 0.0
         counts = Counter(len(row) for row in rows)
         if delimiter == _SPACES and counts[1] * 2 > len(rows):
-            return 0, 0.0  # only the names of columns have spaces
+            return 0, 0.0  # most rows have a single field, so spaces are parts of names, not separators
         width, most = max(counts.items(), key=lambda entry: (entry[1], entry[0]), default=(0, 0))
         even = most / max(len(rows), 1) if width > 1 else 0.0
         n_known = max((count_known_names(row) for row in rows[:SEARCHED_ROWS]), default=0)

@@ -23,8 +23,8 @@ LEAST_SAVED: Final = 40
 A pause takes as long as the placements of some boxes."""
 
 MOST_KEPT_BYTES: Final = 64 << 20
-"""Largest memory for the states of common placements that are kept for further worlds; as much again is used for worlds
-with errors. A state of 40 boxes takes 10 kB."""
+"""Largest memory for the states of common placements that are kept for further worlds. Worlds with errors may take the
+same amount of memory in addition. A state of 40 boxes takes 10 kB."""
 
 Tag = TypeVar("Tag")
 

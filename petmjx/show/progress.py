@@ -60,8 +60,8 @@ def progress(total: int | None, what: str = "plan", console: Console | None = No
 
 @contextmanager
 def progress_when_called(what: str = "plan") -> Iterator[Callable[[int, int], None]]:
-    """Context that yields a function of two numbers: how many worlds are finished, and how many there are. The progress
-    is shown from the first call of the function on."""
+    """Context manager that yields a function with two arguments: how many worlds are finished, and how many there are.
+    The progress is shown from the first call of the function on."""
     with ExitStack() as until_end:
         shown: list[ProgressSink] = []
 

@@ -58,12 +58,13 @@ def scaled_pairs(
 
 
 def filled_up(table: FloatArray | None, entry: tuple[int, ...] = ()) -> FloatArray:
-    """(``MOST_SURFACES``, ``MOST_SURFACES``, …) a world's table of friction, of landings or of kinetic friction, filled
-    up with entries without a value (``LARGER`` and ``FROM_PHYSICS``, which are the same number).
+    """(``MOST_SURFACES``, ``MOST_SURFACES``, …) a world's table of friction, of kinetic friction, or of landings
+    (restitution and landing time). All entries that ``table`` lacks are ``FROM_PHYSICS``, which means "no value" and
+    equals ``LARGER``.
 
     Args:
         table: (k, k, …) the table. If ``table`` is None, no entry has a value.
-        entry: shape of an entry, which is (2,) for landings.
+        entry: shape of an entry: (2,) for landings, () for friction.
     """
     filled = np.full((MOST_SURFACES, MOST_SURFACES, *entry), FROM_PHYSICS)
     if table is not None:
@@ -84,9 +85,9 @@ class Surfaces(NamedTuple):
         friction: (k, k) coefficient of sliding friction between two surfaces; ``LARGER`` if the larger friction of the
             two bodies acts.
         landing: (k, k, 2) coefficient of restitution between two surfaces, and time in which a landing box is stopped,
-            s; or ``FROM_PHYSICS``.
-        kinetic: (k, k) kinetic friction between two surfaces as a share of their static friction, or
-            ``FROM_PHYSICS``. If ``kinetic`` is None, no pair has a share of its own.
+            s. ``FROM_PHYSICS``: the value of ``Physics`` acts.
+        kinetic: (k, k) kinetic friction between two surfaces as a share of their static friction. ``FROM_PHYSICS``: the
+            share of ``Physics`` acts. If ``kinetic`` is None, no pair has a share of its own.
     """
 
     of_boxes: NDArray[np.intp]
@@ -170,8 +171,8 @@ def check_surfaces(plans: Iterable[Plan], sim: Simulation) -> list[str]:
 def _pair_friction(one: str, other: str, sim: Simulation) -> float:
     """The entry of two materials in the table of friction.
 
-    A pair without known friction also gets ``LARGER``: ``check_pairs`` has made sure that bodies with this pair of
-    materials never touch.
+    A pair without known friction also gets ``LARGER``, which has no effect: ``check_pairs`` has made sure that bodies
+    with this pair of materials never touch.
     """
     friction = friction_between(one, other, sim.friction_pairs) if one and other else None
     return LARGER if friction is None else friction

@@ -69,7 +69,7 @@ def pulls(force: FloatArray, low: FloatArray, high: FloatArray, load: FloatArray
 
 def pushes(load: FloatArray, owner: IntArray, low: FloatArray, high: FloatArray) -> FloatArray:
     """(c, 3) pushing forces at contacts, and their first moments along x and y, that balance p loads with the least
-    energy. Each load must be within the convex hull of its contacts.
+    energy of the springs. Each load must be within the convex hull of its contacts.
 
     Args:
         load: (p, 3) load of each box: force, and first moments along x and y (force × coordinate).
@@ -162,7 +162,8 @@ def _cone_projection(point: FloatArray) -> tuple[FloatArray, FloatArray]:
 def on_edges(
     load: FloatArray, owner: IntArray, low: FloatArray, high: FloatArray, hulls: HullTable, hull: IntArray
 ) -> FloatArray:
-    """(c, 3) forces at contacts, and their first moments along x and y, for loads on or beyond an edge of their hull.
+    """(c, 3) force at each contact, and the force's first moments along x and y (force × coordinate). Each load acts on
+    or beyond an edge of the convex hull of the contacts that carry the load.
 
     Only the two outermost corners on the nearest edge carry the load, as if the box began to tip over.
 

@@ -21,7 +21,7 @@ from petmjx.world.job import Job
 class Trail(NamedTuple):
     """The steps of a chunk, for each world. All values are those after a step and after the rules that follow the step.
 
-    ``ran``: whether the step was taken; ``fresh``: whether a box was just placed.
+    ``ran``: whether the world took the step; ``fresh``: whether a box was placed after the step.
     """
 
     ran: Bool[Array, "step world"]
@@ -111,7 +111,7 @@ class Recorder:
             frames.insert(0, _of_state(job, job.start))
         last = _of_state(job, world)
         if not frames or frames[-1].step[-1] != last.step[0]:
-            frames.append(last)  # the host ended the world outside a step
+            frames.append(last)  # the host ended the world after its last recorded step
         parts: dict[str, Any] = {
             name: np.concatenate([getattr(part, name) for part in frames]) for name in Frames._fields
         }

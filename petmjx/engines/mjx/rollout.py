@@ -1,4 +1,5 @@
-"""The rollout of a batch: all worlds take a step, and then the rules are applied. A program takes many steps."""
+"""The rollout of a batch: all worlds take a step, and then the rules are applied. A compiled program takes many steps
+in one call."""
 
 from __future__ import annotations
 
@@ -38,8 +39,8 @@ class Program:
 class BatchRollout:
     """Runs chunks of steps of a batch, in placements or in drives (``rules.driven``).
 
-    Worlds that have ended do not change until all worlds have ended. ``gives``: whether there are compliant boxes;
-    ``wraps``: whether film holds boxes in drives.
+    A world that has ended stays unchanged while other worlds of the batch still run. ``gives``: whether there are
+    compliant boxes; ``wraps``: whether film holds boxes in drives.
     """
 
     def __init__(self, rules: Rules, model: PaddedModel, gives: bool = False, wraps: bool = False) -> None:
@@ -162,10 +163,10 @@ class BatchRollout:
         return after, stepped.forces, stepped.top_force
 
     def _presses(self, before: State, worlds: Worlds, rising: Float[Array, " world"]) -> Bool[Array, " world"]:
-        """Whether the largest forces on tops include the step that follows the state ``before``, although no sample is
-        due. While a drive acts, the largest forces include every step. Without a drive, two conditions must hold: a box
-        is fast, and either a box rises or a check whether the pallet is quiet is due. ``rising``: the largest upward
-        acceleration, m/s²."""
+        """(world,) whether the largest forces on tops include the forces of the step that follows the state ``before``,
+        although no sample is due. While a drive acts, the forces of every step are included. Without a drive, two
+        conditions must hold: a box is fast, and either a box rises or a check whether the pallet is quiet is due.
+        ``rising``: the largest upward acceleration, m/s²."""
         rules, step = self.rules, before.step + 1
         if not rules.sim.waits_for_rest:
             return jnp.zeros_like(before.running)

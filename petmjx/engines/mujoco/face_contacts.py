@@ -78,8 +78,8 @@ _FIELDS: Final = (
 
 
 class Beds:
-    """Replaces the contacts between two faces by four contact points, if a box is compliant. Together, the points have
-    the force and the moments of a bed of springs.
+    """Replaces the contacts between two faces by four contact points, if one of the two boxes is compliant. Together,
+    the points have the force and the moments of a bed of springs.
 
     Args:
         bodies: (ngeom,) the body to which each geom belongs (``petmjx.world.mujoco_model.geom_bodies``).

@@ -84,7 +84,7 @@ class AttemptProcess:
     """Simulates worlds in a separate process, which is started for the first task.
 
     If the process dies, its open tasks get answers without an outcome, and the next task starts a new process. Idle
-    processes are kept for the next user, since a new process has to load JAX, Warp and the kernel.
+    processes are kept for the next ``AttemptProcess``, since a new process has to load JAX, Warp and the kernel.
 
     Args:
         module: the module whose function ``main`` the process runs. The function ``main`` calls ``serve_attempts``.

@@ -47,7 +47,7 @@ class KernelBuild(NamedTuple):
 
 
 class BuildAnswer(NamedTuple):
-    """A kernel that was compiled.
+    """The answer of the process for one kernel, which was compiled or could not be compiled.
 
     Attributes:
         seconds: time that compiling took, s; nearly 0 for a kernel that was in the cache.

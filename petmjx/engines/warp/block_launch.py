@@ -120,7 +120,7 @@ def launch_all(calls: Sequence[Call], clock: Any, slice_ns: int) -> None:
             for block in range(max(call.blocks for call in calls)):
                 running.append(_threads().submit(run, block))
             wait(running, timeout=min(slice_ns / 1e9, threading.TIMEOUT_MAX))
-        finally:  # Also after an error, since the memory of the blocks is freed afterwards.
+        finally:  # The blocks must also end after an error, since their memory is then freed.
             clock.numpy()[0] = 1  # Stops the blocks, which read this number.
             wait(running)
         for future in running:
@@ -132,8 +132,8 @@ MOST_BLOCK_THREADS: Final = 1024
 
 @functools.cache
 def _threads() -> ThreadPoolExecutor:
-    """Threads for the thread blocks of all engines on the CPU. Threads are started when they are needed at the same
-    time, and are kept, since every time slice needs them."""
+    """Threads for the thread blocks of all engines on the CPU. A further thread is started only if all threads are
+    busy. Threads are kept, since every time slice needs them."""
     return ThreadPoolExecutor(MOST_BLOCK_THREADS, thread_name_prefix="petmjx-mjx-warp-cpu")
 
 
@@ -168,7 +168,8 @@ def side_by_side(count: int) -> Iterator[list[wp.Stream]]:
     """CUDA streams for kernels that run at the same time. The kernels start after earlier work on the current stream,
     and later work on the current stream waits for the kernels.
 
-    Launch the kernels in the order of the streams.
+    Launch the first kernel on the first stream, the second on the second, and so on: each stream begins a short time
+    (``HEAD_START_NS``) after the stream before it.
     """
     device = wp.get_device()
     current = wp.get_stream(device)

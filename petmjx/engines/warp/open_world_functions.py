@@ -96,8 +96,8 @@ class Simulator:
 
     def finish(self, open_: OpenState) -> State:
         """Let each paused world begin its rest window or its drive, as its constants say. A world may have paused
-        because its boxes did not come to rest in time. A paused world that still moves first continues to wait, since
-        the last wait of a world may be longer than the earlier waits."""
+        because its boxes did not come to rest in time. If boxes of a paused world still move, the world first waits
+        longer, up to ``longest_wait_s``, since this is its last wait, and earlier waits may be shorter."""
         state, worlds = open_.state, open_.worlds
         paused = state.status == Status.PAUSED
         goes = paused & ~(self._placing.moves(state) & self._lasts_longer(state))
@@ -131,7 +131,7 @@ class Simulator:
         return OpenState(worlds, of_flat(after))
 
     def _lasts_longer(self, state: State) -> Bool[Array, " world"]:
-        """Whether each paused world would wait longer if the wait that has just ended were its last."""
+        """(world,) whether a paused world may wait longer: its last placement is less than ``longest_wait_s`` ago."""
         patient = self._sim.waits_for_rest and self._sim.check is Check.ONE_BY_ONE
         return patient & (state.step < jnp.asarray(self._timetable.longest)[state.last_placed_at])
 

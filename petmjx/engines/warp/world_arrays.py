@@ -135,7 +135,7 @@ class Model:
     hand_rate: float  # Rate of the hand's spring, 1/s.
     lowering_rate: float  # Rate of the damper by which the hand sets boxes down, 1/s.
     stuck_steps: int  # Largest number of steps for which a hand waits.
-    film_rate: float  # Rate of a box's spring on its film, 1/s.
+    film_rate: float  # Rate of the spring by which film holds a box, 1/s.
     landing_time: float  # Time in which a landing box is stopped, s.
     landing_lasts: int  # Number of steps for which a box counts as landing after its first touch.
     restitution: float
@@ -151,7 +151,7 @@ class Worlds:
     """Constants of worlds: the table ``world_constants.Worlds``, the samples of the excitations, and the queues."""
 
     profiles: Annotated[wp.array3d[float], "profile step 3"]
-    order: Annotated[wp.array2d[int], "queue world"]  # numbers of worlds in their order, padded with negative numbers
+    order: Annotated[wp.array2d[int], "queue world"]  # Rows of the worlds of each queue, in order; then −1.
 
     if TYPE_CHECKING:
 
@@ -177,7 +177,8 @@ class Workspace:
     Jaref: Annotated[wp.array3d[wp.float64], "block contact 3"]  # Residuals J·qacc − aref.
     jv: Annotated[wp.array3d[wp.float64], "block contact 3"]  # Products J·search.
     contact_force: Annotated[wp.array3d[wp.float64], "block contact 3"]  # Force in the contact's frame.
-    worst: Annotated[wp.array[wp.int64], "block"]  # The largest excess over thresholds, and the box that has it.
+    # The largest excess over thresholds (upper 32 bits), and LAST_BOX − index of the box that has it (lower 32 bits).
+    worst: Annotated[wp.array[wp.int64], "block"]
     hessian: Annotated[wp.array2d[float], "block entry"]  # The non-zero part of the Hessian, if not in shared memory.
     strip: Annotated[wp.array2d[float], "block part"]  # Rows of the Hessian's factor, if not in shared memory.
     efc: Annotated[wp.array3d[float], "block contact efc_word"]  # Written by make_constraint; efc.cuh has the layout.
@@ -185,7 +186,7 @@ class Workspace:
     qM: Annotated[wp.array2d[float], "block dof"]  # Diagonal of the inertia matrix.
     qacc_smooth: Annotated[wp.array2d[float], "block dof"]  # Accelerations without contacts.
     drag: Annotated[wp.array3d[float], "block contact 2"]  # Friction force / largest friction force (contact.cuh).
-    excess: Annotated[wp.array2d[float], "block contact"]  # Slip excess (contact_laws.py); negative: not corrected.
+    excess: Annotated[wp.array2d[float], "block contact"]  # Slip excess, m/s² (contact_laws.py); negative: no slip.
     geom_xpos: Annotated[wp.array2d[wp.vec3], "block geom"]  # Centres of geoms.
     geom_xmat: Annotated[wp.array2d[wp.mat33], "block geom"]
     geom_reach: Annotated[wp.array2d[wp.vec3], "block geom"]  # Half extents of a geom's bounding box, along x, y, z.
@@ -305,12 +306,17 @@ def axes(blocks: int, n_boxes: int, boards: int, npairmax: int, nconmax: int) ->
 
 
 def array_types(kind: Any) -> dict[str, Any]:
-    """Name → type of each array of a record, in order."""
+    """Name of an array → type of this array, for all arrays of a record, in the order of their declarations."""
     return {name: kind.vars[name].type for name in kind.shapes}
 
 
 def array_shapes(kind: Any, sizes: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
-    """Name → shape of each array of a record, for axes of these sizes."""
+    """Name of an array → shape of this array, for all arrays of a record.
+
+    Args:
+        kind: the class of the record.
+        sizes: name of an axis → size of this axis.
+    """
     return {
         name: tuple(axis if isinstance(axis, int) else sizes[axis] for axis in shape)
         for name, shape in kind.shapes.items()

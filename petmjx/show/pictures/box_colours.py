@@ -121,7 +121,7 @@ def _scale(story: Story, colour: Colour) -> Scale:
 
 def _usual_force(story: Story) -> float:
     """Force for the upper end of a scale, N: the largest force at rest, or the 98 % quantile of all forces in the
-    frames, whichever is larger. Impacts are stronger, but last less than a frame."""
+    frames, whichever is larger. The quantile leaves out the forces of impacts, which last less than a frame."""
     forces = story.history.top_force_n[np.isfinite(story.history.top_force_n)]
     rest_force_n = story.outcome.boxes.rest_top_force_n
     usual = float(np.quantile(forces, 0.98)) if len(forces) else 0.0
