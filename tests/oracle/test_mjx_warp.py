@@ -41,11 +41,10 @@ from support.tiny_worlds import (
 )
 from support.worlds import simulate
 
-from petmjx.engines.mjx import host_to_device
 from petmjx.engines.mjx.host_to_device import load
 from petmjx.engines.mjx.padded_template import MAX_ITERATIONS
 from petmjx.engines.mjx.timetable import build_timetable
-from petmjx.engines.mjx.world_state import State
+from petmjx.engines.mjx.world_state import fresh_state
 from petmjx.engines.warp import compiled_programs
 from petmjx.engines.warp import time_slices as rollouts
 from petmjx.engines.warp.engine import MjxWarpEngine
@@ -185,23 +184,15 @@ def test_a_state_goes_on_in_a_narrower_table_than_it_came_from() -> None:
 
 
 @pytest.mark.slow
-def test_only_worlds_that_begin_anew_need_a_program_for_that(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene, rows, n_calls = tiny("hand-one-box"), 5, 0
-    fresh_state = host_to_device._fresh_state
-
-    def counted(*args: Any, **options: Any) -> State:
-        nonlocal n_calls
-        n_calls += 1
-        return fresh_state(*args, **options)
-
-    monkeypatch.setattr(host_to_device, "_fresh_state", counted)
+def test_only_worlds_that_begin_anew_need_a_program_for_that() -> None:
+    scene, rows = tiny("hand-one-box"), 5  # a number of rows that no other test has
     (kept,) = run_all(shared_engine(), [Job(scene, keep_state=True)], SHORT)
     forks, timetable = [Job(scene, pushes("force", 0.5), start=kept.state)] * 4, build_timetable(SHORT, 4)
-    n_calls = 0
+    compiled = fresh_state._cache_size()  # type: ignore[attr-defined]
     forked = load(forks, rows, 4, SHORT, timetable).table
-    assert n_calls == 0
+    assert fresh_state._cache_size() == compiled  # type: ignore[attr-defined]
     mixed = load([*forks[1:], Job(scene)], rows, 4, SHORT, timetable).table
-    assert n_calls == 1
+    assert fresh_state._cache_size() == compiled + 1  # type: ignore[attr-defined]
     assert np.asarray(forked.placed).tolist() == [1] * 5
     assert np.asarray(mixed.placed).tolist() == [1, 1, 1, 0, 1]
     for name, values in forked.flat().items():

@@ -23,7 +23,7 @@ from petmjx.engines.job_stream import JobStream
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.protocol import Progress, takes_stream
 from petmjx.engines.remote import ray_actor
-from petmjx.engines.remote.job_dealer import Hand, JobDealer
+from petmjx.engines.remote.job_dealer import JobDealer, WorkerJobs
 from petmjx.engines.remote.ray_actor import Packet, Recipe, Report, Worker, WorkerReady, WorkerRun
 from petmjx.engines.remote.worker_pool import WorkerPool, _PoolRun, _WorkerRecord
 from petmjx.engines.user_engine import UserEngine
@@ -85,7 +85,7 @@ def test_a_worker_reports_progress_and_errors() -> None:
 
 def test_the_notes_of_a_worker_are_notes_of_the_run() -> None:
     place: Any = None
-    worker = _WorkerRecord(place, None, None, Hand(1))
+    worker = _WorkerRecord(place, None, None, WorkerJobs(1))
     pool = WorkerPool.__new__(WorkerPool)
     pool._workers = [worker]
     run = _PoolRun(JobStream(), SHORT, Progress(notes={"before": None}), JobDealer(None, 1), 0.0)
