@@ -52,7 +52,7 @@ def figure(
     each value that is varied. For a score with --confidence, the figure shows for each plan the share of simulations in
     which the plan stands.
 
-    With the same options, the commands compare --packers and criteria draw figures of their results.
+    The commands "compare --packers" and "criteria" have the same options, and draw figures of their own results.
     """
     from petmjx.results.run_reader import load_run
     from petmjx.show.figures.figure_files import figure as draw

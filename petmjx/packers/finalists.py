@@ -163,7 +163,7 @@ class Trial:
 
     @property
     def judged(self) -> Evaluation:
-        """The evaluation with the verdicts so far."""
+        """The packing with the verdicts of its worlds so far."""
         assert self._nominal is not None
         return Evaluation(self.finalist, self.plan, self._nominal, self.n_worlds, self.n_standing, self.n_requested)
 
@@ -209,8 +209,9 @@ def order_evaluation(
 
 
 def decisive_evaluations(judged: Sequence[Evaluation], options: PhysicalOptions) -> Sequence[Evaluation]:
-    """The evaluations among which ``choose`` chooses: the evaluations up to that of the first good packing, since later
-    packings are less dense. If the share of standing worlds is maximised, all evaluations are used.
+    """The evaluations among which ``choose`` chooses: the evaluations up to that of the first good packing. Packings
+    are sorted by the volume of their boxes, largest first, so no later packing has a larger volume. If the share of
+    standing worlds is maximised, all evaluations are used.
 
     Because later evaluations are ignored, the choice does not depend on how many packings were simulated.
     """

@@ -208,8 +208,8 @@ def _decoded_value(data: bytes | bytearray, begin: int, window: int, where: str,
 
     Args:
         begin: position of the value.
-        window: length of the first window, bytes. A window is twice as long as the previous value, so that the total
-            length of all windows is linear in the text.
+        window: length of the first window, bytes. Callers pass twice the length of the previous value, so that the
+            total length of all windows is linear in the length of the text.
         where: name of the entry, for errors.
         noun: the kind of entry in messages.
     """
