@@ -97,7 +97,7 @@ unit, but a smaller rounding error, 1e-16.)"""
 @dataclass(frozen=True, eq=False)
 class Answers:
     """The answers of c criteria for n boxes. Each box is judged at the moment of its placement, so boxes that are
-    placed later do not affect its answer.
+    placed later do not affect the answers for this box.
 
     Attributes:
         n_supports: (n,) number of areas on which the box lies (``PlanContacts.n_supports``).

@@ -48,8 +48,8 @@ class Finalist:
 
 
 def finalists(order: Order, options: PhysicalOptions) -> list[Finalist]:
-    """For each free space between boxes in ``options.clearances_mm``, the best packing of an order. Packings are sorted
-    by volume, then by utilisation, largest first.
+    """The best packing of an order for each value of ``options.clearances_mm`` (free space between boxes, mm). Packings
+    are sorted by volume, then by utilisation, largest first.
 
     If each of these packings leaves boxes out, the best packing without free space is added. The list is empty if there
     is no place for any box.
@@ -138,8 +138,8 @@ class Trial:
         self._nominal: Verdict | None = None
 
     def ask(self, n_worlds: int) -> range:
-        """Request the nominal world (variant 0) and ``n_worlds`` worlds with errors. Returns the variants that were not
-        requested before."""
+        """Request the nominal world (variant 0) and ``n_worlds`` worlds with errors. Returns those of these variants
+        that were not requested before."""
         first, self.n_requested = self.n_requested, 1 + n_worlds
         return range(first, self.n_requested)
 

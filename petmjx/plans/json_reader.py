@@ -79,7 +79,7 @@ def _gunzip(packed: bytearray) -> tuple[bytearray, str | None]:
                 return bytearray(), f"the gzip data unpacks to more than {size(most)}, too much for a plan file"
             position += len(chunk) - len(inflate.unused_data)
         if not any(view[position : position + _GZIP_CHUNK]):
-            break  # gzip members may be followed by padding
+            break  # the last gzip member may be followed by zeros as padding
     return plain, None
 
 

@@ -215,7 +215,7 @@ class Sweep(CheckedRecord):
 
     @property
     def has_drives(self) -> bool:
-        """Whether something shakes the pallet after its placement: profiles, or the legs of a chain."""
+        """Whether something shakes the pallet after all boxes are placed: profiles, or the legs of a chain."""
         return bool(self.profiles or self.legs)
 
     @property
@@ -456,7 +456,7 @@ def nominal_sweep(sim: Simulation) -> Sweep:
 
 
 def chain_sweep(file: str | Path, n_worlds: int | None, simulation: Mapping[str, Any]) -> Sweep:
-    """The sweep that stands for a score with a transport chain. The sweep has the variants of the chain, and the
+    """The sweep that a score with a transport chain simulates. The sweep has the variants of the chain, and the
     nominal world, in which the unchanged plan is placed but not shaken.
 
     Args:

@@ -160,7 +160,7 @@ class MujocoWorlds(OpenWorlds):
     """Open worlds that are simulated on CPU threads.
 
     Args:
-        scenes: the scene of each world. All worlds start at once.
+        scenes: the scene of each world. The worlds begin when the object is made.
         threads: number of worlds that are simulated at the same time.
     """
 

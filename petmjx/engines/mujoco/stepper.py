@@ -24,8 +24,8 @@ class Stepper:
     """Takes the steps of a world, as long as its time budget lasts.
 
     Args:
-        sim: the options, which determine when the rules check whether the pallet is quiet. The largest forces include
-            the forces in the steps of these checks.
+        sim: the options, which determine when the rules check whether the pallet is quiet. The largest forces on tops
+            include the forces in the steps of these checks.
         budget: the time budget of the world. If ``budget`` is None, there is no limit.
 
     Attributes:
@@ -89,7 +89,8 @@ class Stepper:
     ) -> None:
         """Record the forces on tops in this step, if the step counts for the largest forces. All steps of a drive and
         of a soft world count. Other steps count if the rules check whether the pallet is quiet, or if a body is
-        accelerated upwards by more than ``RISING_M_S2``. ``rising``: upward accelerations of bodies, m/s²."""
+        accelerated upwards by more than ``RISING_M_S2``. (The caller leaves out the steps of calm worlds, see
+        ``_is_calm``.) ``rising``: upward accelerations of bodies, m/s²."""
         if isinstance(live, SoftWorld):
             metrics.add_forces(live.top_forces()[: live.n_free])
         elif acts or number % self._poll_steps == 0 or np.maximum.reduce(rising) > RISING_M_S2:
@@ -97,6 +98,7 @@ class Stepper:
 
 
 def _is_calm(live: LiveWorld | SoftWorld) -> bool:
-    """Whether no box is fast, and no box can become fast before the next check whether the pallet is quiet."""
+    """Whether no box is fast (``_RESTLESS_SQUARE``), and all accelerations are so small (``CALM_M_S2``) that no box
+    becomes fast before the next check whether the pallet is quiet."""
     speed, acceleration = live.data.qvel, live.data.qacc
     return bool(speed.dot(speed) <= _RESTLESS_SQUARE and acceleration.dot(acceleration) <= CALM_M_S2**2)
