@@ -84,7 +84,7 @@ def _run(
     watcher: Watcher | None,
     progress: bool,
 ) -> RunResults:
-    """Run a study with the caller's watcher, or with the one that ``_watching`` chooses.
+    """Run the study that ``ask`` makes, with the caller's watcher, or with the watcher that ``_watching`` chooses.
 
     Raises:
         InputError: the input is unusable, or intervals of forces are requested and SciPy is missing.

@@ -90,13 +90,14 @@ NOT_ASKED: Final = -1
 
 _ROUNDING: Final = {"mm": ON_EDGE_MM, "1": -NO_SLACK}
 """Unit of a slack → rounding error of the slack, in this unit. A negative slack that differs from 0 by less than this
-error counts as 0. (Shares of areas in mm² have smaller rounding errors, 1e-16.)"""
+error counts as 0. For the unit 1, the error is that of force balance. (Slacks that are shares of an area have the same
+unit, but a smaller rounding error, 1e-16.)"""
 
 
 @dataclass(frozen=True, eq=False)
 class Answers:
     """The answers of c criteria for n boxes. Each box is judged at the moment of its placement, so boxes that are
-    placed later do not affect its answer.
+    placed later do not affect the answers for this box.
 
     Attributes:
         n_supports: (n,) number of areas on which the box lies (``PlanContacts.n_supports``).

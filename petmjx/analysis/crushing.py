@@ -46,8 +46,9 @@ def with_crush_shares(boxes: pd.DataFrame, time_factors: tuple[float, float]) ->
 
     Args:
         boxes: one row per box, with forces and strengths. The forces are the force at rest, the peak of the force, the
-            smallest and the largest possible force at rest, and ``SUSTAINED``. The last three columns may be missing.
-            The strengths are the columns that ``BOX_UNITS`` names.
+            smallest and the largest possible force at rest, and, for a chain, the column ``SUSTAINED``. The smallest
+            and the largest possible force and ``SUSTAINED`` may be missing. The strengths are the columns that
+            ``BOX_UNITS`` names.
         time_factors: the smallest and the largest share of the strength that a box keeps if the load lasts for days.
     """
     peak, rest = boxes["max_top_force_n"], boxes["rest_top_force_n"]

@@ -4,8 +4,8 @@ docs/criteria.md, section "Force balance", defines the slack.
 Sources: Liu, Deng, Wang, Liu, Liu (2024), "StableLego: stability analysis of block stacking assembly", arXiv
 2402.10711, and Whiting, Ochsendorf, Durand (2009), "Procedural modeling of structurally-sound masonry buildings", ACM
 Transactions on Graphics 28(5). At each corner of each contact area, the bodies may press on each other, with friction
-of at most μ times the pressing force. A stack is balanced if such forces exist with which all forces on every box,
-including its weight, and all moments on the box add up to zero.
+of at most μ times the pressing force. A stack is balanced if these forces can be chosen so that on every box, all
+forces (including the weight) add up to zero, and all moments add up to zero.
 
 A newly placed box affects only its structure: the new box and all boxes that contacts connect with it. Three shortcuts
 save time without changing the result:
@@ -13,8 +13,9 @@ save time without changing the result:
 - A box with all four corners on the carrier is in balance for any load on its top, because the carrier can always
   balance the load with vertical forces. Such a box is treated as part of the carrier, so it belongs to no structure.
 - Friction, horizontal forces and heights are considered only if vertical forces alone do not balance the boxes.
-  Friction can help, for example if a third box lies across a box and its neighbour, and so holds the first box. If
-  friction is considered, the slack is the larger one of the slack without friction and the slack with friction.
+  Friction can help, for example a box that would tip if it stood alone: another box that lies across it and its
+  neighbour holds it by friction. If friction is considered, the slack is the larger one of the slack without friction
+  and the slack with friction.
 - For a structure of one box, a closed form (``_slack_alone``) gives the slack without a linear programme.
 
 With ``lean``, boxes that touch side by side may press on each other, and boxes may press on walls, by default without
@@ -266,7 +267,7 @@ class _Structures:
 
 
 def _slack_alone(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
-    """(n,) slack of each box with nothing on its top, for vertical forces alone.
+    """(n,) slack of each box under vertical forces alone, if nothing lies on the box.
 
     Take the ray that starts in the middle of the corners of the box's contact areas, passes through the box's centre of
     mass and ends at the edge of the corners' convex hull. The slack is 1 minus the position of the centre of mass on

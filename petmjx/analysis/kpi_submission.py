@@ -193,7 +193,7 @@ def _name(plan: Plan, placements: Sequence[Placement], order: Order) -> None:
 def _sequence_faults(indices: Sequence[int], choice: int, n_boxes: int) -> Iterator[str]:
     """Yield a text about the first wrong choice of an online packer. If all its choices are allowed, yield nothing. In
     each step, the packer must place one of the next ``choice`` items that are still waiting. Items that the packer
-    never places are not counted.
+    never places do not count as waiting.
     """
     if len(indices) < n_boxes:
         return

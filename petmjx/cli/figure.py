@@ -48,11 +48,11 @@ def figure(
     """Draw the results of a run as a figure for a paper.
 
     For a search for the largest level that plans survive, the figure shows the share of plans that survive each level,
-    by direction. For other sweeps, the figure shows the share of simulations in which plans stand, with intervals, for
-    each value that is varied. For a score with --confidence, the figure shows for each plan the share of simulations in
-    which the plan stands.
+    by direction. For other sweeps, the figure shows the share of simulations in which plans stand, with its 95 %
+    interval, for each value that is varied. For a score with --confidence, the figure shows for each plan the share of
+    simulations in which the plan stands.
 
-    With the same options, the commands compare --packers and criteria draw figures of their results.
+    The commands "compare --packers" and "criteria" have the same options, and draw figures of their own results.
     """
     from petmjx.results.run_reader import load_run
     from petmjx.show.figures.figure_files import figure as draw

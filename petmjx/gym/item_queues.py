@@ -40,7 +40,7 @@ class Queues:
         # `_first`. Values are 0 after the last box.
         self._next: FloatArray = np.zeros((n, seen + _MORE, 8))
         self._first: NDArray[np.int64] = np.zeros(n, np.int64)
-        # for each episode, the number of boxes that are not in the table yet
+        # for each episode, the number of boxes that are not in `_next` yet
         self._behind: NDArray[np.int64] = np.zeros(n, np.int64)
         self.counts: NDArray[np.int64] = np.zeros(n, np.int64)
         self.left_out: NDArray[np.int64] = np.zeros(n, np.int64)

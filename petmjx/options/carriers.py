@@ -90,8 +90,8 @@ MOST_BOARDS: Final = 64
 ``mjx-jax`` compiles code for each pair."""
 
 TOUCH_MM: Final = 0.5
-"""Largest gap or overlap between two boards that touch, mm. The value is the rounding error of lengths in whole
-millimetres; boxes have the same tolerance (``petmjx.plans.plan_warnings.DEFAULT_TOLERANCE_MM``)."""
+"""Largest gap or overlap with which two boards count as touching, mm. The value is the rounding error of lengths in
+whole millimetres; boxes have the same tolerance (``petmjx.plans.plan_warnings.DEFAULT_TOLERANCE_MM``)."""
 
 _SHORTEST_MM, _LONGEST_MM, _HIGHEST_MM = 200.0, 6000.0, 1500.0
 """Smallest and largest length of a carrier's longer side, and largest height of a carrier, mm. Real examples: the

@@ -48,8 +48,8 @@ class Finalist:
 
 
 def finalists(order: Order, options: PhysicalOptions) -> list[Finalist]:
-    """For each free space between boxes in ``options.clearances_mm``, the best packing of an order. Packings are sorted
-    by volume, then by utilisation, largest first.
+    """The best packing of an order for each value of ``options.clearances_mm`` (free space between boxes, mm). Packings
+    are sorted by volume, then by utilisation, largest first.
 
     If each of these packings leaves boxes out, the best packing without free space is added. The list is empty if there
     is no place for any box.
@@ -138,8 +138,8 @@ class Trial:
         self._nominal: Verdict | None = None
 
     def ask(self, n_worlds: int) -> range:
-        """Request the nominal world (variant 0) and ``n_worlds`` worlds with errors. Returns the variants that were not
-        requested before."""
+        """Request the nominal world (variant 0) and ``n_worlds`` worlds with errors. Returns those of these variants
+        that were not requested before."""
         first, self.n_requested = self.n_requested, 1 + n_worlds
         return range(first, self.n_requested)
 
@@ -163,7 +163,7 @@ class Trial:
 
     @property
     def judged(self) -> Evaluation:
-        """The evaluation with the verdicts so far."""
+        """The packing with the verdicts of its worlds so far."""
         assert self._nominal is not None
         return Evaluation(self.finalist, self.plan, self._nominal, self.n_worlds, self.n_standing, self.n_requested)
 
@@ -209,8 +209,9 @@ def order_evaluation(
 
 
 def decisive_evaluations(judged: Sequence[Evaluation], options: PhysicalOptions) -> Sequence[Evaluation]:
-    """The evaluations among which ``choose`` chooses: the evaluations up to that of the first good packing, since later
-    packings are less dense. If the share of standing worlds is maximised, all evaluations are used.
+    """The evaluations among which ``choose`` chooses: the evaluations up to that of the first good packing. Packings
+    are sorted by the volume of their boxes, largest first, so no later packing has a larger volume. If the share of
+    standing worlds is maximised, all evaluations are used.
 
     Because later evaluations are ignored, the choice does not depend on how many packings were simulated.
     """

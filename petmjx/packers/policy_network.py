@@ -1,5 +1,5 @@
-"""A small neural network (``Network``) that computes a score from features, and the probability that a score means. The
-network is the sum of a linear part and one hidden layer."""
+"""A small neural network (``Network``) that computes scores from features. ``likely`` turns its scores into
+probabilities. The network is the sum of a linear part and one hidden layer."""
 
 from __future__ import annotations
 

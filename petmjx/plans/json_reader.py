@@ -79,7 +79,7 @@ def _gunzip(packed: bytearray) -> tuple[bytearray, str | None]:
                 return bytearray(), f"the gzip data unpacks to more than {size(most)}, too much for a plan file"
             position += len(chunk) - len(inflate.unused_data)
         if not any(view[position : position + _GZIP_CHUNK]):
-            break  # gzip members may be followed by padding
+            break  # the last gzip member may be followed by zeros as padding
     return plain, None
 
 
@@ -208,8 +208,8 @@ def _decoded_value(data: bytes | bytearray, begin: int, window: int, where: str,
 
     Args:
         begin: position of the value.
-        window: length of the first window, bytes. A window is twice as long as the previous value, so that the total
-            length of all windows is linear in the text.
+        window: length of the first window, bytes. Callers pass twice the length of the previous value, so that the
+            total length of all windows is linear in the length of the text.
         where: name of the entry, for errors.
         noun: the kind of entry in messages.
     """

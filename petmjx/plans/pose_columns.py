@@ -132,7 +132,7 @@ def _angles(extraction: ColumnExtraction) -> list[_Rotations]:
     listed = turned if {*"012"} <= turned.keys() else quaternions if {*"012"} <= quaternions.keys() else {}
     if listed:
         named = {axis: listed[str(number)][0] for number, axis in enumerate(XYZ)}
-    elif {*XYZ} <= quaternions.keys():  # "orientation.x" without a w
+    elif {*XYZ} <= quaternions.keys():  # angles: "orientation.x", "orientation.y" … without a column for w
         named = {axis: quaternions[axis][0] for axis in XYZ}
     elif named and "z" not in named:
         yaws = [index for index in turned.get("", ()) if "yaw" in words_of(extraction.table.header[index])]
@@ -188,7 +188,7 @@ def _turned(extraction: ColumnExtraction, geometry: Geometry, rotation: FloatArr
     """A geometry whose boxes are turned. Boxes whose rotation is not a multiple of right angles are refused.
 
     Args:
-        index: the column that is named in errors.
+        index: index of the column that errors name.
     """
     for row in np.flatnonzero(tilt(rotation) > _LEVEL):
         cosine = np.abs(rotation[row]).max(axis=1)

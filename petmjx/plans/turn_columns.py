@@ -120,7 +120,8 @@ Polish (T and N), English (T and F) and German (W and F)."""
 
 
 def _with_yes_and_no(cells: Sequence[Any]) -> Sequence[Any]:
-    """Cells, in which initials of yes and no become true and false. The initials must be the only texts."""
+    """The cells, with letters for yes and no (or true and false) replaced by True and False. If the texts of the cells
+    are not exactly one of the pairs of letters in ``_YES_AND_NO``, the cells are returned unchanged."""
     texts = {cell_text(cell).lower() for cell in cells}
     if texts not in _YES_AND_NO:
         return cells
@@ -166,8 +167,8 @@ def _in_degrees(values: list[float | None]) -> list[float | None]:
     """Angles in radians as degrees. Quarter turns become whole multiples of 90 degrees. Numbers that are not in radians
     are unchanged.
 
-    Numbers are radians if some are not whole, none is more than a whole turn, and some turn a box. So a box that is
-    turned by 1.5 radians counts as crooked, and not as nearly unturned.
+    Numbers are radians if some are not whole, none is more than a whole turn, and some are above ``_LEVEL_RAD``, so
+    that they turn a box. So a box that is turned by 1.5 radians counts as crooked, and not as nearly unturned.
     """
     numbers = [value for value in values if value is not None]
     turned = any(abs(value) > _LEVEL_RAD for value in numbers)

@@ -83,7 +83,7 @@ class Study(ABC):
         sim: options of every world. Further attempts at a world may use other options.
         everything: all plans that can be simulated, including the plans of other shards.
         plans: the plans that this run simulates.
-        work: amount of work of all worlds, for estimates of time.
+        work: numbers of placements and drives of all worlds, for estimates of time.
         n_worlds: largest possible number of worlds.
         known: whether ``n_worlds`` is exact. The number of worlds of a search is not known, since the outcomes
             determine it.

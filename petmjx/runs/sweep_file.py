@@ -112,8 +112,8 @@ class Search(CheckedRecord):
         return self
 
     def tests(self, n_levels: int) -> int:
-        """Largest number of simulations that one question of the search needs: the number of tested levels, summed over
-        all rounds."""
+        """Largest number of simulations that one search for the largest level needs (one plan with one value of every
+        axis): the number of tested levels, summed over all rounds."""
         tests = 0
         while n_levels > 0:
             tests += min(self.sections, n_levels)
@@ -215,7 +215,7 @@ class Sweep(CheckedRecord):
 
     @property
     def has_drives(self) -> bool:
-        """Whether something shakes the pallet after its placement: profiles, or the legs of a chain."""
+        """Whether something shakes the pallet after all boxes are placed: profiles, or the legs of a chain."""
         return bool(self.profiles or self.legs)
 
     @property
@@ -405,8 +405,8 @@ def sweep_of_tables(
     said_by_file = _json_tables(tables)
     simulation_table = tables.get("simulation")
     if simulation and "carrier" in simulation and isinstance(simulation_table, dict):
-        # The options replace the carrier that the tables name. The carrier's file is not read, because it may have been
-        # deleted or changed since an earlier run.
+        # The carrier in the argument ``simulation`` replaces the carrier that the sweep file names. The file of the
+        # replaced carrier is not read, because it may have been deleted or changed since an earlier run.
         simulation_table.pop("carrier", None)
     try:
         sweep = Sweep.read({"name": path.stem, **tables}, context=path)
@@ -456,7 +456,7 @@ def nominal_sweep(sim: Simulation) -> Sweep:
 
 
 def chain_sweep(file: str | Path, n_worlds: int | None, simulation: Mapping[str, Any]) -> Sweep:
-    """The sweep that stands for a score with a transport chain. The sweep has the variants of the chain, and the
+    """The sweep that a score with a transport chain simulates. The sweep has the variants of the chain, and the
     nominal world, in which the unchanged plan is placed but not shaken.
 
     Args:

@@ -297,9 +297,9 @@ def _add_end(table: Table, info: Mapping[str, Any], what: str, done: int) -> Non
 
 
 def _critical_edge(row: Mapping[Any, Any], of_boxes: pd.DataFrame | None) -> KnifeEdge | None:
-    """The load because of which a world has the flag ``knife-edge``. If the world does not have this flag, the result
-    is the load with the smallest distance from an edge of its box's supports; this distance is negative beyond the
-    edge.
+    """The load (force on a box's supports) because of which a world has the flag ``knife-edge``. If the world does not
+    have this flag, the result is the load with the smallest distance from an edge of its box's supports; this distance
+    is negative beyond the edge.
 
     Args:
         row: the world's row of the table ``worlds``.

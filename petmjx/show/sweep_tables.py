@@ -46,8 +46,8 @@ _DOUBTS: Final = {
 of a footnote is the mark of doubtful answers."""
 
 _STANDARD_AXES: Final = ("profile", "direction_deg", "level_g", "scale")
-"""The axes (columns of the summary) that need no column of their own in the table of answers. The table always shows
-profile and direction. The largest survived level or scale is the answer."""
+"""The axes (columns of the summary) for which the table of answers needs no additional column: the table always has
+columns for profile and direction, and its answer is the largest level or scale survived."""
 
 _PLAN: Final = name_column("plan", "plan_id", least=20)
 _PROFILE: Final = name_column("profile", "profile", least=11)
@@ -284,7 +284,8 @@ def _more(rows: int) -> str:
 
 
 def _quantile(levels: FloatArray, q: float) -> str:
-    """A quantile of levels as text. The levels are rising; NaN (no level is survived) comes first."""
+    """A quantile of levels as text. ``levels`` are sorted, lowest first; NaN (no level is survived) comes before all
+    numbers."""
     if not len(levels):
         return "-"
     place = q * (len(levels) - 1)

@@ -20,8 +20,8 @@ AT_A_TIME: Final = 64
 
 
 def stackable_groups(scenes: Sequence[Scene]) -> Iterator[tuple[list[int], bool]]:
-    """Groups of scenes that can be stacked. A group is given as the numbers of its scenes, and whether these scenes are
-    plain.
+    """Groups of scenes whose arrays can be stacked. A group is given as the numbers of its scenes, and whether these
+    scenes are plain.
 
     ``is_plain`` defines plain scenes. A scene that is not plain is a group of its own. All plain scenes of the same
     plan can be stacked.

@@ -34,7 +34,8 @@ Rows = Float[Array, "contact 3"]
 
 class Bodies(NamedTuple):
     """The moving bodies of a world: origins, m; unit quaternions; rotation matrices; velocities as in MuJoCo's qvel;
-    and masses, kg, with principal moments of inertia, kg·m², for each velocity."""
+    and ``mass``, with six values per body: three times the mass, kg, then the three principal moments of inertia,
+    kg·m²."""
 
     place: Float[Array, "body 3"]
     quat: Float[Array, "body 4"]

@@ -121,9 +121,9 @@ def override_fields(
 ) -> dict[str, Float[Array, "world ..."]]:
     """Model fields for each world, under the names that ``Model.tree_replace`` takes.
 
-    ``physics`` has the skin by which geoms are larger than boxes. ``model`` is the template's MJX model. The model's
-    values are kept for the world body and the floor, which are the same in all worlds. With ``gives``, contacts of
-    compliant boxes get their own laws.
+    ``physics`` defines the skin: the distance by which geoms are larger than boxes. ``model`` is the template's MJX
+    model. The model's values are kept for the world body and the floor, which are the same in all worlds. With
+    ``gives``, contacts of compliant boxes get their own laws.
 
     Derived fields are computed as in MuJoCo's compiler. ``body_invweight0`` and ``dof_invweight0`` of a free body are
     1/m and the mean of 1/I. ``geom_rbound`` is the half diagonal. Tests compare all these fields with those of the

@@ -160,7 +160,7 @@ class MujocoWorlds(OpenWorlds):
     """Open worlds that are simulated on CPU threads.
 
     Args:
-        scenes: the scene of each world. All worlds start at once.
+        scenes: the scene of each world. The worlds begin when the object is made.
         threads: number of worlds that are simulated at the same time.
     """
 
@@ -225,8 +225,8 @@ class MujocoWorlds(OpenWorlds):
         return OpenWorld(scene, self._sim, self._stop.is_set, self._templates)
 
     def _map(self, work: Callable[[Item], Result], of: Iterable[Item]) -> list[Result]:
-        """The results of ``work`` for all items, computed on threads. After an interruption, the worlds stop within a
-        few dozen steps, and later calls continue their simulation."""
+        """``work(item)`` for each item of ``of``, computed on threads. If the work on an item fails, or Ctrl-C
+        interrupts it, the worlds stop within a few dozen steps. Later calls continue the simulation of these worlds."""
         try:
             with QUIET_MUJOCO, ThreadPoolExecutor(self._threads, thread_name_prefix="petmjx-mujoco") as pool:
                 try:

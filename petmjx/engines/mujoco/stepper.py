@@ -24,8 +24,8 @@ class Stepper:
     """Takes the steps of a world, as long as its time budget lasts.
 
     Args:
-        sim: the options, which determine when the rules check whether the pallet is quiet. The largest forces include
-            the forces in the steps of these checks.
+        sim: the options, which determine when the rules check whether the pallet is quiet. The largest forces on tops
+            include the forces in the steps of these checks.
         budget: the time budget of the world. If ``budget`` is None, there is no limit.
 
     Attributes:
@@ -51,7 +51,8 @@ class Stepper:
         Args:
             first: number of the first step.
             metrics: object that records the forces on tops; None if forces are not needed.
-            acts: whether a drive (motion of the carrier) acts. If a drive acts, any step may have the largest forces.
+            acts: whether a drive (motion of the carrier) acts. If a drive acts, the largest forces on tops include the
+                forces in every step.
         """
         number, end, budget = first, first + count, self._budget
         while number < end:
@@ -59,8 +60,8 @@ class Stepper:
                 return number - first
             placed, self._placed = self._placed, live.n_placed
             if placed != live.n_placed or (number - 1) % self._poll_steps == 0:
-                # The choice of steps does not depend on how many steps a call takes: a recorded world stops at each
-                # frame, but must give the same results.
+                # Which steps count for the largest forces does not depend on how many steps a call takes: in a recorded
+                # world, a call ends at each frame, but the results must be the same.
                 self._restless = placed != live.n_placed or not _is_calm(live)
             last = min(end, number + self._poll_steps - (number - 1) % self._poll_steps)
             counts = metrics if self._looks and live.n_placed and (acts or self._restless) else None
@@ -86,8 +87,10 @@ class Stepper:
     def _look(
         self, live: LiveWorld | SoftWorld, number: int, rising: FloatArray, acts: bool, metrics: OracleMetrics
     ) -> None:
-        """Add the forces on tops in this step, if the largest forces include this step. ``rising``: upward
-        accelerations of bodies, m/s²."""
+        """Record the forces on tops in this step, if the step counts for the largest forces. All steps of a drive and
+        of a soft world count. Other steps count if the rules check whether the pallet is quiet, or if a body is
+        accelerated upwards by more than ``RISING_M_S2``. (The caller leaves out the steps of calm worlds, see
+        ``_is_calm``.) ``rising``: upward accelerations of bodies, m/s²."""
         if isinstance(live, SoftWorld):
             metrics.add_forces(live.top_forces()[: live.n_free])
         elif acts or number % self._poll_steps == 0 or np.maximum.reduce(rising) > RISING_M_S2:
@@ -95,6 +98,7 @@ class Stepper:
 
 
 def _is_calm(live: LiveWorld | SoftWorld) -> bool:
-    """Whether no box is fast, and no box can become fast before the next check whether the pallet is quiet."""
+    """Whether no box is fast (``_RESTLESS_SQUARE``), and all accelerations are so small (``CALM_M_S2``) that no box
+    becomes fast before the next check whether the pallet is quiet."""
     speed, acceleration = live.data.qvel, live.data.qacc
     return bool(speed.dot(speed) <= _RESTLESS_SQUARE and acceleration.dot(acceleration) <= CALM_M_S2**2)

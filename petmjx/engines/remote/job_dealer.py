@@ -24,8 +24,8 @@ PLENTY: Final = 4
 job in reserve might wait behind a long job while another thread is idle."""
 
 MOST_ON_DEVICE: Final = 8192
-"""Largest number of jobs of a worker whose engine simulates worlds side by side. This is many more than the device
-simulates at once, so that the device can begin with the longest of them."""
+"""Largest number of jobs of a worker whose engine simulates worlds side by side. The device simulates far fewer worlds
+at once, so it can begin with the longest worlds of these jobs."""
 
 
 @dataclass(eq=False)
@@ -38,7 +38,7 @@ class WorkerJobs:
         begun: whether the worker has got jobs in this run.
         costs: number of a job → its expected time, for the jobs without an outcome.
         suspects: number of jobs in the group of suspects (jobs whose workers have died twice) that the worker got; 0 if
-            it holds no suspects. Until all of them have outcomes, the worker gets no other jobs.
+            it holds no suspects. Until all jobs of the group have outcomes, the worker gets no other jobs.
     """
 
     threads: int = 1
@@ -59,8 +59,8 @@ class _Limit:
 
 
 class _Waiting(NamedTuple):
-    """A waiting job. Values are compared to sort jobs: first come jobs that start from a state, then jobs that begin
-    with their placement; of each kind, longer jobs come first."""
+    """A waiting job. The order of these tuples is the order of the jobs: first come jobs that start from a state, then
+    jobs that begin with their placement; of each kind, longer jobs come first."""
 
     begins: bool
     negated_cost: float
@@ -76,11 +76,11 @@ class JobDealer:
     same expected remaining time. If a worker is still starting, its share of the jobs is kept until it can take them.
     A worker begins with at least ``begin_with`` jobs, unless no more jobs come.
 
-    The first death of a worker may have an outside cause, so its jobs are given out again like other jobs. Jobs whose
-    workers have died twice are *suspects*. Suspects wait until no other jobs are left. If n suspects come from the
-    death of one worker, they are given out in groups of √n jobs, each group to a worker that holds no other job. If a
-    worker dies again, the jobs of its group are given out one by one. A job is given up if it was the only job in a
-    worker that died.
+    If the worker of a job dies once, the cause may lie outside the job, so the job is given out again like other jobs.
+    Jobs whose workers have died twice are *suspects*. Suspects wait until no other jobs are left. If n suspects come
+    from the death of one worker, they are given out in groups of √n jobs, each group to a worker that holds no other
+    job. If a worker dies again, the jobs of its group are given out one by one. A job is given up if it was the only
+    job in a worker that died.
 
     Args:
         least: if there are fewer jobs than this number, one worker gets all jobs. None: the engine simulates job after
@@ -120,7 +120,8 @@ class JobDealer:
             self._wait(job)
 
     def deal(self, workers: Sequence[WorkerJobs], *, more_come: bool) -> dict[int, list[int]]:
-        """Give waiting jobs to the workers that have room, each job to the worker with the shortest expected time.
+        """Give waiting jobs to the workers that have room, each job to the worker whose jobs have the shortest expected
+        time in total.
 
         Args:
             workers: the jobs of each worker, also of workers that are starting. This method adds the new jobs.

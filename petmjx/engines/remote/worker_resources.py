@@ -58,8 +58,8 @@ def places(engine: str, nodes: Sequence[Node], workers: int | str, threads: int 
         if fault := why_no_gpus(nodes, workers):
             raise InputError(f"workers: {fault}")
         number = gpus if workers == AUTO else int(workers)
-        # A share is a whole number of the ``PARTS`` parts of a GPU, rounded down, so that exactly as many workers fit
-        # on a GPU as should share it. So all GPUs become full, whichever GPU Ray fills first.
+        # A worker's share of a GPU is rounded down to a whole number of ``PARTS``-ths. Then exactly the intended number
+        # of workers fits on each GPU. So each GPU gets this number, whichever GPU Ray fills first.
         share = PARTS // _sharing(gpus, number) / PARTS
         return [Place(cpus=1, gpus=share)] * number
     if workers == AUTO:

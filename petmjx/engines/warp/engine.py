@@ -46,8 +46,8 @@ class MjxWarpEngine(Engine):
     (petmjx/engines/attempt_settings.py).
 
     Args:
-        lanes: largest number of worlds in blocks of one kind. If ``lanes`` is None, the limit is the number for which
-            the device has room.
+        lanes: largest number of worlds that run at the same time in blocks of one size (``block_launch.Size``). If
+            ``lanes`` is None, the limit is the number for which the device has room.
         allow_cpu: whether to run Warp's kernels on the CPU if there is no CUDA device. Running on the CPU is slow, and
             meant for tests.
         most_rows: largest number of worlds whose states are on the device at the same time. ``most_rows`` limits the
@@ -141,7 +141,7 @@ class MjxWarpEngine(Engine):
             slices = self._slices(source, sim, progress, waits, continued)
             try:
                 for outcome in outcomes_of(slices, sim, progress, waits=waits, continued=continued):
-                    stream_number = outcome.job if outcome is not None else None  # None means that the engine pauses
+                    stream_number = outcome.job if outcome is not None else None  # no outcome: the engine pauses
                     yield outcome
                     if stream_number is not None:  # by now, the jobs that follow from this outcome are in the stream
                         source.answered(stream_number)
@@ -195,7 +195,8 @@ class MjxWarpEngine(Engine):
             jobs, stream_numbers, rows = source.begin()
             running, source.running = source.running, None
             room = source.profile_room(jobs, rows)
-            if continued is not None and is_first:  # the caller has no outcome yet, so it does not use ``continued``
+            if continued is not None and is_first:
+                # The calling thread uses ``continued`` only after the first slice, so this thread may use it here.
                 continued.prepare(jobs)
             is_first = False
             run = TableRun.of(source.needs, sim, progress, long_leave=continued is not None)

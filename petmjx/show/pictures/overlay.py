@@ -168,7 +168,7 @@ def scale_ends(scale: Scale) -> tuple[str, str]:
 
 def first_outline(story: Story, poses: Poses, camera: Camera) -> FloatArray | None:
     """(k, 2) corners of the outline of the first box to fail, px. The result is None if no box failed, or if the box
-    that fails first is not yet placed."""
+    that fails first is not yet placed in the frame with these poses."""
     box = story.outcome.culprit
     if not 0 <= box < poses.n_placed:
         return None
