@@ -136,7 +136,7 @@ class ColumnExtraction:
                 continue
             is_named = words[-1:] == ["origin"] or words[1:] == ["axis"]
             if is_named and sum(cell_triple(cell) is not None for cell in cells) * 2 > len(cells):
-                if words[-1] == "origin":  # of a plane (Rhino, Grasshopper), or of a frame
+                if words[-1] == "origin":  # the origin of a plane (Rhino, Grasshopper) or of a frame
                     self.meanings[index] = ColumnMeaning("positions")
                 else:
                     self.meanings[index] = None
@@ -368,7 +368,8 @@ class ColumnExtraction:
         ]
 
     def first(self, kind: str, role: str = "") -> int | None:
-        """The column of a role, or else the first column with this kind of meaning; None if there is none."""
+        """The column with the role ``role``, or else the first column whose meaning has the kind ``kind``; None if
+        there is no such column."""
         return self.fixed[role] if role in self.fixed else next(iter(self.indices(kind)), None)
 
 

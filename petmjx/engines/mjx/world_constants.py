@@ -44,8 +44,8 @@ class Worlds(NamedTuple):
     Drives: ``driven``: a drive follows the placement. ``held``: the drive holds the carrier fixed. ``drive_yaw`` is
     (cos, sin) of the angle by which the drive is rotated about the vertical. ``profile_steps`` is the number of samples
     of the drive. ``drive_steps`` is the number of steps from the beginning of the drive to the world's end, unless the
-    world rests earlier. ``allowed_sway``, m, is how far a tilted box may have moved sideways in the drive before it
-    ends the world.
+    world rests earlier. ``allowed_sway``, m: in the drive, a tilted box ends the world only if the box has moved
+    sideways by at least this distance.
 
     Ends: ``settles``: the placement ends in a settled state, because a drive starts from this state, or because the
     state is kept. ``ends_when_lost``: see ``has_errors`` of ``petmjx.world.job.Job``. ``confirm_steps``: a fall is
@@ -56,11 +56,12 @@ class Worlds(NamedTuple):
 
     Placing: ``start`` is the release pose of a box whose ``support`` is at its planned place. If the support has sunk
     or risen, the box is released lower or higher, by at most ``most_followed``, m (petmjx/world/release_places.py).
-    ``appears``: all boxes begin at ``start``. Carried boxes begin at an offset of ``way_offset`` from ``start``. The
-    path of a carried box has ``way_steps`` steps; for a box that falls, ``way_steps`` is 0. At the end of the path,
-    boxes are set down, unless they are released to fall (petmjx/world/approach_paths.py). ``hand_force``, N, and
-    ``hand_speed``, m/s, are a hand's limits. ``way_aside``, m, is how far a box may start to the side, towards the low
-    and the high end of x and y. ``wrap_press`` and ``wrap_hold``, N, are the forces of film (petmjx/world/film.py).
+    ``appears``: all boxes begin at ``start``. In other worlds, boxes are carried, and begin at an offset of
+    ``way_offset`` from ``start``. The path of a carried box has ``way_steps`` steps; for a box that falls,
+    ``way_steps`` is 0. At the end of the path, boxes are set down, unless they are released to fall
+    (petmjx/world/approach_paths.py). ``hand_force``, N, and ``hand_speed``, m/s, are a hand's limits. ``way_aside``, m,
+    is how far a box may start to the side, towards the low and the high end of x and y. ``wrap_press`` and
+    ``wrap_hold``, N, are the forces of film (petmjx/world/film.py).
     """
 
     n_boxes: Int[Array, " world"]

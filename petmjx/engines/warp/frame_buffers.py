@@ -28,7 +28,7 @@ slice."""
 
 FRAMES_PER_BLOCK: Final = 4
 """Smallest number of frames for which the buffer has room, per block. When a block checks for room, all other blocks
-may be about to write a frame."""
+may be about to write a frame, so a block steps a recorded world only if there is room for a frame of each block."""
 
 FEWEST: Final = 1024
 """Smallest number of frames that are transferred together. If a slice has more frames, eight times this number is
