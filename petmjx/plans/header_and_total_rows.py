@@ -1,5 +1,5 @@
-"""Recognises headers and rows of totals in raw tables. The module also makes the names in headers complete: units below
-them, merged headings above them, and repeated names."""
+"""Recognises headers and rows of totals in raw tables. The module also completes the names in headers with the units
+below them and the merged headings above them, and makes repeated names distinct."""
 
 from __future__ import annotations
 

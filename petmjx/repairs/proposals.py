@@ -132,12 +132,12 @@ def _makers(
     done: Collection[int],
     options: RepairOptions,
 ) -> tuple[tuple[Kind, Callable[[], Iterator[Proposal]]], ...]:
-    """Pairs of a kind of changes, and a function that proposes changes of this kind for a cause.
+    """Pairs: a kind of changes; a function that proposes changes of this kind for a cause.
 
     Args:
         near: boxes to change for the cause.
-        new: the boxes of ``near`` for which no changes were proposed because of earlier causes.
-        done: boxes for which changes were proposed because of earlier causes.
+        new: the boxes of ``near`` that are not in ``done``.
+        done: boxes for which changes were already proposed, for causes before this one.
     """
     most_mm = options.most_move_mm
     return (
@@ -360,9 +360,9 @@ def _exchanges(draft: Draft, rules: Rules, near: Sequence[int], done: Collection
 
 def _exchanged_places(draft: Draft, pairs: IntArray) -> tuple[Places, BoolArray]:
     """The places of pairs of boxes after their exchange, and (k, 2) whether each of the two is turned by the exchange.
-    Left out are exchanges of boxes of equal sizes and nearly equal masses, exchanges of boxes of different heights if a box stands
-    on one of them, and exchanges of boxes whose lengths or widths are too different. ``pairs``: (p, 2) numbers of the
-    boxes."""
+    Left out are exchanges of boxes of equal sizes and nearly equal masses, exchanges of boxes of different heights if a
+    box stands on one of them, and exchanges of boxes whose lengths or widths are too different. ``pairs``: (p, 2)
+    numbers of the boxes."""
     size, mass = draft.size_mm[pairs], draft.mass_kg[pairs]
     differ = np.abs(size[:, 0] - size[:, 1])
     uneven = differ[:, 2] > TOLERANCE_MM

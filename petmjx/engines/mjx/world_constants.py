@@ -34,8 +34,8 @@ class Worlds(NamedTuple):
     Body 0 is the carrier, and box k is body k + 1.
 
     Shapes and boxes: the shapes of body b begin at ``first_shape[b]``, in the order of bodies. ``shape_body`` is the
-    body of each shape. ``half`` and ``middle`` are the boxes' half extents, and their centres in their frames. For
-    ``inertia_box``, see ``petmjx.world.body_shapes.Body``.
+    body of each shape. ``half`` has the boxes' half extents. ``middle`` has the vector from each box's centre of mass
+    (the origin of the box's frame) to its middle. For ``inertia_box``, see ``petmjx.world.body_shapes.Body``.
 
     Contacts: ``floor_friction`` and ``friction`` are sliding, torsional and rolling coefficients. For
     ``shape_surface``, ``pair_friction``, ``pair_landing`` and ``pair_kinetic``, see petmjx/world/friction_pairs.py. For
@@ -48,9 +48,10 @@ class Worlds(NamedTuple):
     sideways by at least this distance.
 
     Ends: ``settles``: the placement ends in a settled state, because a drive starts from this state, or because the
-    state is kept. ``ends_when_lost``: see ``has_errors`` of ``petmjx.world.job.Job``. ``confirm_steps``: a fall is
-    confirmed this number of steps after the first sign of failure (``petmjx.engines.metrics.CONFIRM_S``); ``NEVER`` if
-    the world does more than confirm a fall. ``pauses``: when its boxes are at rest, the world waits for further boxes
+    state is kept. ``ends_when_lost``: a box that is tilted too far at a check counts as lost at once, as a box does that
+    has dropped (``petmjx.world.job.Job.has_errors``). ``confirm_steps``: a fall is confirmed this number of steps after
+    the first sign of failure (``petmjx.engines.metrics.CONFIRM_S``); ``NEVER`` if the world does more than confirm a
+    fall. ``pauses``: when its boxes are at rest, the world waits for further boxes
     (petmjx/engines/open_world_protocol.py). ``ends_when_gone``: the world is a trial, which ends when a box is gone.
     ``most_steps`` is the number of steps after which the world leaves a GPU (petmjx/engines/warp/continued_worlds.py).
 

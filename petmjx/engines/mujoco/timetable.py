@@ -48,8 +48,8 @@ class Waits:
 
     @property
     def _is_plain_static(self) -> bool:
-        """Whether this is a static check without a drive. The option ``duration_s`` is the length of a static check
-        without a drive.
+        """Whether the simulation is a static check without a drive. The option ``duration_s`` is the length of a static
+        check without a drive.
         """
         return self._static and not self.settles
 
