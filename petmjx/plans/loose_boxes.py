@@ -30,7 +30,7 @@ class Statics(NamedTuple):
 
     Attributes:
         placed_share: (n,) the share of each plan's boxes up to and including its first loose box; 1 if there is none.
-        ties: (n,) for each plan, the number of supports of a box beyond its first support, as a mean over the boxes.
+        ties: (n,) for each plan, the mean, over its boxes, of the number of supports after a box's first support.
         giving: (n,) number of compliant boxes of each plan.
     """
 

@@ -175,7 +175,7 @@ def _is_deck(sizes: Mapping[str, float], of_box: Mapping[str, float]) -> bool:
 
 
 FLAT: Final = 0.4
-"""Largest ratio of a pallet's height and width. A half pallet, 800 × 600 × 144 mm, has a ratio of 0.24."""
+"""Largest ratio of a pallet's height to its width. A half pallet, 800 × 600 × 144 mm, has a ratio of 0.24."""
 _SAME: Final = 1.02
 """Largest ratio of two sizes that count as the same, since files have rounded sizes."""
 _PLACES: Final = frozenset(("position", "positions", "low"))

@@ -76,7 +76,8 @@ class JudgedPile(NamedTuple):
 
 Result = TypeVar("Result")
 Judging = Generator[PileRequest, list[JudgedPile], Result]
-"""A part of the building of a plan anew. The generator yields piles to be judged, and is sent the judged piles."""
+"""A generator that does a part of the work of building a plan anew. It yields piles that must be judged, and is sent
+the judged piles. It returns its result at its end."""
 
 
 class Failure(NamedTuple):

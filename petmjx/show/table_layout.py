@@ -22,7 +22,8 @@ Cell = Callable[[Any], str | Text]
 """A function that makes a cell of a table from a row."""
 
 FEW_ROWS: Final = 40
-"""Largest number of worlds or searches for which a table with one row for each is shown."""
+"""Largest number of rows of a table with one row per world, search, plan or box. If there are more worlds or searches,
+the table is not shown; tables of loads show only their first rows."""
 
 
 @dataclass(frozen=True)

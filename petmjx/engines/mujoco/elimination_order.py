@@ -25,7 +25,8 @@ of slightly different heights."""
 
 
 def body_order(scene: Scene, n_boxes: int, contacts: NDArray[np.integer], shaken: bool) -> NDArray[np.intp]:
-    """(n_boxes,) the first boxes of the plan, in the order of bodies in which factorisations are cheapest.
+    """(n_boxes,) numbers of the first ``n_boxes`` boxes of the plan, in an order for the bodies of the model with which
+    factorisations are cheap.
 
     MuJoCo eliminates the last body first. The carrier touches a whole layer, so it is always the first body.
 

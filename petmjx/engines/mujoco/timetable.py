@@ -117,7 +117,8 @@ class Waits:
 
     @property
     def longest_wait(self) -> int:
-        """The last step of a world that keeps moving, counted from its last placement or from the end of its drive."""
+        """The last step of a world that keeps moving: ``longest_wait_s`` after its last placement or, if it has a
+        drive, after the end of the drive."""
         return self._later(self.last_placement if self.drive_end is None else self.drive_end, self._sim.longest_wait_s)
 
     def may_go_on(self, step: int) -> bool:
