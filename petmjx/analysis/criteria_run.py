@@ -65,8 +65,8 @@ def boxes_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Seq
 
 
 def plans_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Sequence[Criterion]) -> pd.DataFrame:
-    """The table ``plans``: one row per plan. For each criterion, a row has whether all boxes are stable, the first
-    unstable box, and the smallest slack of any box."""
+    """The table ``plans``: one row per plan. For each criterion, a row says whether all boxes are stable, which box is
+    the first unstable one, and what the smallest slack of a box is."""
     counts = np.array([plan.n_boxes for plan in plans])
     starts = np.r_[0, counts.cumsum()[:-1]]
     columns: dict[str, object] = {

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
 DEFAULT_SAMPLES: Final = 100
 MOST_SHOWN: Final = 10
-"""Largest number of random orders for which a separate line about left-out boxes is printed, and largest number of
-orders that a single line names."""
+"""Largest number of lines about random orders with boxes left out (one line per order), and largest number of orders
+that the line names about orders without a packing that stands often enough."""
 
 
 @opt.takes(

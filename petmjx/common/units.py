@@ -40,7 +40,8 @@ PLAN_UNITS: Final = "mm,kg"
 
 def plan_units(text: str) -> tuple[str, str]:
     """The unit of lengths and the unit of masses that a text such as "cm", "g" or "cm,g" names. If the text names only
-    one of the two, the other is taken from ``PLAN_UNITS``. "cm/mm" is the unit of sizes and that of coordinates.
+    one of the two, the other is taken from ``PLAN_UNITS``. A unit such as "cm/mm" has two parts: the unit of sizes, and
+    the unit of coordinates.
 
     Raises:
         ValueError: the text has an unknown unit, or two units of the same kind.

@@ -96,8 +96,8 @@ class Maps:
         on_threads(load, np.split(fullest, range(_AT_ONCE, len(rows), _AT_ONCE)))
 
     def _over(self, box_spans: NDArray[np.integer]) -> tuple[Map, Map]:
-        """Whether a box of each of m pallets covers each cell along x, (x, m), and along y, (y, m): 1 if it does,
-        otherwise 0.
+        """For one box of each of m pallets, the cells that the box covers along x, (x, m), and along y, (y, m): 1 for a
+        covered cell, otherwise 0.
 
         Args:
             box_spans: (m, 2, 2) the ranges of cells that one box of each pallet covers, from ``spans``.

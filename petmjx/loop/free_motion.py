@@ -223,7 +223,7 @@ def _ground(sim: Simulation, ground: Any, *, smooth: bool) -> Ground:
 
 
 def _numbers(name: str, values: Any) -> FloatArray:
-    """(…, numbers) the values of an argument, checked. The last axis exists even if each value is a single number.
+    """The values of an argument, checked: (…, k) for values of k numbers each. The last axis exists even if k is 1.
 
     Raises:
         InputError: values are not numbers, are beyond the limits, or have a wrong shape.

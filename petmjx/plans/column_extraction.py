@@ -112,8 +112,8 @@ class ColumnExtraction:
 
     def _mean_by_cells(self) -> None:
         """Determine meanings of columns from their cells. A column "order" without numbers has customers' orders, not a
-        packing order. Cells with a unit of mass are weights, and cells that name the sizes along the axes are
-        rotations, whatever the name of their column."""
+        packing order. Whatever the name of a column, cells with a unit of mass are weights, and cells such as "WLH"
+        (which size lies along which axis) or 90° are rotations."""
         self.row_units: dict[bool, list[str]] = {}
         self.unit_columns: list[str] = []
         self.axis_columns: dict[str, int] = {}  # "x" or "y" → column of vectors along this axis of a box
@@ -136,7 +136,7 @@ class ColumnExtraction:
                 continue
             is_named = words[-1:] == ["origin"] or words[1:] == ["axis"]
             if is_named and sum(cell_triple(cell) is not None for cell in cells) * 2 > len(cells):
-                if words[-1] == "origin":  # of a plane (Rhino, Grasshopper), or of a frame
+                if words[-1] == "origin":  # the origin of a plane (Rhino, Grasshopper) or of a frame
                     self.meanings[index] = ColumnMeaning("positions")
                 else:
                     self.meanings[index] = None
@@ -368,7 +368,8 @@ class ColumnExtraction:
         ]
 
     def first(self, kind: str, role: str = "") -> int | None:
-        """The column of a role, or else the first column with this kind of meaning; None if there is none."""
+        """The column with the role ``role``, or else the first column whose meaning has the kind ``kind``; None if
+        there is no such column."""
         return self.fixed[role] if role in self.fixed else next(iter(self.indices(kind)), None)
 
 

@@ -61,8 +61,8 @@ def plans_of_sources(
 
 def _other_plans(sources: Sequence[BoxSource]) -> list[str]:
     """Lines about lists of boxes that are not read. The lists that are not read have sizes and places, but other
-    columns than the first list, which is read. Objects around the boxes of the first list, such as layers, do not count
-    as boxes that are not read."""
+    columns than the first list, which is read. Lists whose objects contain the boxes of the first list, such as lists
+    of layers, get no line."""
     lines = []
     first = sources[0].boxes.path
     for other in sources[1:]:

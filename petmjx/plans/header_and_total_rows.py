@@ -1,5 +1,5 @@
-"""Recognises headers and rows of totals in raw tables. The module also makes the names in headers complete: units below
-them, merged headings above them, and repeated names."""
+"""Recognises headers and rows of totals in raw tables. The module also completes the names in headers with the units
+below them and the merged headings above them, and makes repeated names distinct."""
 
 from __future__ import annotations
 
@@ -232,8 +232,8 @@ def computed_row(table: RawTable, rows: Sequence[int]) -> str:
 
 
 def _names_box(articles: Iterable[Any]) -> bool:
-    """Whether all these cells of a column have text, and the last text is not a symbol for a mean (ø, or o or x in its
-    place)."""
+    """Whether all cells of a column of articles have text, and the last cell, that of the row in question, has no
+    symbol for a mean (ø, or o or x in place of ø)."""
     texts = [plain_text(cell).strip() if isinstance(cell, str) else "" for cell in articles]
     return all(texts) and texts[-1].lower() not in ("ø", "o", "x")
 

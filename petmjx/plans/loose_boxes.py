@@ -30,7 +30,7 @@ class Statics(NamedTuple):
 
     Attributes:
         placed_share: (n,) the share of each plan's boxes up to and including its first loose box; 1 if there is none.
-        ties: (n,) for each plan, the number of supports of a box beyond its first support, as a mean over the boxes.
+        ties: (n,) for each plan, the mean, over its boxes, of the number of supports after a box's first support.
         giving: (n,) number of compliant boxes of each plan.
     """
 
@@ -42,8 +42,9 @@ class Statics(NamedTuple):
 def statics_of(plans: Sequence[Plan]) -> Statics:
     """The properties of each plan from which its simulation time is estimated.
 
-    If there are more than ``MOST_LOOKED_AT`` plans, only some are examined. The other plans get the values of the
-    examined plans, repeated in order.
+    If there are more than ``MOST_LOOKED_AT`` plans, only this number is examined, evenly spread over all plans. The
+    values of the examined plans are then repeated, in their order, until there is a value for each plan. So the value
+    of a plan usually is that of another plan.
     """
     examined = (
         [plans[k] for k in np.unique(np.linspace(0, len(plans) - 1, MOST_LOOKED_AT).astype(int))] if plans else []

@@ -1,4 +1,5 @@
-"""Reads the objects that contain nested boxes: names of plans, containers, and coordinates of layers and stacks."""
+"""Reads what boxes in nested objects (JSON) get from the objects around them: names of plans, sizes of containers,
+weights and sizes of articles, and coordinates of layers and stacks."""
 
 from __future__ import annotations
 
@@ -123,7 +124,7 @@ def fields_of_article(member: NestedBox, articles: Collection[int]) -> tuple[dic
     also returns a note that tells where weights or sizes are from; "" if the article gives none.
 
     Args:
-        articles: objects that are articles (``articles_around``).
+        articles: Python's ``id`` of each object that is an article (``articles_around``).
     """
     own_fields = flattened(member.value)
     given = {meaning.kind for meaning in known_meanings(own_fields).values()}
@@ -174,7 +175,7 @@ def _is_deck(sizes: Mapping[str, float], of_box: Mapping[str, float]) -> bool:
 
 
 FLAT: Final = 0.4
-"""Largest ratio of a pallet's height and width. A half pallet, 800 × 600 × 144 mm, has a ratio of 0.24."""
+"""Largest ratio of a pallet's height to its width. A half pallet, 800 × 600 × 144 mm, has a ratio of 0.24."""
 _SAME: Final = 1.02
 """Largest ratio of two sizes that count as the same, since files have rounded sizes."""
 _PLACES: Final = frozenset(("position", "positions", "low"))
@@ -196,7 +197,7 @@ def plan_names_of(members: Sequence[NestedBox], articles: Collection[int]) -> li
     the only plan.
 
     Args:
-        articles: objects that are articles (``articles_around``).
+        articles: Python's ``id`` of each object that is an article (``articles_around``).
     """
     depth = max((len(member.around) for member in members), default=0)
     levels = [
@@ -233,7 +234,7 @@ def _only_name(around: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
             if (text := _name_text(holder.get(name))) != "":
                 return text
     for step, holder in reversed(around):
-        if step.endswith("]") or not step or holder == {"id": step}:  # the last: a list under the name of a plan
+        if step.endswith("]") or not step or holder == {"id": step}:  # {"id": step}: a list under the name of a plan
             for name in ("id", "ID", "name", "bin", "partno"):
                 if (text := _name_text(holder.get(name))) != "":
                     return text
@@ -241,8 +242,8 @@ def _only_name(around: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
 
 
 def _names_of(holders: Sequence[tuple[str, Mapping[str, Any]]]) -> list[str]:
-    """The names of objects around boxes. A name is the text of the first field that is unique, else the place of the
-    object."""
+    """The names of objects around boxes. The name of an object is the text of its first field of ``_NAMES`` that no
+    other object has in this field, or else the object's place in the file."""
     texts = {name: [_name_text(holder.get(name)) for _, holder in holders] for name in _NAMES}
     counts = {name: Counter(values) for name, values in texts.items()}
     names = []
@@ -266,7 +267,7 @@ def container_around(member: NestedBox, articles: Collection[int]) -> dict[str, 
     """The size of the container of a box, by axis; empty if no size is given.
 
     Args:
-        articles: objects that are articles (``articles_around``).
+        articles: Python's ``id`` of each object that is an article (``articles_around``).
     """
     for step, holder in reversed(member.around):
         if id(holder) in articles:

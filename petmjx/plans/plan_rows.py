@@ -45,9 +45,9 @@ class PalletSearch:
         self.single_reading: tuple[Reading, Candidate] | None = None
 
     def columns_with_pallets(self) -> tuple[BoxColumns, tuple[str, ...]]:
-        """The columns of the file, in which a column may have become that of plans, and notes about this. If boxes
-        would overlap as one plan, or the packing order repeats numbers, the column that separates the pallets becomes
-        the column of plans. Exactly one column must separate the pallets.
+        """The columns of the file, and notes. If boxes would overlap as one plan, or the packing order repeats numbers,
+        the file has several pallets. The column that separates the pallets then becomes the column of plans, and a note
+        tells this. Exactly one column must separate the pallets.
 
         Raises:
             InputError: the column does not have a word for pallets in its name, or several columns separate the

@@ -35,7 +35,7 @@ SPARE_MM: Final = (2.0, 6.0, 12.0, 25.0)
 a robot places a box, the error has a standard deviation of 2 mm (docs/confidence.md)."""
 
 STEPS_MM: Final = (10.0, 20.0, 30.0, 45.0, 60.0, 80.0, 100.0, 130.0, 160.0, 200.0)
-"""Lengths by which boxes are moved in any case, mm, however far a load is beyond an edge."""
+"""Lengths, mm, of those proposed moves of a box that do not depend on how far a load is beyond an edge."""
 
 MOST_PLACES: Final = 24
 """Largest number of other places that are proposed for one box: the lowest places, and of places of equal height those
@@ -111,8 +111,8 @@ def targets(
 def proposals(
     draft: Draft, rules: Rules, causes: Sequence[Target], kinds: frozenset[Kind], options: RepairOptions
 ) -> Iterator[Proposal]:
-    """Changes of these kinds that may help against the causes. Some of these changes are not allowed (``Rules.allow``).
-    A change of a box that does not depend on the cause is proposed only once."""
+    """Changes of the given kinds that may help against the given causes of a failure. Some of these changes are not
+    allowed (``Rules.allow``). A change of a box that does not depend on the cause is proposed only once."""
     done: set[int] = set()
     for target in causes:
         near = _near(draft, rules, target)
@@ -132,12 +132,12 @@ def _makers(
     done: Collection[int],
     options: RepairOptions,
 ) -> tuple[tuple[Kind, Callable[[], Iterator[Proposal]]], ...]:
-    """Pairs of a kind of changes, and a function that proposes changes of this kind for a cause.
+    """Pairs: a kind of changes; a function that proposes changes of this kind for a cause.
 
     Args:
         near: boxes to change for the cause.
-        new: the boxes of ``near`` for which no changes were proposed because of earlier causes.
-        done: boxes for which changes were proposed because of earlier causes.
+        new: the boxes of ``near`` that are not in ``done``.
+        done: boxes for which changes were already proposed, for causes before this one.
     """
     most_mm = options.most_move_mm
     return (
@@ -155,8 +155,8 @@ def _makers(
 
 
 def _near(draft: Draft, rules: Rules, target: Target) -> list[int]:
-    """Boxes to change for a cause: the box that fails, the box whose placement moves the load beyond the edge, the
-    supports, and the boxes on top."""
+    """Boxes to change for a cause: the box that fails, the box whose placement moves the load beyond the edge, and the
+    supports of the failing box and the boxes on it."""
     box = target.box
     supports = np.flatnonzero(draft.on_top[:, box]).tolist()
     riders = sorted(np.flatnonzero(draft.on_top[box]).tolist(), key=lambda rider: draft.rank[rider])
@@ -165,8 +165,9 @@ def _near(draft: Draft, rules: Rules, target: Target) -> list[int]:
 
 
 def _orders(draft: Draft, target: Target) -> Iterator[Proposal]:
-    """Changes of the packing order. Counterweights are placed before the box whose placement moves the load beyond the
-    edge, or the box is placed after the counterweights. A box is placed after supports that would come too late."""
+    """Changes of the packing order. Either a counterweight is moved forward, before the box whose placement moves the
+    load beyond the edge (the cause), or the cause is moved back, after the counterweight. If the failing box is placed
+    before one of its supports, the support is moved forward or the box is moved back."""
     box, cause = target.box, target.cause
     at = draft.rank[cause]
     pile = [number for number in (*draft.above(box), *_neighbours(draft, box)) if draft.rank[number] > at]
@@ -200,8 +201,8 @@ def _earlier(draft: Draft, target: Target) -> Iterator[Proposal]:
 
 
 def _clearances(draft: Draft, rules: Rules, target: Target, most_mm: float) -> Iterator[Proposal]:
-    """Moves of the boxes between which a squeezed box is lowered: away from it, together with all boxes in their
-    way."""
+    """Moves of the boxes between which a squeezed box (``Target.is_squeezed``) is lowered. Each of these boxes is moved
+    away from the squeezed box, together with all boxes in its way."""
     for number, axis, gap_mm in _tight(draft, target):
         sign = np.sign(draft.corner_mm[number, axis] - draft.corner_mm[target.box, axis])
         for length in (math.ceil(ROOM_MM - gap_mm) + more for more in (0, 4, 12)):
@@ -343,8 +344,9 @@ def _turns(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposal
 
 
 def _exchanges(draft: Draft, rules: Rules, near: Sequence[int], done: Collection[int]) -> Iterator[Proposal]:
-    """Exchanges of each box with any other box that is not in ``done``. After the exchange, both boxes are turned or
-    not, and stand at the left or the right of the other's place."""
+    """Exchanges of each box of ``near`` with any other box that is not in ``done``. For a pair of boxes, each of the
+    two may be turned by 90° or not. If a box is not as large as the box whose place it takes, there are two proposals:
+    both boxes stand at the low x and y, or both at the high x and y, of their new places."""
     others = [other for other in draft.order if rules.built <= other < draft.plan.n_boxes and other not in done]
     pairs = [(box, other) for box in near for other in others if other != box and (other not in near or other > box)]
     places, turns = _exchanged_places(draft, np.array(pairs, np.intp).reshape(-1, 2))
@@ -358,8 +360,9 @@ def _exchanges(draft: Draft, rules: Rules, near: Sequence[int], done: Collection
 
 def _exchanged_places(draft: Draft, pairs: IntArray) -> tuple[Places, BoolArray]:
     """The places of pairs of boxes after their exchange, and (k, 2) whether each of the two is turned by the exchange.
-    Exchanges without an effect, and exchanges of boxes whose sizes are too different, are left out. ``pairs``: (p, 2)
-    the boxes."""
+    Left out are exchanges of boxes of equal sizes and nearly equal masses, exchanges of boxes of different heights if a
+    box stands on one of them, and exchanges of boxes whose lengths or widths are too different. ``pairs``: (p, 2)
+    numbers of the boxes."""
     size, mass = draft.size_mm[pairs], draft.mass_kg[pairs]
     differ = np.abs(size[:, 0] - size[:, 1])
     uneven = differ[:, 2] > TOLERANCE_MM
@@ -428,8 +431,8 @@ def _places(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposa
 
 
 def _places_of(draft: Draft, places: Sequence[Place]) -> Places:
-    """The places that boxes have after each of several changes. If changes concern different numbers of boxes, some
-    boxes are listed more than once."""
+    """The places that boxes have after each of several changes. If the changes concern different numbers of boxes, some
+    boxes are listed more than once, so that all rows have the same length."""
     most = max((len(place.boxes) for place in places), default=1)
     boxes = np.array([place.boxes + place.boxes[:1] * (most - len(place.boxes)) for place in places], np.intp)
     boxes = boxes.reshape(-1, most)
@@ -465,8 +468,8 @@ def resting_corners(
     low, high = low[lower], high[lower]
 
     def fits(z: FloatArray) -> BoolArray:
-        """For each height of the box's bottom: whether its top is not too high or, if it must be under the box
-        ``below``, whether its top reaches exactly to that box."""
+        """Whether each height ``z`` of the box's bottom, mm, is allowed: the box's top is low enough or, if the box
+        must be under the box ``below``, its top reaches exactly to the bottom of that box."""
         if below is None:
             return np.asarray(z + draft.size_mm[box, 2] <= rules.high_mm[2] + TOLERANCE_MM)
         return np.asarray(np.abs(z + draft.size_mm[box, 2] - ceiling) <= TOLERANCE_MM)
@@ -523,7 +526,8 @@ def _rests(
         np.minimum(begin[:, None] + length, high[:, axis]) - np.maximum(begin[:, None], low[:, axis])
         for axis, (begin, length) in enumerate(((x, size[0]), (y, size[1])))
     ]
-    # For each point, the first box that is under it, from the highest top down, and at last the carrier.
+    # The height at each point: the highest top of a box that reaches under the placed box, or 0, the top of the
+    # carrier.
     from_top = np.argsort(-high[:, 2])
     under_x, under_y = (np.ones((len(some), len(high) + 1), bool) for some in shared)
     under_x[:, :-1], under_y[:, :-1] = (some[:, from_top] > TOLERANCE_MM for some in shared)
@@ -570,7 +574,7 @@ def _props(draft: Draft, rules: Rules, target: Target) -> Iterator[Proposal]:
 
 
 def _sheets(draft: Draft, thick_mm: float, kg_m2: float) -> Iterator[Proposal]:
-    """Tie sheets at heights that no box crosses."""
+    """Proposals that add a tie sheet (a sheet between two layers), each at a height that no box crosses."""
     rows = list(draft.order)
     low, high = draft.corner_mm[rows], draft.high_mm[rows]
     for height in np.unique(np.round(high[:, 2], 1)).tolist():

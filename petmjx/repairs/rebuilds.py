@@ -76,7 +76,8 @@ class JudgedPile(NamedTuple):
 
 Result = TypeVar("Result")
 Judging = Generator[PileRequest, list[JudgedPile], Result]
-"""A part of the building of a plan anew. The generator yields piles to be judged, and is sent the judged piles."""
+"""A generator that does a part of the work of building a plan anew. It yields piles that must be judged, and is sent
+the judged piles. It returns its result at its end."""
 
 
 class Failure(NamedTuple):
@@ -93,12 +94,13 @@ class Failure(NamedTuple):
 
 
 def rebuilds(failures: Sequence[Failure], rules: Rules, sim: Simulation, *, leaves_out: bool) -> list[list[Proposal]]:
-    """For each plan, ways to build it anew: the boxes of one cause get other places, or are left out.
+    """For each plan, ways to build it anew. In each way, one box of a cause is distrusted: the box that fails, or the
+    box whose placement makes it fail. The distrusted box gets another place, or is left out.
 
     All ways are built side by side, since statics judges many piles at once in little more time than one.
 
     Args:
-        leaves_out: whether the boxes of a cause are left out.
+        leaves_out: whether the distrusted box is left out.
     """
     piles = [[*_piles(failure, rules, leaves_out)] for failure in failures]
     built = iter(_side_by_side([pile.built() for some in piles for pile in some], rules, sim))
@@ -134,8 +136,8 @@ def _side_by_side(parts: Sequence[Judging[Result]], rules: Rules, sim: Simulatio
 
 
 def _judged(requests: Sequence[PileRequest], rules: Rules, sim: Simulation) -> list[JudgedPile]:
-    """The judged piles of requests with one pile each. Equal piles are judged once. Either all requests are judged by
-    statics, or none is."""
+    """The judged pile of each request; each request has one pile. Equal piles are judged only once. Statics judges the
+    piles of all requests, or of none (``PileRequest.by_statics``)."""
     keys = [key_of(pile) for (pile,), *_ in requests]
     different = dict(zip(keys, requests, strict=True))
     piles = {key: pile for key, ((pile,), *_) in different.items()}
@@ -243,8 +245,8 @@ class _Pile:
         return self._balance
 
     def _in_the_way(self, places: Sequence[Place], later: Collection[int]) -> list[int]:
-        """For each place of a box, how many later boxes cannot keep their places because the box stands there, or
-        above."""
+        """For each place of a box, how many later boxes cannot keep their places because the box would overlap or cover
+        them from above."""
         if not places:
             return []
         rows = [number for number in later if number not in self._distrusted]

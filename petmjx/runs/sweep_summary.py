@@ -71,7 +71,8 @@ class SweepColumns:
         return columns
 
     def of(self, world: FinishedWorld) -> dict[str, Any]:
-        """The values of one world in the added columns: column → value. Columns without a value become null."""
+        """The values of one world in the columns that the sweep adds: column → value. Columns without a value become
+        null."""
         values: dict[str, Any] = dict(world.variant.parameters)
         values[MODE.name] = failure_mode(world.outcome, self._sim.thresholds.tilt_deg)
         if world.variant.legs:

@@ -22,7 +22,8 @@ Cell = Callable[[Any], str | Text]
 """A function that makes a cell of a table from a row."""
 
 FEW_ROWS: Final = 40
-"""Largest number of worlds or searches for which a table with one row for each is shown."""
+"""Largest number of rows of a table with one row per world, search, plan or box. If there are more worlds or searches,
+the table is not shown; tables of loads show only their first rows."""
 
 
 @dataclass(frozen=True)
@@ -180,25 +181,25 @@ def interval(low: Any, high: Any) -> str:
 
 
 def text_of(column: str) -> Cell:
-    """A cell with the value in a column of rows, as text."""
+    """A function that makes a cell from a row: the value in the given column, as text."""
     return lambda row: str(row[column])
 
 
 def count_of(column: str) -> Cell:
-    """A cell with the whole number in a column of rows; NaN, which stands for no worlds, is 0."""
+    """A function that makes a cell from a row: the whole number in the given column; 0 for NaN (no worlds)."""
     return lambda row: "0" if pd.isna(row[column]) else f"{int(row[column]):,}"
 
 
 def number_of(column: str, form: str | None = None, unit: str = "", factor: float = 1.0) -> Cell:
-    """A cell with the number in a column of rows, as :func:`number` formats it."""
+    """A function that makes a cell from a row: the number in the given column, as :func:`number` formats it."""
     return lambda row: number(row[column], form, unit, factor)
 
 
 def percent_of(column: str) -> Cell:
-    """A cell with the share in a column of rows, in per cent."""
+    """A function that makes a cell from a row: the share in the given column, in per cent."""
     return lambda row: percent(row[column])
 
 
 def interval_cell(row: Row) -> str:
-    """A cell with the interval of shares in the columns ``low`` and ``high`` of rows."""
+    """The cell of a row with the interval of shares in the columns ``low`` and ``high``."""
     return interval(row["low"], row["high"])

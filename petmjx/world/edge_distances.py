@@ -313,7 +313,7 @@ def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArr
         goes_on = np.flatnonzero(under != CARRIER)
         box, step = under[goes_on], step[goes_on]
     box, step = (np.concatenate(numbers) for numbers in zip(*pairs, strict=True))
-    weights = (bearing.weights + 0.0)[:, :3].copy()  # + 0.0 turns -0.0 into 0.0, as a sum would
+    weights = (bearing.weights + 0.0)[:, :3].copy()  # + 0.0 turns -0.0 into 0.0
     several = bearing.n_supports[box] > 1
     keys, parts = _shared_parts(bearing, box[several] * n + step[several], weights.take(step[several], axis=0))
     box, step = np.concatenate([box[~several], keys // n]), np.concatenate([step[~several], keys % n])
@@ -325,15 +325,16 @@ def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArr
 
 
 def _shared_parts(bearing: Bearing, keys: IntArray, parts: FloatArray) -> tuple[IntArray, FloatArray]:
-    """(k,) keys and (k, 3) parts of boxes' weights: the parts that are carried by boxes with several supports, and by
-    the boxes below them.
+    """Divide weights among supports, down to the carrier. Returns (k,) keys and (k, 3) parts of boxes' weights: the
+    part that each box with several supports carries, and the parts that the boxes below it carry.
 
     A key is a number that names a part: (number of the box that carries the part) · n + (number of the box to whose
     weight the part belongs), for n boxes.
 
     Args:
         bearing: the contacts between boxes and their supports.
-        keys, parts: keys and parts of the undivided weights that boxes with several supports carry.
+        keys, parts: the keys of the boxes with several supports on which whole weights act, and these weights. A whole
+            weight is the weight of the box itself, or one that single supports pass down to it.
     """
     n = len(bearing.boxes.mass)
     between = np.flatnonzero(bearing.lower != CARRIER)
@@ -376,7 +377,7 @@ def _passed(bearing: Bearing, contact: IntArray, load: FloatArray) -> FloatArray
         contact: (k,) numbers of the contacts.
         load: (k, 3) load of the upper box of each contact.
     """
-    passed = load + 0.0  # + 0.0 turns -0.0 into 0.0, as a sum would
+    passed = load + 0.0  # + 0.0 turns -0.0 into 0.0
     several = np.flatnonzero(bearing.n_supports.take(bearing.upper.take(contact)) > 1)
     passed[several] = bearing.shared(contact[several], load.take(several, axis=0))
     return passed
@@ -451,7 +452,8 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
 def _contact_pushes(
     bearing: Bearing, owner: IntArray, load: FloatArray, rows: IntArray, contact: IntArray
 ) -> FloatArray:
-    """(k, 3) the part of a load that each contact carries, for p loads.
+    """For p loads, (k, 3) the parts that contacts carry: row i is the part of the load ``rows[i]`` that the contact
+    ``contact[i]`` carries.
 
     Args:
         bearing: the contacts between boxes and their supports.
@@ -495,8 +497,9 @@ def _exact_least_edge(bearing: Bearing, built: BuildingLoads) -> LeastBuildingEd
 
 
 def balanced_after(bearing: Bearing, built: BuildingLoads, step: int) -> tuple[IntArray, FloatArray]:
-    """Indices in ``built`` of the loads in one scene after the placement ``step``, and (n,) the distances of these
-    loads from edges, m, for the best way in which supports can share loads."""
+    """The loads of one scene after the placement ``step``: their indices in ``built``, and (n,) the distance of each
+    box's load from the edge of its supports, m, if supports share loads in the best possible way; NaN for boxes without
+    a load."""
     n = len(bearing.boxes.mass)
     now = np.flatnonzero(built.step <= step)
     last = now[np.flatnonzero(np.diff(built.box[now], append=n))]

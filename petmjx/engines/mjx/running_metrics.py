@@ -102,7 +102,7 @@ class Metrics(NamedTuple):
         )
 
     def without_sign(self, where: Bool[Array, " world"]) -> Metrics:
-        """The metrics without the first sign of failure."""
+        """The metrics, without the first sign of failure of the worlds in ``where``."""
         return self._replace(
             culprit=jnp.where(where, -1, self.culprit),
             sign_step=jnp.where(where, -1, self.sign_step),

@@ -15,7 +15,8 @@ from petmjx.world.contact_laws import ENOUGH_M_S2, MOST_ROUNDS, RELAXATION, STIC
 
 
 class SlipLaw:
-    """The law of sliding contacts, for elliptic cones. Rows of open contacts are zeros and stay zeros."""
+    """The law of sliding contacts, for elliptic cones. The constraint rows of open contacts are zeros and stay
+    zeros."""
 
     def __init__(self, physics: Physics, solver: BlockSolver) -> None:
         self._slack = slack_m_s2(physics)
@@ -87,6 +88,6 @@ class SlipLaw:
 
 
 def _tangent(rows: Rows) -> Float[Array, " contact"]:
-    """Length of the tangential part of a quantity at each contact, such as the force. The quantity is given by its
-    components in the contact's rows."""
+    """Length of the tangential part of a vector at each contact, such as the contact force. ``rows`` has the components
+    of the vector: along the normal, then along two tangents."""
     return jnp.hypot(rows[:, 1], rows[:, 2])

@@ -34,8 +34,8 @@ class Worlds(NamedTuple):
     Body 0 is the carrier, and box k is body k + 1.
 
     Shapes and boxes: the shapes of body b begin at ``first_shape[b]``, in the order of bodies. ``shape_body`` is the
-    body of each shape. ``half`` and ``middle`` are the boxes' half extents, and their centres in their frames. For
-    ``inertia_box``, see ``petmjx.world.body_shapes.Body``.
+    body of each shape. ``half`` has the boxes' half extents. ``middle`` has the vector from each box's centre of mass
+    (the origin of the box's frame) to its middle. For ``inertia_box``, see ``petmjx.world.body_shapes.Body``.
 
     Contacts: ``floor_friction`` and ``friction`` are sliding, torsional and rolling coefficients. For
     ``shape_surface``, ``pair_friction``, ``pair_landing`` and ``pair_kinetic``, see petmjx/world/friction_pairs.py. For
@@ -44,23 +44,25 @@ class Worlds(NamedTuple):
     Drives: ``driven``: a drive follows the placement. ``held``: the drive holds the carrier fixed. ``drive_yaw`` is
     (cos, sin) of the angle by which the drive is rotated about the vertical. ``profile_steps`` is the number of samples
     of the drive. ``drive_steps`` is the number of steps from the beginning of the drive to the world's end, unless the
-    world rests earlier. ``allowed_sway``, m, is how far a tilted box may have moved sideways in the drive before it
-    ends the world.
+    world rests earlier. In the drive, the culprit (the first box beyond a threshold) ends the world if it is tilted too
+    far and has moved sideways by at least ``allowed_sway``, m.
 
     Ends: ``settles``: the placement ends in a settled state, because a drive starts from this state, or because the
-    state is kept. ``ends_when_lost``: see ``has_errors`` of ``petmjx.world.job.Job``. ``confirm_steps``: a fall is
-    confirmed this number of steps after the first sign of failure (``petmjx.engines.metrics.CONFIRM_S``); ``NEVER`` if
-    the world does more than confirm a fall. ``pauses``: when its boxes are at rest, the world waits for further boxes
+    state is kept. ``ends_when_lost``: a box that is tilted too far at a check is lost at once, like a box that has
+    dropped (``petmjx.world.job.Job.has_errors``). ``confirm_steps``: a fall is confirmed this number of steps after the
+    first sign of failure (``petmjx.engines.metrics.CONFIRM_S``); ``NEVER`` if the world does more than confirm a
+    fall. ``pauses``: when its boxes are at rest, the world waits for further boxes
     (petmjx/engines/open_world_protocol.py). ``ends_when_gone``: the world is a trial, which ends when a box is gone.
     ``most_steps`` is the number of steps after which the world leaves a GPU (petmjx/engines/warp/continued_worlds.py).
 
     Placing: ``start`` is the release pose of a box whose ``support`` is at its planned place. If the support has sunk
     or risen, the box is released lower or higher, by at most ``most_followed``, m (petmjx/world/release_places.py).
-    ``appears``: all boxes begin at ``start``. Carried boxes begin at an offset of ``way_offset`` from ``start``. The
-    path of a carried box has ``way_steps`` steps; for a box that falls, ``way_steps`` is 0. At the end of the path,
-    boxes are set down, unless they are released to fall (petmjx/world/approach_paths.py). ``hand_force``, N, and
-    ``hand_speed``, m/s, are a hand's limits. ``way_aside``, m, is how far a box may start to the side, towards the low
-    and the high end of x and y. ``wrap_press`` and ``wrap_hold``, N, are the forces of film (petmjx/world/film.py).
+    ``appears``: all boxes begin at ``start``. In other worlds, boxes are carried, and begin at an offset of
+    ``way_offset`` from ``start``. The path of a carried box has ``way_steps`` steps; for a box that falls,
+    ``way_steps`` is 0. At the end of the path, boxes are set down, unless they are released to fall
+    (petmjx/world/approach_paths.py). ``hand_force``, N, and ``hand_speed``, m/s, are a hand's limits. ``way_aside``, m,
+    is how far a box may start to the side, towards the low and the high end of x and y. ``wrap_press`` and
+    ``wrap_hold``, N, are the forces of film (petmjx/world/film.py).
     """
 
     n_boxes: Int[Array, " world"]

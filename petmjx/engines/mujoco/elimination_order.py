@@ -19,12 +19,14 @@ from petmjx.world.scene import Scene
 
 NEAR_M = 0.005
 """Two boxes may touch later if they are nearer to each other at their release than this distance, m. Neighbours in a
-plan are 0.1 mm apart, because simulated boxes are smaller than planned. Some neighbours also stand on boxes of slightly
-different heights."""
+plan are 0.1 mm apart, because simulated boxes are smaller than planned. The limit also applies to the height: a box
+whose bottom is up to ``NEAR_M`` above the top of another box may touch it later, for example if the box stands on boxes
+of slightly different heights."""
 
 
 def body_order(scene: Scene, n_boxes: int, contacts: NDArray[np.integer], shaken: bool) -> NDArray[np.intp]:
-    """(n_boxes,) the first boxes of the plan, in the order of bodies in which factorisations are cheapest.
+    """(n_boxes,) numbers of the first ``n_boxes`` boxes of the plan, in an order for the bodies of the model with which
+    factorisations are cheap.
 
     MuJoCo eliminates the last body first. The carrier touches a whole layer, so it is always the first body.
 

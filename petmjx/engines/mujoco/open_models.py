@@ -65,8 +65,8 @@ class Templates:
     @classmethod
     def of(cls, sim: Simulation) -> Templates | None:
         """The templates for these options; None if models must be compiled. Models must be compiled if boxes have no
-        skin (contact margin), since MuJoCo then computes their inertia. With pyramidal cones, models must also be
-        compiled, since boxes that wait are then part of the model."""
+        skin (contact margin), since MuJoCo then computes the inertia of the boxes. With pyramidal cones, models must
+        also be compiled, since boxes that wait are then part of the model."""
         physics = sim.physics
         return cls(sim) if physics.has_own_friction and physics.skin_m > 0 else None
 
@@ -79,7 +79,7 @@ class Templates:
         """A model with the first boxes of a scene, and data in the initial state.
 
         Args:
-            order: (n,) numbers of these boxes, in the order of their bodies.
+            order: (n,) numbers of the model's boxes in the scene, in the order of the model's bodies.
         """
         key = _key(scene, len(order))
         with self._lock:

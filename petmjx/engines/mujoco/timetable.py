@@ -48,8 +48,8 @@ class Waits:
 
     @property
     def _is_plain_static(self) -> bool:
-        """Whether this is a static check without a drive. The option ``duration_s`` is the length of a static check
-        without a drive.
+        """Whether the simulation is a static check without a drive. The option ``duration_s`` is the length of a static
+        check without a drive.
         """
         return self._static and not self.settles
 
@@ -88,7 +88,8 @@ class Waits:
         return self._latest_if_failed
 
     def _latest_after(self, since: int) -> int:
-        """The latest step for the next event after a short wait that began after the step ``since``.
+        """The step at which a short wait that began after the step ``since`` ends at the latest, and the next event
+        comes.
 
         With the fixed schedule, a drive starts at the same time as in the reference implementation. The start of the
         drive is counted from the nominal time of the last placement. (The real placement is a few steps later, since
@@ -116,7 +117,8 @@ class Waits:
 
     @property
     def longest_wait(self) -> int:
-        """The last step of a world that keeps moving, counted from its last placement or from the end of its drive."""
+        """The last step of a world that keeps moving: ``longest_wait_s`` after its last placement or, if it has a
+        drive, after the end of the drive."""
         return self._later(self.last_placement if self.drive_end is None else self.drive_end, self._sim.longest_wait_s)
 
     def may_go_on(self, step: int) -> bool:

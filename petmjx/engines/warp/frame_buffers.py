@@ -27,8 +27,9 @@ FRAMES_PER_WORLD: Final = 512
 slice."""
 
 FRAMES_PER_BLOCK: Final = 4
-"""Smallest number of frames for which the buffer has room, per block. When a block checks for room, all other blocks
-may be about to write a frame."""
+"""Smallest number of frames for which the buffer has room, per lane (place for a running world; a block has at least
+one lane). When a block checks for room, all other blocks may be about to write a frame, so a block steps a recorded
+world only if there is room for a frame of each block."""
 
 FEWEST: Final = 1024
 """Smallest number of frames that are transferred together. If a slice has more frames, eight times this number is
@@ -58,7 +59,7 @@ def room_for_frames(
     Args:
         every: (world,) number of steps between two frames of a world; 0: the world is not recorded.
         wanted: number of frames for which there should be room; None: the largest number. Buffers have at most
-            ``MOST_BYTES``, but room for at least ``FRAMES_PER_BLOCK`` frames per lane.
+            ``MOST_BYTES``, but room for at least ``FRAMES_PER_BLOCK`` frames per lane (place for a running world).
     """
     most = MOST_BYTES // (4 * sum(math.prod(shape) for shape in _shapes(1, n_boxes, 0).values()))
     n_frames = max(most if wanted is None else min(wanted, most), FRAMES_PER_BLOCK * lanes) if every.any() else 1

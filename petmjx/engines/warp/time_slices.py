@@ -156,7 +156,7 @@ class TableSlices:
     Args:
         waits: whether each slice waits for the outcomes of the previous slice. Slices must wait if worlds are recorded,
             since the CPU must fetch the frames.
-        pools: object that enlarges buffers.
+        pools: the block pools, which enlarge the buffers of worlds.
         rollout_for: function that returns the buffers (``Rollout``) for the table, or None if memory has run out.
     """
 
@@ -210,16 +210,16 @@ class TableSlices:
 
     @property
     def _outcomes_come(self) -> bool:
-        """Whether outcomes may come while this generator waits for jobs. If slices wait for the CPU, these can only be
-        the outcomes of worlds that have left the device."""
+        """Whether outcomes may come while this generator waits for jobs. If slices wait for the CPU, only worlds that
+        have left the device can still give outcomes."""
         return not self._waits or bool(self._source.left)
 
     def _keep_under_way(self, rollout: Rollout) -> None:
         """Start slices until ``UNDER_WAY`` slices are started and not yet read. Only one is started if the CPU must
         read each slice before the next one begins.
         """
-        # A job that follows from an outcome joins only after the started slices. So while blocks are idle, slices are
-        # started one by one, so that jobs can join soon.
+        # A job that is made because of an outcome can join only a slice that is not started yet. So while blocks are
+        # idle, slices are started one by one, so that jobs can join soon.
         blocks_idle = int(self._table.live.sum()) <= rollout.launcher.blocks
         single = self._waits or (self._source.feedback and blocks_idle)
         rollout.keep_under_way(1 if single else UNDER_WAY, self._table, self._queues.order)
@@ -325,7 +325,7 @@ def outcomes_of(
     def counted() -> Generator[SliceResult]:
         with closing(slices):
             for next_slice in slices:
-                # the number may be 0 if slices wait for the CPU
+                # no world may have ended in the slice if slices wait for the CPU
                 count(sum(len(batch.rows) for batch in next_slice.picked))
                 yield next_slice
 

@@ -32,8 +32,8 @@ MOST_BOXES: Final = 600_000
 boxes, the page leaves out worlds, first those that stand."""
 
 WORLDS_PER_BLOCK: Final = 64
-"""Number of worlds in a block. A block of this size is unpacked in some milliseconds, and deflates as well as a larger
-block."""
+"""Number of worlds in a block. A block of this size is unpacked in some milliseconds, and a larger block would not be
+compressed better."""
 
 TENTHS_PER_M: Final = 10_000
 """Number of tenths of a millimetre in a metre. Planned places are stored as whole tenths of a millimetre."""

@@ -21,9 +21,9 @@ from petmjx.world.profiles.profile import Profile, Strength, step_averages, step
 from petmjx.world.random_streams import WorldKey
 
 EUMOS_RAMP_S = 0.05
-"""Longest time within which EUMOS 40509 lets the acceleration reach its level, s."""
+"""Longest rise of the acceleration to its level that EUMOS 40509 allows, s."""
 EUMOS_HOLD_S = 0.3
-"""Shortest time for which EUMOS 40509 holds the acceleration at its level, s."""
+"""Shortest time for which EUMOS 40509 requires the acceleration to stay at its level, s."""
 EUMOS_SOURCE = "EUMOS 40509:2020, test method for load unit rigidity (ramp at most 50 ms, hold at least 0.3 s)"
 
 EN_12195_FORWARD_G = 0.8
