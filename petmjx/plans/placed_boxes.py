@@ -45,7 +45,7 @@ _RELATIVE: Final = 1.5
 """If no density in a column without a unit exceeds this value, the densities are relative to the density of water."""
 _LEAST_KG_M3: Final = 25.0
 """A column without a unit, and with a smaller median density, may be in another unit than kg/m³. Cartons of crisps have
-30 kg/m³ and 1.9 lb/ft³, usual cartons 300 kg/m³ and 19 lb/ft³."""
+a density of 30 kg/m³ (1.9 lb/ft³), usual cartons 300 kg/m³ (19 lb/ft³)."""
 _LIGHTEST, _HEAVIEST = 2.0, 5000.0
 """Median densities outside these limits, kg/m³, suggest wrong weights or lengths. The lower limit is below the density
 of foam, and the upper limit above the density of iron parts."""

@@ -304,9 +304,9 @@ def _changes_by_anchor(reading: Reading, columns: BoxColumns, wishes: Wishes, sa
 
 
 def _is_doubtful(best: _Judged) -> bool:
-    """Whether another axis may be the vertical, or coordinates may be those of another corner. In the most plausible
-    reading, boxes overlap, float, are outside or are listed from one side to the other, or the sizes do not lie along
-    the axes that name them."""
+    """Whether another axis may be the vertical, or coordinates may be those of another corner. This may be
+    so if, in the most plausible reading, boxes overlap, float, are outside or are listed from one side to the other, or
+    if the sizes do not lie along the axes that name them."""
     evidence = best.evidence
     is_odd = evidence.n_overlapping + evidence.n_floating + evidence.n_outside > 0
     is_exchanged = best.candidate.geometry.axes == XYZ and best.candidate.pair != (0, 1, 2)

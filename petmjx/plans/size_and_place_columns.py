@@ -37,8 +37,9 @@ _SIZE_SETS: Final = (
     ("length", "height", "depth"), XYZ, ("0", "1", "2"),
 )  # fmt: skip
 _GOALS: Final = word_set("to bis top")
-"""Words in names of columns, such as "to". Beside columns of near corners ("from"), a column with such a word has the
-far corners; without columns of near corners, it may have any point of the box."""
+"""Words in names of columns that mark the end of a range, such as "to" in "x to". Beside columns of near corners
+("from"), a column with such a word has the far corners; without columns of near corners, it may have any point of the
+box."""
 _FAR_SIDES: Final = word_set("right back rear far rechts hinten droite arriere derecha destra")
 """Words for the sides of a box that are far from the origin. "back_right_top" is the far corner, whereas "top" alone
 may be any point of the top."""
