@@ -85,7 +85,9 @@ class PlanBuilder:
         for row in rows_below_deck(low, plans, size):
             self.faults.setdefault(row, height_fault(reading, candidate, row))
         self.decks = pallet_rows(self.columns, plans, size, low)
-        several = range_faults(self.columns, reading, candidate), edge_faults(self.columns, reading, candidate, plans)
+        several = [range_faults(self.columns, reading, candidate)]
+        if not self.wishes.exact:  # a written reading has been checked by its author
+            several.append(edge_faults(self.columns, reading, candidate, plans))
         for row, fault in chain.from_iterable(faults.items() for faults in several):
             self.faults.setdefault(row, fault)
         mass = masses_kg(

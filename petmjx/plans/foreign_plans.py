@@ -61,17 +61,20 @@ def plans_of_sources(
 
 def _other_plans(sources: Sequence[BoxSource]) -> list[str]:
     """Lines about lists of boxes that are not read. The lists that are not read have sizes and places, but other
-    columns than the first list, which is read. Lists whose objects contain the boxes of the first list, such as lists
-    of layers, get no line."""
+    columns than the first list, which is read; or they are rows of as many numbers as the first list. Lists whose
+    objects contain the boxes of the first list, such as lists of layers, get no line."""
     lines = []
-    first = sources[0].boxes.path
+    first = sources[0].boxes
     for other in sources[1:]:
         boxes = other.boxes
-        if boxes.path and first.startswith(f"{boxes.path}."):
+        if (boxes.path and first.path.startswith(f"{boxes.path}.")) or not boxes.table.rows:
             continue
-        if boxes.has_places and boxes.has_sizes and boxes.table.has_header and boxes.table.rows:
-            where = printable_name(boxes.table.title or boxes.path or "another table")
-            lines.append(f"{count_text(len(boxes.table.rows), 'box', 'boxes')} in {where} not read: other columns")
+        where = printable_name(boxes.table.title or boxes.path or "another table")
+        count = count_text(len(boxes.table.rows), "box", "boxes")
+        if boxes.has_places and boxes.has_sizes and boxes.table.has_header:
+            lines.append(f"{count} in {where} not read: other columns")
+        elif not (boxes.table.has_header or first.table.has_header) and boxes.table.header == first.table.header:
+            lines.append(f"{count} in {where} not read: only the list with the most boxes is")
     return lines
 
 

@@ -264,11 +264,13 @@ def _name_text(value: Any) -> str:
 
 
 def container_around(member: NestedBox, articles: Collection[int]) -> dict[str, float]:
-    """The size of the container of a box, by axis; empty if no size is given.
+    """The size of the container of a box, by axis; empty if no size is given. The size is in millimetres if the box's
+    own numbers have units, since these are converted, too. Otherwise it is in the unit that the file's numbers have.
 
     Args:
         articles: Python's ``id`` of each object that is an article (``articles_around``).
     """
+    in_mm = _has_units(member.value)
     for step, holder in reversed(member.around):
         if id(holder) in articles:
             continue
@@ -280,7 +282,7 @@ def container_around(member: NestedBox, articles: Collection[int]) -> dict[str, 
             is_box = isinstance(inner, Mapping) and str(name).lower() == "box"
             if not (CONTAINERS.intersection(words) or str(name).lower() in CONTAINERS or is_box):
                 continue
-            if isinstance(inner, Mapping) and (sizes := _sizes_in(inner)):
+            if isinstance(inner, Mapping) and (sizes := _sizes_in(inner, in_mm=in_mm)):
                 return sizes
             if isinstance(inner, list | tuple) and len(inner) == 3 and all(map(cell_number, inner)):
                 return {str(axis): float(cell_number(cell).value) for axis, cell in enumerate(inner)}  # type: ignore[union-attr]  # as just checked
@@ -289,7 +291,7 @@ def container_around(member: NestedBox, articles: Collection[int]) -> dict[str, 
         alone = {
             name: inner for name, inner in holder.items() if not (isinstance(inner, list) and _holds_objects(inner))
         }
-        if (sizes := _sizes_in(alone)) and step != "":
+        if (sizes := _sizes_in(alone, in_mm=in_mm)) and step != "":
             return sizes
         if sizes and set(holder) & {"items", "boxes", "placements", "stack", "fitted_items", "packages"}:
             return sizes
@@ -300,9 +302,22 @@ def _holds_objects(value: Sequence[Any]) -> bool:
     return any(isinstance(inner, Mapping) for inner in value[:1])
 
 
-def _sizes_in(value: Mapping[str, Any]) -> dict[str, float]:
-    """Axis → size, from the fields of an object; empty unless there are three sizes. Sizes with units are converted to
-    millimetres, like the cells of boxes."""
+def _has_units(value: Mapping[str, Any]) -> bool:
+    """Whether a size or coordinate in the fields of an object has a unit of its own, such as "40 cm"."""
+    flat = flattened(value)
+    cells = (cell_number(flat[name]) for name, meaning in known_meanings(flat).items() if meaning.kind in _LENGTHS)
+    return any(number is not None and number.unit in LENGTH_UNITS for number in cells)
+
+
+_LENGTHS: Final = frozenset(("size", "sizes", "position", "positions", "low", "high"))
+
+
+def _sizes_in(value: Mapping[str, Any], *, in_mm: bool = True) -> dict[str, float]:
+    """Axis → size, from the fields of an object; empty unless there are three sizes.
+
+    Args:
+        in_mm: whether sizes with units are converted to millimetres; if not, their units are ignored.
+    """
     flat = flattened(value)
     sizes: dict[str, float] = {}
     for name, meaning in known_meanings(flat).items():
@@ -310,5 +325,5 @@ def _sizes_in(value: Mapping[str, Any]) -> dict[str, float]:
         if meaning.kind != "size" or number is None or number.value <= 0:
             continue
         if meaning.axis not in "012" or name.endswith("]"):  # "dimension1" does not tell an axis
-            sizes.setdefault(meaning.axis, number.value * LENGTH_UNITS.get(number.unit, 1.0))
+            sizes.setdefault(meaning.axis, number.value * (LENGTH_UNITS.get(number.unit, 1.0) if in_mm else 1.0))
     return sizes if len(sizes) == 3 else {}

@@ -178,13 +178,14 @@ def _side_by_side(lists: Sequence[BoxList]) -> list[BoxList]:
     groups: dict[tuple[Any, ...], list[BoxList]] = {}
     for boxes in lists:
         *outer, last = boxes.path.split(".")
-        key = (len(outer), re.sub(r"\d+", "", last), *geometric_names(boxes.table.header))
+        columns = geometric_names(boxes.table.header) if boxes.table.has_header else boxes.table.header
+        key = (len(outer), re.sub(r"\d+", "", last), *columns)
         groups.setdefault(key, []).append(boxes)
     joined = []
     for group in groups.values():
         steps = [boxes.path.split(".") for boxes in group]
         levels = [level for level, names in enumerate(zip(*steps, strict=True)) if len(set(names)) > 1]
-        if len(levels) == 1 and group[0].has_places:
+        if len(levels) == 1 and (group[0].has_places or not group[0].table.has_header):
             joined.append(_joined(group, [step[levels[0]].replace("[]", "") for step in steps]))
         else:
             joined += group
@@ -298,6 +299,9 @@ def _is_plan_key(value: Mapping[str, Any]) -> bool:
         return False
     if len(lists) == 1 and _FORM_WORDS.intersection(words_of(next(iter(value)))):
         return False
+    if len(lists) > 1 and all(rows_of_numbers(inner) is not None for inner in lists):
+        named = set().union(*(words_of(str(name)) for name in value))
+        return not named & (_FORM_WORDS | _BOXES) and len({len(inner[0]) for inner in lists}) == 1
     if not all(isinstance(inner[0], Mapping) and _alike([inner[0], lists[0][0]]) for inner in lists):
         return False
     headers = [[str(name) for name in inner[0]] for inner in lists]

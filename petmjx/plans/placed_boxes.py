@@ -387,10 +387,21 @@ _ALONG_EDGE: Final = 3
 container is known, one box less is enough."""
 
 
+def _touches_next(low: FloatArray, size: FloatArray, box: int, axis: int, tolerance: float) -> bool:
+    """Whether a box ends along an axis where another box beside it begins."""
+    high = low + size
+    touch = np.abs(low[:, axis] - high[box, axis]) <= tolerance
+    for other in {0, 1, 2} - {axis}:
+        shared = np.minimum(high[:, other], high[box, other]) - np.maximum(low[:, other], low[box, other])
+        touch &= shared > tolerance
+    return bool(touch.any())
+
+
 def edge_faults(
     columns: BoxColumns, reading: Reading, candidate: Candidate, plans: Mapping[str, NDArray[np.int64]]
 ) -> dict[int, str]:
-    """Row → fault, for the only box of a plan with a negative x or y, if most of it is beyond the edge of the load."""
+    """Row → fault, for the only box of a plan with a negative x or y, if most of it is beyond the edge of the load and
+    it touches no box at this edge. (If the origin is the middle of a side, a sound plan may have a box beside it.)"""
     faults: dict[int, str] = {}
     layout = layout_of(columns, candidate)
     for name, rows in plans.items() if reading.origin != "middle" else ():
@@ -400,7 +411,8 @@ def edge_faults(
         for axis, named in enumerate(level_axes(candidate.up)):
             (beyond,) = np.nonzero(low[:, axis] < -small)
             at_edge = np.count_nonzero(np.abs(low[:, axis]) <= small)
-            if len(beyond) == 1 and at_edge >= least and (low + size / 2)[beyond[0], axis] < 0:
+            is_beyond = len(beyond) == 1 and (low + size / 2)[beyond[0], axis] < 0
+            if is_beyond and at_edge >= least and not _touches_next(low, size, int(beyond[0]), axis, small):
                 row = int(rows[beyond[0]])
                 got = f"got {candidate.geometry.place[row, named]:g}"
                 faults[row] = f"{_place_names(reading.columns)[named]} is beyond the edge of the other boxes, {got}"

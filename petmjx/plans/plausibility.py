@@ -244,27 +244,34 @@ def are_other_points(layout: Layout, mm: float, point: FloatArray) -> bool:
 
 
 def order_cost(layouts: Sequence[Layout]) -> float:
-    """How implausible it is that the boxes of each layout were placed in the order in which they are listed.
+    """How implausible it is that the boxes of each layout were placed in the order in which they are listed, or in the
+    reversed order, since some files list boxes from the top down.
 
     Packers mostly place boxes from the ground up: from one box to the next, the height falls in a tenth of the steps,
     and each level coordinate in a third of them. If a level coordinate falls less often than the height, its axis may
     be the vertical. A box is hardly ever placed below one that is listed before it. In lists in any other order, such
     as that of articles, all axes have about the same cost.
     """
+    return min(_cost_in_order(layouts, 1), _cost_in_order(layouts, -1))
+
+
+def _cost_in_order(layouts: Sequence[Layout], direction: int) -> float:
+    """The cost of placing boxes in the listed order (``direction`` 1) or in the reversed order (-1)."""
     falls, rises, n_late = np.zeros(3), np.zeros(3), 0
     for layout in layouts:
         tolerance = _tolerance_of(layout)
-        steps = np.diff(layout.low, axis=0)
+        low, size = layout.low[::direction], layout.size[::direction]
+        steps = np.diff(low, axis=0)
         falls += (steps < -tolerance).sum(axis=0)
         rises += (steps > tolerance).sum(axis=0)
-        n_late += _n_late(layout.low[:_SMALL_LOAD], layout.size[:_SMALL_LOAD], tolerance)
+        n_late += _n_late(low[:_SMALL_LOAD], size[:_SMALL_LOAD], tolerance)
     fewest = min((falls[axis] for axis in (0, 1) if rises[axis]), default=math.inf)
     is_ordered = fewest <= _ORDERED * sum(len(layout.low) - 1 for layout in layouts)
     more = float(falls[2] - fewest) / math.sqrt(falls[2] + fewest) if is_ordered and falls[2] > fewest else 0.0
     return min(_FALLS * more + _LATE * n_late, _ON_SIDE)
 
 
-_ON_SIDE: Final = 2.6
+_ON_SIDE: Final = 2.4
 """Largest cost of an order. The cost is limited because one load in 13 is built up from one side, so that its height
 falls often."""
 _FALLS: Final = 1.5

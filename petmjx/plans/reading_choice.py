@@ -350,7 +350,7 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
             for one in base:
                 scaled = replace(one.candidate, scale=factor, prior=one.candidate.prior + 2.0)
                 other = _judge(columns, wishes, scaled, sample)
-                if _within_reach(other):
+                if _unit_of_sizes(other, other.units[0].length) is not None and _within_reach(other):
                     judged.append(other)
     return sorted(judged, key=lambda one: one.cost)
 
@@ -455,12 +455,13 @@ def _other_mass(best: _Judged) -> str | None:
 
 def _unit_text(best: _Judged, places: str) -> str:
     """The units of sizes and coordinates, in the form that ``Reading`` uses."""
-    scale = best.candidate.scale
-    if scale == 1.0:
-        return places
-    mm = LENGTH_UNITS[places] * scale
-    sizes = next((name for name in ("mm", "cm", "dm", "m", "in") if math.isclose(LENGTH_UNITS[name], mm)), places)
-    return f"{sizes}/{places}"
+    return places if best.candidate.scale == 1.0 else f"{_unit_of_sizes(best, places) or places}/{places}"
+
+
+def _unit_of_sizes(judged: _Judged, places: str) -> str | None:
+    """The unit of sizes if coordinates have the unit ``places``; None if no unit is as long: 0.1 mm, for example."""
+    mm = LENGTH_UNITS[places] * judged.candidate.scale
+    return next((name for name in ("mm", "cm", "dm", "m", "in") if math.isclose(LENGTH_UNITS[name], mm)), None)
 
 
 def _reading(judged: _Judged, columns: BoxColumns, wishes: Wishes, units: _Units | None = None) -> Reading:

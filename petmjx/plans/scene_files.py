@@ -33,6 +33,7 @@ _NO_NUMBER: Final = re.compile(
     re.IGNORECASE,
 )
 """An attribute without a value, or with a value that is not a number."""
+_COMMENT: Final = re.compile(r"<!--.*?-->", re.DOTALL)
 _NO_BOX: Final = re.compile(r"pallet|palette|carrier|floor|ground|table|deck|wall|robot|gripper", re.IGNORECASE)
 """Words in the names of bodies and meshes. A body or mesh with such a word is not taken for a box."""
 
@@ -47,7 +48,8 @@ def source_of_scene(text: str) -> BoxSource:
     """
     import mujoco  # MuJoCo itself interprets all of MJCF: defaults, angles, densities
 
-    if (bad := _NO_NUMBER.search(text)) is not None:  # MuJoCo reads such a mass as one that is not given
+    plain = _COMMENT.sub(lambda comment: re.sub(r"[^\n]", " ", comment[0]), text)
+    if (bad := _NO_NUMBER.search(plain)) is not None:  # MuJoCo reads such a mass as one that is not given
         fault = "must be finite, got nan" if bad[2] else "is missing"
         raise InputError(f"line {1 + text.count(chr(10), 0, bad.start(1))}: {bad[1]} {fault}")
     try:

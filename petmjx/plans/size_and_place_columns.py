@@ -455,7 +455,7 @@ def array_extras(extraction: ColumnExtraction, geometries: Sequence[Geometry]) -
     for index in range(max(used, default=-1) + 1, len(header)):
         values = extraction.numbers_or_median(index)
         is_integer = bool((values == np.rint(values)).all())
-        if is_integer and values.max() <= 5 and (values.min() == 0 or values.max() == 1):
+        if is_integer and values.max() <= 5 and (values.min() == 0 or (values == 1).all()):
             if values.max() > 0 and turns is None:
                 rules = ("swap", "py3dbp") if values.max() <= 1 else ("py3dbp",)
                 turns = Turns(header[index], rules, values.astype(np.int64))

@@ -344,7 +344,8 @@ class Search(Candidates):
                     nodes.append(node)
         if not standing and doubtful:
             standing = yield from self._nearly((), doubtful)
-        self.trials_spent |= not (standing or self._stands) and (self.n_trials >= last or any(queues))
+        if Kind.LEAVE_OUT not in kinds:
+            self.trials_spent |= not (standing or self._stands) and (self.n_trials >= last or any(queues))
         if standing and self.options.worlds and options.profile is None:
             fewest = len(standing[0].changes)
             nodes = sorted((n for n in nodes if len(n.state.changes) == fewest - 1), key=lambda node: node.key)

@@ -275,16 +275,22 @@ def test_a_file_whose_boxes_mostly_overlap_is_refused(tmp_path: Path) -> None:
     assert len(load(tmp_path, "load.csv", content, anchor="corner").plans) == 1
 
 
-@pytest.mark.parametrize(("order", "up"), [((2, 1, 0), "z"), ((1, 2, 0), "y"), ((0, 2, 1), "")])
-def test_the_order_of_boxes_tells_the_vertical_axis(tmp_path: Path, order: tuple[int, int, int], up: str) -> None:
-    """A block of equal boxes stands on each of its sides. It is listed along one axis after the other. x is so rarely
-    the vertical that the vertical is asked for."""
+@pytest.mark.parametrize("is_reversed", [False, True])
+@pytest.mark.parametrize(("order", "other"), [((2, 1, 0), ""), ((1, 2, 0), "y"), ((0, 2, 1), "x")])
+def test_the_order_of_boxes_tells_the_vertical_axis(
+    tmp_path: Path, order: tuple[int, int, int], other: str, is_reversed: bool
+) -> None:
+    """A block of equal boxes stands on each of its sides. It is listed along one axis after the other, from the ground
+    up or from the top down. If the order contradicts z, the vertical is asked for."""
     corners = [(370 * x, 190 * y, 240 * z) for z in range(3) for y in range(4) for x in range(3)]
-    corners.sort(key=lambda corner: [corner[axis] for axis in order])
+    corners.sort(key=lambda corner: [corner[axis] for axis in order], reverse=is_reversed)
     rows = "".join(f"{x},{y},{z},370,190,240,6\n" for x, y, z in corners)
     plan_set = load(tmp_path, "load.csv", f"x [mm],y [mm],z [mm],dx [mm],dy [mm],dz [mm],weight [kg]\n{rows}")
-    assert [reading.up for reading in plan_set.readings.values()] == ([up] if up else [])
-    assert up or "z upwards (no box overlaps or floats of 36), or x upwards" in refusal(plan_set)
+    assert [reading.up for reading in plan_set.readings.values()] == ([] if other else ["z"])
+    if other:
+        message = refusal(plan_set)
+        assert "z upwards (no box overlaps or floats of 36)" in message
+        assert f"{other} upwards" in message
 
 
 def test_tops_with_y_upwards_are_not_taken_for_centres_in_silence(tmp_path: Path) -> None:

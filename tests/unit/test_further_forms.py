@@ -2039,13 +2039,61 @@ def test_corners_of_an_anchor_refer_to_the_axes_of_the_file(tmp_path: Path) -> N
 
 
 def test_a_reading_tells_what_changes_because_of_an_anchor(tmp_path: Path) -> None:
-    """The boxes are listed along y, so y is the vertical, unless this anchor is given."""
-    corners = [(400 * x, 250 * y, 200 * z) for y in range(4) for z in range(4) for x in range(3)]
-    text = "x,y,z,dx,dy,dz,mass\n" + "".join(f"{x},{y},{z},400,250,200,6\n" for x, y, z in corners)
-    for anchor, line in ((None, ""), ("corner-xy", "because of the anchor given: z upwards instead of y upwards")):
-        (reading,) = load(tmp_path, "block.csv", text, units="mm,kg", anchor=anchor).readings.values()
-        assert reading.up == ("z" if line else "y")
+    """The coordinates are those of upper corners. As lower corners, the boxes would stand on one another along y."""
+    boxes = [
+        *((x, 0, 300, 600, 400, 300) for x in (0, 600)),
+        *((x, 400, 300, 400, 400, 300) for x in (0, 400, 800)),
+        *((x, 0, 500, 400, 600, 200) for x in (0, 400, 800)),
+        *((x, 600, 450, size, 200, 150) for x, size in ((0, 500), (500, 300))),
+    ]
+    text = "x,y,z,dx,dy,dz,mass\n" + "".join(f"{','.join(map(str, box))},6\n" for box in boxes)
+    for anchor, line in ((None, ""), ("corner", "because of the anchor given: y upwards instead of z upwards")):
+        (reading,) = load(tmp_path, "pile.csv", text, units="mm,kg", anchor=anchor).readings.values()
+        assert reading.up == ("y" if line else "z")
         assert [note for note in reading.notes if note.startswith("because")] == ([line] if line else [])
+
+
+@pytest.mark.parametrize("unit_of_boxes", ["", " cm"])
+def test_a_container_with_units_tells_nothing_about_numbers_without_units(tmp_path: Path, unit_of_boxes: str) -> None:
+    def length(value: int) -> Any:
+        return f"{value}{unit_of_boxes}" if unit_of_boxes else value
+
+    boxes = [
+        {
+            "position": {"x": length(40 * (k % 3)), "y": length(40 * (k // 3 % 2)), "z": length(30 * (k // 6))},
+            "length": length(40),
+            "width": length(40),
+            "height": length(30),
+            "weight": 6,
+        }
+        for k in range(12)
+    ]
+    text = json.dumps({"pallet": {"length": "120 cm", "width": "80 cm", "height": "150 cm"}, "boxes": boxes})
+    (plan,) = load(tmp_path, "pallet.json", text)
+    assert (plan.size_mm == [400, 400, 300]).all()
+    assert (plan.mass_kg == 6).all()
+
+
+def test_rows_of_numbers_of_several_plans_are_all_read(tmp_path: Path) -> None:
+    rows = [[400 * (k % 3), 300 * (k // 3 % 2), 200 * (k // 6), 400, 300, 200] for k in range(12)]
+    some = {"P7": rows, "P8": rows[:6]}
+    for value in (some, {name: {"boxes": boxes} for name, boxes in some.items()}):
+        assert [(plan.plan_id, plan.n_boxes) for plan in load(tmp_path, "rows.json", json.dumps(value))] == [
+            ("P7", 12),
+            ("P8", 6),
+        ]
+    plans = load(tmp_path, "rows.json", json.dumps({"order-a": rows, "order-b": rows[:6]}))
+    (reading,) = plans.readings.values()
+    assert "6 boxes in order-b[] not read: only the list with the most boxes is" in reading.notes
+
+
+def test_sizes_are_not_read_in_a_unit_without_a_name(tmp_path: Path) -> None:
+    """With a wrong anchor, sizes of a tenth would not overlap."""
+    boxes = [(600 * (k % 2), 400 * (k // 2 % 2), 300 * (k // 4 + 1)) for k in range(8)]
+    text = "x,y,z,dx,dy,dz,mass\n" + "".join(f"{x},{y},{z},600,400,300,9\n" for x, y, z in boxes)
+    for anchor in ("corner", "corner-x", "base-centre", "far-corner"):
+        for plan in load(tmp_path, "pile.csv", text, anchor=anchor):
+            assert sorted(plan.size_mm[0].tolist()) in ([300, 400, 600], [3000, 4000, 6000])
 
 
 def test_a_box_beyond_the_edge_of_the_others_is_refused(tmp_path: Path) -> None:
@@ -2054,6 +2102,9 @@ def test_a_box_beyond_the_edge_of_the_others_is_refused(tmp_path: Path) -> None:
     text = "x,y,z,dx,dy,dz,mass\n" + "".join(f"{x},{y},{z},400,300,200,6\n" for x, y, z in boxes)
     (skipped,) = load(tmp_path, "block.csv", text, units="mm").skipped
     assert skipped.message.endswith("row 9: y is beyond the edge of the other boxes, got -300")
+    beside = [(x, y, z) for x, y, z in boxes if y >= 0]
+    text = "x,y,z,dx,dy,dz,mass\n" + "".join(f"{x},{y},{z},400,300,200,6\n" for x, y, z in [*beside, (0, -300, 0)])
+    assert len(load(tmp_path, "beside.csv", text, units="mm").plans) == 1
 
 
 def test_plans_of_a_file_begin_at_the_same_height(tmp_path: Path) -> None:

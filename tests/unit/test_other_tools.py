@@ -331,5 +331,7 @@ def test_strict_errors_about_objects_name_them_once(form: Any) -> None:
 
 @pytest.mark.parametrize("is_late", [False, True])
 def test_a_box_listed_before_its_support_makes_an_order_implausible(is_late: bool) -> None:
-    low = np.array([(0, 0, 400), (0, 0, 0)] if is_late else [(0, 0, 0), (0, 0, 400)], float)
-    assert bool(order_cost([Layout(low, np.full((2, 3), 400.0), np.full(3, np.nan))])) == is_late
+    """Two stacks of two boxes. Both are listed from the ground up, or one of them from the top down."""
+    lower, upper = [(0, 0, 0), (400, 0, 0)], [(0, 0, 400), (400, 0, 400)]
+    low = np.array([lower[0], upper[1], upper[0], lower[1]] if is_late else lower + upper, float)
+    assert bool(order_cost([Layout(low, np.full((4, 3), 400.0), np.full(3, np.nan))])) == is_late

@@ -1165,7 +1165,8 @@ def test_plans_are_built_anew_in_a_share_of_the_trials(forbid: tuple[str, ...]) 
     search = Search(plan, Simulation(), RepairOptions(worlds=0, forbid=forbid), is_wide=True)
     search.begin(falls)
     node = Node(State(Draft.of(plan), (), falls), (Fault(11, 1.0),))
-    standing, _ = result_of(search._changed([node], search.options.kinds, 200), lambda some: [falls] * len(some))
+    kinds = search.options.kinds - {Kind.LEAVE_OUT}
+    standing, _ = result_of(search._changed([node], kinds, 200), lambda some: [falls] * len(some))
     assert standing == []
     assert search.trials_spent
     most = int(ALONE * 200) + WIDE_AT_ONCE[-1] + int(BUILT_ANEW * 200)

@@ -166,6 +166,7 @@ def test_workers_with_kernels_give_the_tables_of_one_process(tmp_path: Path, mon
         make_plan("stands", heavy),
         make_plan("tips", (*heavy, ((400, 300, 200), (220, 0, 400), 5.0))),
     ]
+    assert "[0.8, 1.0]" in GRID
     (file := tmp_path / "sweep.toml").write_text(GRID.replace("[0.8, 1.0]", "[0.8]"))
     alone = petmjx.sweep(file, plans, engine="mjx-warp-cpu", threads=1)
     pool = WorkerPool(Recipe("mjx-warp-cpu", {"threads": 1}), [Place(1), Place(1)], Cluster())
