@@ -139,7 +139,7 @@ def test_a_click_shows_the_plan_in_3d_and_its_boxes(open_page: OpenPage, html: s
 
 
 def test_a_click_on_a_box_names_it(open_page: OpenPage, html: str) -> None:
-    opened = opened_report(open_page, html, fragment="plan=plan-0")
+    opened = opened_report(open_page, html, fragment="plan=plan-0", width=1280)
     opened.until("document.querySelectorAll('.card3d canvas').length === 1")
     opened.settled()
     opened.page.locator(".card3d canvas").click()  # a click in the middle of the picture
