@@ -4,7 +4,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 TESTS ?= tests
-TEST_PROCESSES ?= 2
+# Tests wait for processes and browsers, so three test processes are faster than two on two cores (535 instead of 603 s).
+TEST_PROCESSES ?= 3
 DEMO_OUT := petmjx-results/demo
 BENCH_OUT := petmjx-results/bench.jsonl
 

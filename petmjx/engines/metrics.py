@@ -271,7 +271,8 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
         "pos", "m",
         {"pos_x_m": "final centre, x", "pos_y_m": "final centre, y",
          "pos_z_m": "final centre, z; 0 is the carrier's top"},
-        SampleAt.END, "c; two runs are compared by the distance between their centres", compared=False,
+        SampleAt.END, "the box's centre c; `petmjx compare` compares two runs by the distance between the two centres "
+                      "of a box", compared=False,
     ),
     BoxMetric(
         "quat", DIMENSIONLESS, {f"quat_{part}": f"final orientation, unit quaternion, {part}" for part in "wxyz"},
