@@ -187,6 +187,7 @@ def sources_of_object(value: Any) -> list[BoxSource]:
     Raises:
         InputError: the object holds no boxes.
     """
+    value = _with_text_names(value)
     if isinstance(value, np.ndarray):
         return sources_of_arrays({"": value})
     if bins := _bins_of(value):
@@ -197,6 +198,21 @@ def sources_of_object(value: Any) -> list[BoxSource]:
     if not sources:
         raise InputError("holds no boxes: petmjx looks for objects with places and sizes")
     return sources
+
+
+def _with_text_names(value: Any, depth: int = 0) -> Any:
+    """A nested value in which all names of dictionaries are texts, as in JSON: 7 becomes "7"."""
+    if depth > _DEEPEST_NAMES:
+        return value
+    if isinstance(value, Mapping):
+        return {str(name): _with_text_names(inner, depth + 1) for name, inner in value.items()}
+    if type(value) in (list, tuple):
+        return [_with_text_names(inner, depth + 1) for inner in value]
+    return value
+
+
+_DEEPEST_NAMES: Final = 32
+"""Boxes are not expected in dictionaries and lists that are nested more deeply than this."""
 
 
 def sources_of_frame(frame: Any) -> list[BoxSource]:

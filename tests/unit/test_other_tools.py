@@ -329,6 +329,14 @@ def test_strict_errors_about_objects_name_them_once(form: Any) -> None:
         petmjx.load_plans(form(rows), strict=True)
 
 
+@pytest.mark.parametrize("name", [7, None, np.int64(7), "P7"])
+def test_names_of_dictionaries_may_be_any_values(name: Any) -> None:
+    boxes = [{"x": 400 * k, "y": 0, "z": 0, "length": 400, "width": 300, "height": 200, "weight": 5} for k in range(3)]
+    for value in ({name: boxes}, {"P7": dict(zip((name, 1, 2), boxes, strict=True))}):
+        (plan,) = petmjx.load_plans(value)
+        assert plan.corner_mm[:, 0].tolist() == [0, 400, 800]
+
+
 @pytest.mark.parametrize("is_late", [False, True])
 def test_a_box_listed_before_its_support_makes_an_order_implausible(is_late: bool) -> None:
     """Two stacks of two boxes. Both are listed from the ground up, or one of them from the top down."""
