@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import Final
 
@@ -77,6 +78,12 @@ def box_in_words(box: int, article: str) -> str:
 def box_label(box: int, article: str) -> str:
     """A short label of a box, such as "22 candy-00100723", or "22" if the box has no article."""
     return f"{box} {article}" if article else str(box)
+
+
+def blanked(text: str) -> str:
+    """Spaces and line ends, as many as the text has characters. In their place, messages about the text around them
+    still name the right line and column."""
+    return re.sub(r"[^\n]", " ", text)
 
 
 def number_in(text: str) -> float | None:

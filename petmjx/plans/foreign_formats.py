@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from petmjx.common.errors import InputError
+from petmjx.common.text import blanked
 from petmjx.common.unreadable_files import foreign_kind, program_kind
 from petmjx.plans.column_names import words_of
 from petmjx.plans.file_formats import NoBoxes, NoGeometry, nul_fault
@@ -98,9 +99,8 @@ _LAST_COMMA: Final = re.compile(r'("(?:\\.|[^"\\\n])*+")|,(?=\s*+[}\]])')
 
 
 def _blank(match: re.Match[str]) -> str:
-    """The replacement of a comment or comma: spaces and line ends of the same length, so that messages still name the
-    right line and column."""
-    return match[1] if match.re.groups and match[1] else re.sub(r"[^\n]", " ", match[0])
+    """The replacement of a comment or comma."""
+    return match[1] if match.re.groups and match[1] else blanked(match[0])
 
 
 def without_comments(data: bytes | bytearray) -> bytearray | None:

@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -85,10 +84,10 @@ class PlanBuilder:
         for row in rows_below_deck(low, plans, size):
             self.faults.setdefault(row, height_fault(reading, candidate, row))
         self.decks = pallet_rows(self.columns, plans, size, low)
-        several = [range_faults(self.columns, reading, candidate)]
+        faults = range_faults(self.columns, reading, candidate)
         if not self.wishes.exact:  # a written reading has been checked by its author
-            several.append(edge_faults(self.columns, reading, candidate, plans))
-        for row, fault in chain.from_iterable(faults.items() for faults in several):
+            faults = edge_faults(self.columns, reading, candidate, plans) | faults
+        for row, fault in faults.items():
             self.faults.setdefault(row, fault)
         mass = masses_kg(
             *(self.columns, reading.masses, size, self.wishes, self.faults, self.notes),

@@ -322,7 +322,7 @@ class _OrderBuilder:
         cost += 20.0 * (float(size.max()) > LARGEST_MM) + 20.0 * (float(size.min()) < SMALLEST_MM)
         container = self._container(next(iter(columns.boxes.containers), ""))
         if container is not None:
-            cost += deck_cost(container[:2] * factor, True)
+            cost += deck_cost(container[:2] * factor)
         if columns.weight is None or columns.weight_is_density:
             return cost
         kg = columns.weight[good] * MASS_UNITS[mass]

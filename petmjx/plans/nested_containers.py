@@ -309,7 +309,7 @@ def _has_units(value: Mapping[str, Any]) -> bool:
     return any(number is not None and number.unit in LENGTH_UNITS for number in cells)
 
 
-_LENGTHS: Final = frozenset(("size", "sizes", "position", "positions", "low", "high"))
+_LENGTHS: Final = _PLACES | {"size", "sizes", "high"}
 
 
 def _sizes_in(value: Mapping[str, Any], *, in_mm: bool = True) -> dict[str, float]:

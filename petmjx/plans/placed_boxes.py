@@ -27,7 +27,7 @@ from petmjx.plans.plan_fields import (
     coordinate_fault,
     positive_fault,
 )
-from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
+from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, shared_length
 from petmjx.plans.raw_cells import cell_number, thousands_faults
 from petmjx.plans.reading_candidates import Candidate, axis_up, layout_of, level_axes
 from petmjx.plans.reading_choice import container_of
@@ -392,8 +392,7 @@ def _touches_next(low: FloatArray, size: FloatArray, box: int, axis: int, tolera
     high = low + size
     touch = np.abs(low[:, axis] - high[box, axis]) <= tolerance
     for other in {0, 1, 2} - {axis}:
-        shared = np.minimum(high[:, other], high[box, other]) - np.maximum(low[:, other], low[box, other])
-        touch &= shared > tolerance
+        touch &= shared_length(low[:, other], high[:, other])[box] > tolerance
     return bool(touch.any())
 
 

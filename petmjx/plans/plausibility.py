@@ -40,6 +40,7 @@ _PALLETS: Final = 10
 """Number of carriers at the beginning of ``_DECKS_MM`` that are always considered: the pallets and the roll container.
 The other carriers are considered only if the file names them."""
 _INCHES_48: Final = 1219.2
+"""Length of a pallet of 48 inches, mm."""
 _DECK_SPREAD: Final = 0.6
 _LARGE_MM: Final = 1000.0
 """The footprint of a load counts as evidence only for carriers at least this long. Smaller carriers are no larger than
@@ -366,17 +367,20 @@ def _squared(value: float, usual: float, spread: float) -> float:
     return (math.log(value / usual) / spread) ** 2 / 2 if value > 0 else 50.0
 
 
-def deck_cost(deck_mm: FloatArray, known: bool, free_mm: float = 0.0, unit: str = "mm") -> float:
-    """Cost of an unusual deck, if the deck is known; else the cost of an unusual footprint of the load. A footprint may
-    be smaller than the deck.
+def deck_cost(deck_mm: FloatArray) -> float:
+    """Cost of an unusual deck."""
+    long, short = float(deck_mm.max()), float(deck_mm.min())
+    return -2.5 if _is_usual(long, short) else min(_squared(long, 1200.0, _DECK_SPREAD), 6.0)
+
+
+def footprint_cost(footprint_mm: FloatArray, free_mm: float, unit: str) -> float:
+    """Cost of an unusual footprint of a load whose deck is not known. A footprint may be smaller than the deck.
 
     Args:
         free_mm: smallest level side of the boxes.
         unit: unit of lengths.
     """
-    long, short = float(deck_mm.max()), float(deck_mm.min())
-    if known:
-        return -2.5 if _is_usual(long, short) else min(_squared(long, 1200.0, _DECK_SPREAD), 6.0)
+    long, short = float(footprint_mm.max()), float(footprint_mm.min())
     if _fills(long, short, free_mm, unit):
         return _FULL
     if any(long <= (1 + _NEAR) * side and short <= (1 + _NEAR) * other for side, other in _DECKS_MM[:_PALLETS]):

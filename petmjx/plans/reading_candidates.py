@@ -117,7 +117,7 @@ def layout_of(columns: BoxColumns, candidate: Candidate, container: Mapping[str,
     low = place - candidate.point * size
     extents = _container_along(candidate, container or {}, order)
     if candidate.up == "y" and container and container.keys() == {"0", "1", "2"}:
-        listed = np.array([*container.values()])  # perhaps length, width, height, not x, y, z
+        listed = np.array([container[axis] for axis in "012"])  # perhaps length, width, height, not x, y, z
         far = np.nanmax(low + size, axis=0)
         is_listed = (far <= listed).all() and ((far > extents).any() or listed[2] > extents[2])
         extents = listed if is_listed else extents

@@ -23,6 +23,7 @@ from petmjx.plans.plausibility import (
     converted_share,
     deck_cost,
     density_cost,
+    footprint_cost,
     is_wall,
     layout_cost,
     load_fit,
@@ -225,7 +226,8 @@ def _units(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[_Units]
         factor = LENGTH_UNITS[length]
         mean_mm = side * factor
         cost = length_prior + side_cost(mean_mm)
-        cost += deck_cost(deck * factor, is_deck, free * factor, length)
+        deck_mm = deck * factor
+        cost += deck_cost(deck_mm) if is_deck else footprint_cost(deck_mm, free * factor, length)
         cost += 20.0 * (largest_side * factor > 6_000.0) + 20.0 * (smallest_side * factor < 1.0)
         for mass, mass_prior in masses.items():
             density = unit_density * MASS_UNITS[mass] / (factor / 1000.0) ** 3

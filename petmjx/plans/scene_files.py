@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from petmjx.common.errors import InputError
-from petmjx.common.text import count_text, first_names
+from petmjx.common.text import blanked, count_text, first_names
 from petmjx.common.units import FloatArray
 from petmjx.plans.known_forms import GLTF, SCENE, THREE_JS, BoxSource
 from petmjx.plans.nested_fields import flattened
@@ -48,7 +48,7 @@ def source_of_scene(text: str) -> BoxSource:
     """
     import mujoco  # MuJoCo itself interprets all of MJCF: defaults, angles, densities
 
-    plain = _COMMENT.sub(lambda comment: re.sub(r"[^\n]", " ", comment[0]), text)
+    plain = _COMMENT.sub(lambda comment: blanked(comment[0]), text)
     if (bad := _NO_NUMBER.search(plain)) is not None:  # MuJoCo reads such a mass as one that is not given
         fault = "must be finite, got nan" if bad[2] else "is missing"
         raise InputError(f"line {1 + text.count(chr(10), 0, bad.start(1))}: {bad[1]} {fault}")

@@ -392,10 +392,16 @@ class Search(Candidates):
             best[k] = state
         return [state for state in best if state.trial.stands] or [*scored]
 
+    @property
+    def _defers_scores(self) -> bool:
+        """Whether plans are judged first, and scored only if nothing else is left. On a GPU, a score would keep all
+        searches waiting. With a profile, all trials are scores."""
+        return self.is_wide and self.options.profile is None
+
     def _is_doubtful(self, state: State) -> bool:
         """Whether a plan stands when judged, but would need a score, because it still moves, or needs further attempts
-        (docs/rules.md, section 9). On a GPU, such a score would keep all searches waiting."""
-        return self.is_wide and self.options.profile is None and state.trial.stands and not state.trial.is_score
+        (docs/rules.md, section 9)."""
+        return self._defers_scores and state.trial.stands and not state.trial.is_score
 
     def _nearly(self, nodes: Sequence[Node], doubtful: list[State]) -> Steps[list[State]]:
         """Score a few changed plans, and return those that stand, with the fewest changes. The search scores plans with
@@ -475,9 +481,8 @@ class Search(Candidates):
     def _stripped(self, state: State) -> Steps[list[State]]:
         """The state without the boxes that fall. Boxes that fall are left out one by one, with all boxes on them, until
         the remaining boxes stand. The result is empty if a box that is already built, or the last box, would have to be
-        left out. The loop always ends, since each step leaves out a box. On a GPU, plans are judged before they are
-        scored, since scores of plans that fall would keep all searches waiting."""
-        is_judged = self.is_wide and self.options.profile is None
+        left out. The loop always ends, since each step leaves out a box. If scores are deferred, plans are judged
+        before they are scored."""
         while True:
             while not state.trial.stands:
                 lifted = lifted_with(state.draft, _lost(state.draft, state.trial))
@@ -487,9 +492,9 @@ class Search(Candidates):
                 draft = applied(self._start, changes)
                 if draft is None:
                     return []
-                (trial,) = yield from self._simulated([draft], judged=is_judged)
+                (trial,) = yield from self._simulated([draft], judged=self._defers_scores)
                 state = State(draft, changes, trial)
-            if not is_judged:
+            if not self._defers_scores:
                 return [state]
             (state,) = yield from self._scored([state])
             if state.trial.stands:
