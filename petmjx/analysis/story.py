@@ -28,6 +28,7 @@ from petmjx.results.history_tables import read_history
 from petmjx.results.recording import Recording
 from petmjx.results.run_folder import RUN_FILE
 from petmjx.results.run_reader import RunResults, load_run, read_outcome, world_row
+from petmjx.runs.sweep_cost import work_of
 from petmjx.runs.sweep_file import nominal_sweep
 from petmjx.runs.sweep_run import SweepRun
 from petmjx.runs.sweep_summary import SweepColumns
@@ -171,7 +172,7 @@ def _of_plans(plan_id: str, source: PlanSource | None, record: Record, options: 
     sweep, run = nominal_sweep(Simulation(**of_simulation)), RunOptions(**of_run)
     plan = find_plan(usable_plans(source, sweep.simulation, run), plan_id)
     worlds = SweepPlan(sweep, [plan])
-    with engine_for(run, worlds.work()) as (engine, _):
+    with engine_for(run, work_of(worlds)) as (engine, _):
         return _story(worlds, 0, engine, record)
 
 

@@ -135,10 +135,10 @@ class Design:
         """Number of replicates (repetitions with other random numbers) of a chain; 1 if nothing in the chain is
         random."""
         random = [axis.random for axis in self.sweep.axes.values()]
-        random += [self._is_drawn(drive) for legs in self.ways.values() for leg in legs for drive in leg.drives]
+        random += [self.is_drawn(drive) for legs in self.ways.values() for leg in legs for drive in leg.drives]
         return self.sweep.replicates if any(random) else 1
 
-    def _is_drawn(self, drive: DriveSpec) -> bool:
+    def is_drawn(self, drive: DriveSpec) -> bool:
         """Whether a drive (motion of the carrier) has random numbers, so that it differs from world to world."""
         return drive.scale_to is not None or self.sweep.profiles[drive.profile].random
 
@@ -217,7 +217,7 @@ class Design:
             variant
             for _, variants in self.placements()
             for variant in variants
-            if variant.placement.random or any(map(self._is_drawn, _drives(variant)))
+            if variant.placement.random or any(map(self.is_drawn, _drives(variant)))
         )
         return {variant.index: variant.replicate for variant in drawn}
 

@@ -30,6 +30,7 @@ from petmjx.runs.chain_legs import PLACING, after, with_sustained_force
 from petmjx.runs.forked_worlds import Batching, DriveWorld, LegStart, LegWorld, PlacementWorld, SettledPlacement, Test
 from petmjx.runs.level_search import Bisection, Probe, SearchBracket
 from petmjx.runs.study import FinishedWorld, LegEnd
+from petmjx.runs.sweep_cost import job_bounds
 from petmjx.runs.sweep_design import SearchItem
 from petmjx.runs.sweep_worlds import PlacementGroup, SweepPlan
 from petmjx.world.job import Job
@@ -295,7 +296,7 @@ class SweepRun:
         begin = time.perf_counter()
         n_settled = 0
         ready: list[DriveWorld | LegWorld] = []
-        following, bounds = partial(_drained, ready), self.plan.job_bounds(groups)
+        following, bounds = partial(_drained, ready), job_bounds(self.plan, groups)
         worlds: Iterator[PlacementWorld | DriveWorld | LegWorld] = self._placements(groups, keep_state=True)
         for result in self._score(worlds, self.batching.drives, forks=True, following=following, bounds=bounds):
             if isinstance(result.world, DriveWorld):

@@ -18,6 +18,7 @@ from petmjx.runs.chain_summary import ChainColumns, write_chain
 from petmjx.runs.confidence import write_confidence
 from petmjx.runs.forked_worlds import Batching
 from petmjx.runs.study import FinishedWorld, Study
+from petmjx.runs.sweep_cost import work_of
 from petmjx.runs.sweep_design import sweep_identity
 from petmjx.runs.sweep_file import Sweep
 from petmjx.runs.sweep_run import SweepRun, Tally
@@ -67,7 +68,7 @@ class SweepStudy(Study):
             sim=sweep.simulation,
             everything=everything,
             plans=plan.plans,
-            work=plan.work(),
+            work=work_of(plan),
             n_worlds=plan.n_worlds,
             known=sweep.search is None,
             first_variant=int(not sweep.nominal),

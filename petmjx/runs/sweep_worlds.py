@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -11,12 +11,8 @@ from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
 from petmjx.common.units import STANDARD_GRAVITY, deg_to_rad, seconds_to_steps
-from petmjx.engines.cost_model import Work, rest_steps
-from petmjx.engines.job_stream import JobBounds
 from petmjx.options.carriers import walls_of
-from petmjx.options.placing import Way
 from petmjx.options.simulation import Check, Schedule
-from petmjx.plans.loose_boxes import statics_of
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import Skipped
 from petmjx.runs.chain_legs import in_a_row
@@ -30,10 +26,6 @@ from petmjx.world.profiles.profile import Profile, Strength, allowed_sway_m
 from petmjx.world.random_streams import WorldKey
 from petmjx.world.scene import Scene, build_scene
 from petmjx.world.variants import DriveSpec, LegSpec, Variant, apply_all
-
-_TILTED: Final = 0.5
-"""Expected share of the steps of a tilting profile that are simulated. The share is below 1, since pallets slide or
-topple before the end of the profile."""
 
 _ERRORS: Final = frozenset({"size_mm", "size_rel", "x_mm", "y_mm", "yaw_deg"})
 """Fields of a variant that hold errors of places or sizes. If a variant has such an error, a hand carries boxes to
@@ -134,7 +126,7 @@ class SweepPlan(Design):
     def _has_time(self, plan: Plan) -> bool:
         """Whether a profile can begin before the simulation of a plan ends. A plan without time for a profile is added
         to ``skipped``."""
-        left = self._drive_steps_left(plan)
+        left = self.drive_steps_left(plan)
         if left is None or left > 0:
             return True
         at = f"at {self.sweep.simulation.total_time_factor:g} times the placement time (total_time_factor)"
@@ -253,7 +245,7 @@ class SweepPlan(Design):
         drives = [drive for drive in made if drive is not None]
         if len(drives) == 1:
             return drives[0]
-        random = any(map(self._is_drawn, leg.drives))
+        random = any(map(self.is_drawn, leg.drives))
         key = (leg, plan.plan_id, variant.replicate) if random else (leg, "", 0)
         if key not in self._rows:
             if random:
@@ -287,7 +279,7 @@ class SweepPlan(Design):
             # gravity
             turned = excitation.samples * (sim.physics.gravity_m_s2 / STANDARD_GRAVITY)
             excitation = replace(excitation, samples=turned)
-        left = self._drive_steps_left(plan)
+        left = self.drive_steps_left(plan)
         if left is None:
             return Drive(excitation, rest_s=sim.rest_s)
         samples = excitation.samples[:left]
@@ -296,7 +288,7 @@ class SweepPlan(Design):
         rest_s = (left - len(samples) + 0.5) * timestep_s
         return Drive(replace(excitation, samples=samples), rest_s=rest_s)
 
-    def _drive_steps_left(self, plan: Plan) -> int | None:
+    def drive_steps_left(self, plan: Plan) -> int | None:
         """Number of steps from the beginning of a drive to the end of the simulation. If ``total_time_factor`` does not
         set the end, the result is None."""
         sim = self.sweep.simulation
@@ -306,72 +298,13 @@ class SweepPlan(Design):
         total_s = sim.total_time_factor * (sim.interval_s * plan.n_boxes)
         return seconds_to_steps(total_s, timestep_s) - seconds_to_steps(self.drive_start_s(plan), timestep_s)
 
-    def job_bounds(self, groups: Collection[PlacementGroup]) -> JobBounds:
-        """Limits for the jobs of these placements and of the drives and legs that follow them, such as the largest
-        number of steps. With these limits, engines prepare themselves before the first job."""
-        sim, profiles = self.sweep.simulation, self.sweep.profiles.values()
-        jobs = sum(max(len(group.variants), 1) for group in groups)
-        box_counts = {group.plan.n_boxes for group in groups}
-        if self.sweep.legs:
-            legs = {leg for legs in self.ways.values() for leg in legs}
-            drawn = any(self._is_drawn(drive) for leg in legs for drive in leg.drives)
-            wraps = sim.wrap.holds or any(leg.wrap_turns for leg in legs)
-            return JobBounds(jobs, box_counts, max(map(self._leg_samples, legs)), None if drawn else len(legs), wraps)
-        drive_steps = max((profile.n_steps(sim.physics.timestep_s) for profile in profiles), default=0)
-        if sim.total_time_factor is not None:
-            drive_steps = min(drive_steps, max(self._drive_steps_left(group.plan) or 0 for group in groups))
-        # with the fixed schedule, a profile of forces begins at a different time in each plan, so its samples differ
-        # between plans
-        drawn = any(profile.random for profile in profiles) or sim.schedule is Schedule.FIXED
-        wraps = sim.wrap.holds or "wrap_turns" in self.sweep.axes
-        return JobBounds(jobs, box_counts, drive_steps, None if drawn else len(profiles), wraps)
-
-    def _leg_samples(self, leg: LegSpec) -> int:
-        """Number of steps of a leg, which is the number of steps of all its drives and of the pauses between the
-        drives."""
-        timestep_s = self.sweep.simulation.physics.timestep_s
-        pauses = (len(leg.drives) - 1 if leg.drives else 1) * seconds_to_steps(leg.pause_s, timestep_s)
-        return pauses + sum(self.sweep.profiles[drive.profile].n_steps(timestep_s) for drive in leg.drives)
-
-    # Cost.
-
-    def work(self) -> Work:
-        """The amount of work of all worlds, for estimates of time."""
-        sim, profiles = self.sweep.simulation, list(self.sweep.profiles.values())
-        drives = [
-            profile.n_steps(sim.physics.timestep_s) * (_TILTED if profile.strength is Strength.ANGLE else 1)
-            + rest_steps(sim, sim.rest_s)
-            for profile in profiles
-        ]
-        if sim.total_time_factor is not None:
-            drives = [self._drive_steps_left(plan) or 0 for plan in self.plans]
-        nominal = int(self.sweep.nominal)
-        filmed = float(sim.wrap.holds or "wrap_turns" in self.sweep.axes)
-        if self.sweep.legs:
-            legs = [leg for legs in self.ways.values() for leg in legs]
-            drives = [self._leg_samples(leg) + rest_steps(sim, sim.rest_s) for leg in legs]
-            in_film = (steps for leg, steps in zip(legs, drives, strict=True) if leg.wrap_turns)
-            filmed = max(filmed, sum(in_film) / max(sum(drives), 1.0))
-        n_legs = len(drives) / len(self.ways) if self.sweep.legs else 1
-        return Work(
-            sim=sim,
-            boxes=[plan.n_boxes for plan in self.plans],
-            placements=self._all_placements,
-            displaced=self._displaced,
-            carried=self._carried,
-            drives=round((self.n_variants - nominal) * n_legs) if self.sweep.has_drives else 0,
-            drive_steps=sum(drives) / len(drives) if drives else 0.0,
-            filmed=filmed,
-            **statics_of(self.plans)._asdict(),
-        )
-
     @property
     def amount(self) -> str:
         """A text about the size of the sweep: the numbers of worlds, plans, variants and placements."""
         if not self.sweep.axes and not self.sweep.legs:
             return count_text(len(self.plans), "plan")
         most = "at most " if self.sweep.search is not None else ""
-        placements = count_text(len(self.plans) * self._all_placements, "placement")
+        placements = count_text(len(self.plans) * self.all_placements, "placement")
         return f"{most}{count_text(self.n_worlds, 'world')} ({self._plans_and_variants}) from {placements}"
 
     @property
@@ -380,34 +313,7 @@ class SweepPlan(Design):
         return any(_ERRORS & {*AXIS_KINDS[name].changes} for name in self.sweep.axes)
 
     @property
-    def _displaced(self) -> int:
-        """Number of placements per plan in which boxes appear at places with errors and the schedule waits until the
-        pallet is quiet."""
-        sim = self.sweep.simulation
-        waits = sim.check is Check.ONE_BY_ONE and sim.schedule is Schedule.ADAPTIVE
-        if "placing" in self.sweep.axes:
-            return self._with_errors - min(self._carried, self._with_errors)
-        return self._with_errors if waits and not sim.may_carry else 0
-
-    @property
-    def _carried(self) -> int:
-        """Number of placements per plan in which boxes are carried to their places. Placements without errors are
-        counted only if the sweep has an axis ``placing``."""
-        sim = self.sweep.simulation
-        if not sim.may_carry:
-            return 0
-        if "placing" in self.sweep.axes:
-            ways = self.sweep.axes["placing"].values
-            return self.n_placements * sum(Way(str(way)) in (Way.HAND, Way.TINES) for way in ways) // len(ways)
-        return self._with_errors
-
-    @property
-    def _with_errors(self) -> int:
-        """Number of placements per plan in which places or sizes have random errors."""
-        return self.n_random_placements if self.has_errors else 0
-
-    @property
-    def _all_placements(self) -> int:
+    def all_placements(self) -> int:
         """Number of placements per plan, including the placement of the nominal world."""
         return self.n_placements + int(self.sweep.nominal)
 

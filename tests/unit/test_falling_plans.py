@@ -33,6 +33,7 @@ from petmjx.plans.plan_validation import parse_plan
 from petmjx.results.recording import Recording
 from petmjx.results.resume import CompletedWorlds
 from petmjx.runs.study import Nominal
+from petmjx.runs.sweep_cost import work_of
 from petmjx.runs.sweep_file import find_sweep, load_sweep
 from petmjx.runs.sweep_worlds import SweepPlan
 from petmjx.world.edge_distances import EdgeRisk
@@ -202,7 +203,7 @@ def test_film_makes_steps_of_a_drive_dearer() -> None:
     and step."""
     plans = [boxes((0, 0, 0), (0, 0, 200))]
     bare, filmed = (
-        SweepPlan(load_sweep(find_sweep(name), plans_given=True), plans).work()
+        work_of(SweepPlan(load_sweep(find_sweep(name), plans_given=True), plans))
         for name in ("eumos-search", "wrap-search")
     )
     assert (bare.filmed, filmed.filmed) == (0.0, 1.0)

@@ -17,6 +17,7 @@ from petmjx.options.placing import Placing, Way
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan_writer import save_plans
 from petmjx.runs.confidence import confidence_sweep
+from petmjx.runs.sweep_cost import work_of
 from petmjx.runs.sweep_file import load_sweep
 from petmjx.runs.sweep_worlds import SweepPlan
 from petmjx.world.approach_paths import approach_path_of
@@ -58,7 +59,7 @@ def test_nobody_is_carried_where_nobody_waits(options: dict[str, Any]) -> None:
     ],
 )
 def test_estimates_know_which_placements_have_errors(options: dict[str, Any], displaced: int, carried: int) -> None:
-    work = SweepPlan(confidence_sweep(3, None, options), (make_plan("two", BOXES),)).work()
+    work = work_of(SweepPlan(confidence_sweep(3, None, options), (make_plan("two", BOXES),)))
     assert (work.placements, work.displaced, work.carried) == (4, displaced, carried)
 
 

@@ -11,6 +11,7 @@ from support.sweeps import EUMOS_GRID, QUICK, Recorder, leaning, write_sweep
 
 import petmjx
 from petmjx.engines.verdict import Flag
+from petmjx.runs.sweep_cost import job_bounds
 from petmjx.runs.sweep_file import load_sweep
 from petmjx.runs.sweep_run import SweepRun
 from petmjx.runs.sweep_worlds import SweepPlan
@@ -49,7 +50,7 @@ def test_the_bounds_of_a_sweep_hold_for_all_of_its_drives(name: str) -> None:
     drives = [plan.drive(*world) for world in worlds]
     drives += [plan.leg_drive(*world, leg) for world in worlds for leg in world[1].legs]
     excitations = [drive.excitation for drive in drives if drive is not None]
-    bounds = plan.job_bounds(groups)
+    bounds = job_bounds(plan, groups)
     assert bounds.box_counts == {scene.n_boxes for _, scene in plan.scenes(groups)}
     assert bounds.drive_steps == max(len(excitation.samples) for excitation in excitations)
     assert bounds.excitations is None or bounds.excitations == len({id(excitation) for excitation in excitations})
