@@ -1,10 +1,8 @@
 """``petmjx.loads`` compares two forces on the top of each box of a run with the strength of the box: the force at rest,
 and the largest force.
 
-The strength of a box in a stack is the strength measured in a press, multiplied by factors for the box's place in the
-stack, for moist air and for time (petmjx.options.stacking). The factors for the place depend on how much of the box's
-walls is loaded and supported (petmjx/analysis/carton_walls.py). petmjx/analysis/crushing.py determines which boxes are
-crushed, surely or possibly. Verdicts do not depend on strengths.
+petmjx/analysis/stacked_strength.py computes the strength of a box in a stack. petmjx/analysis/crushing.py determines
+which boxes are crushed, surely or possibly. Verdicts do not depend on strengths.
 """
 
 from __future__ import annotations
@@ -15,11 +13,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
 import pandas as pd
 
 from petmjx.analysis.arrival_shares import WAY_UNITS, ways_of
-from petmjx.analysis.carton_walls import walls_of
 from petmjx.analysis.crushing import (
     BOX_UNITS,
     PLAN_UNITS,
@@ -27,12 +23,11 @@ from petmjx.analysis.crushing import (
     crushed_worlds,
     with_crush_shares,
 )
+from petmjx.analysis.stacked_strength import remaining_share, stacked_strengths
 from petmjx.common.argument_checks import path_of
 from petmjx.common.atomic_write import write_errors
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable, printable_name
-from petmjx.common.units import MM_PER_M, FloatArray
-from petmjx.options.carriers import Carrier, OwnCarrier, extent_m
 from petmjx.options.stacking import Stacking
 from petmjx.plans.articles import Articles, read_articles
 from petmjx.plans.plan import Plan
@@ -41,7 +36,6 @@ from petmjx.results.documented_tables import check_tables_free, write_documented
 from petmjx.results.plan_lookup import find_plans
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import RunResults, is_chain, load_run
-from petmjx.world.carrier_boards import pallet
 
 _MOST_NAMED: Final = 8
 """Largest number of articles that a note names."""
@@ -202,7 +196,7 @@ def loads(
     else:
         strengths = articles if isinstance(articles, Articles) else read_articles(path_of(articles, "articles"))
     of_run = _plans_of(results, plans)
-    known, missing = _strengths(of_run.values(), strengths, losses, results.carrier)
+    known, missing = stacked_strengths(of_run.values(), strengths, losses, results.carrier)
     if articles is None and known["strength_n"].isna().all():
         raise InputError(f"{results.path}: the plans have no strengths (strength_n): give a table of articles")
     shares = {force: share for force, share in _SHARES.items() if force in results.boxes}
@@ -215,7 +209,7 @@ def loads(
     )
     spread = losses.loss_spread
     boxes = with_crush_shares(
-        boxes, (_remaining_share(losses.time_loss, 1 + spread), _remaining_share(losses.time_loss, 1 - spread))
+        boxes, (remaining_share(losses.time_loss, 1 + spread), remaining_share(losses.time_loss, 1 - spread))
     )
     boxes = boxes[[name for name in _BOX_UNITS if name in boxes]]
     notes = (*results.doubts("the run"), *_notes(missing), *_film_notes(results))
@@ -244,74 +238,6 @@ def _plans_of(results: RunResults, plans: PlanSource | None) -> Mapping[str, Pla
         if plan_ids:
             raise InputError(f"{results.path}: plan {printable_name(plan_ids[0])} {fault}")
     return plans_again.plans
-
-
-_FACTORS: Final = ("wall_factor", "overhang_factor", "deck_factor", "humidity_factor")
-_STRENGTH: Final = ("press_strength_n", *_FACTORS, "strength_n", "time_factor", "strength_low_n", "strength_high_n")
-
-
-def _strengths(
-    plans: Iterable[Plan], articles: Articles, losses: Stacking, carrier: Carrier | OwnCarrier
-) -> tuple[pd.DataFrame, Counter[str]]:
-    """Return a table with the strength of each box, without sheets, and the number of boxes of each article that has no
-    known strength."""
-    parts: list[pd.DataFrame] = []
-    missing: Counter[str] = Counter()
-    for plan in plans:
-        groups = plan.product_groups or ("",) * plan.n_boxes
-        sizes = plan.size_mm[:, :2].tolist()
-        materials = plan.materials or ("",) * plan.n_boxes
-        strength_n = np.full(plan.n_boxes, np.nan) if plan.strength_n is None else plan.strength_n.copy()
-        names = zip(plan.articles, groups, materials, strict=True)
-        sheets = plan.sheets
-        for box, (article, group, material) in enumerate(names):
-            if (strength := articles.find(article, group, material).strength) is not None:
-                strength_n[box] = strength.of_box(*sizes[box])
-            if np.isnan(strength_n[box]) and not sheets[box]:
-                missing[article] += 1
-        factors, low, high = _factors(plan, losses, carrier)
-        borne = (strength_n * np.prod(each, axis=0) for each in (factors, low, high))
-        columns = {"press_strength_n": strength_n, **dict(zip(_FACTORS, factors, strict=True))}
-        columns |= dict(zip(("strength_n", "strength_low_n", "strength_high_n"), borne, strict=True))
-        columns["time_factor"] = np.full(plan.n_boxes, _remaining_share(losses.time_loss))
-        table = pd.DataFrame({"plan_id": plan.plan_id, "box": np.arange(plan.n_boxes, dtype=np.int32), **columns})
-        parts.append(table[~sheets])
-    if not parts:
-        empty = dict.fromkeys(_STRENGTH, "float64")
-        return pd.DataFrame(columns=["plan_id", "box", *_STRENGTH]).astype({"box": "int32", **empty}), missing
-    return pd.concat(parts, ignore_index=True), missing
-
-
-def _remaining_share(loss: float, factor: float = 1.0) -> float:
-    """The share of a box's strength that remains after the loss ``factor * loss``."""
-    return 1.0 - min(factor * loss, 1.0)
-
-
-def _factors(plan: Plan, losses: Stacking, carrier: Carrier | OwnCarrier) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The four factors (``_FACTORS``) by which each box's strength in a press is multiplied. Each of the three arrays
-    (4, n) has these factors for n boxes: for the nominal, the largest and the smallest losses of strength."""
-    extent, boards = extent_m(carrier), pallet(carrier)
-    extent_mm = None if extent is None else (MM_PER_M * extent[0], MM_PER_M * extent[1])
-    walls = walls_of(plan, extent_mm, None if boards is None else boards.deck_mm, losses.wall_tolerance_mm)
-    perimeter_mm = 2 * plan.size_mm[:, :2].sum(axis=1)
-    gaps = walls.on_deck & (walls.over_gaps * perimeter_mm > losses.wall_tolerance_mm)
-
-    def factors(spread: float) -> FloatArray:
-        scaled_losses = losses.with_losses(spread)
-        deck = np.where(gaps, 1 - scaled_losses.gap_loss, 1.0) * np.where(
-            walls.on_deck, 1 - scaled_losses.soft_deck_loss, 1.0
-        )
-        moist = np.full(plan.n_boxes, _remaining_share(losses.humidity_loss, spread))
-        return np.stack(
-            [
-                1 - scaled_losses.interlocked_loss * (1 - walls.met),
-                1 - scaled_losses.overhang_loss * walls.hanging,
-                deck,
-                moist,
-            ]
-        )
-
-    return factors(1.0), factors(1.0 + losses.loss_spread), factors(1.0 - losses.loss_spread)
 
 
 def _of_worlds(results: RunResults, boxes: pd.DataFrame) -> pd.DataFrame:
