@@ -13,7 +13,7 @@ import warp as wp
 
 from petmjx.common.warp_cpp import with_cpp
 from petmjx.common.warp_setup import set_up_warp
-from petmjx.engines.mjx.outcomes import _put_at_rest
+from petmjx.engines.mjx.first_states import _put_at_rest
 from petmjx.engines.mjx.world_state import State
 from petmjx.engines.warp.kernels.body_dynamics import doubled, exact_rotation, rotation
 from petmjx.engines.warp.kernels.contact_distances import exact_distance

@@ -18,7 +18,7 @@ from support.fake_stepper import FakeEngine, FakeStepper, fake_scene, run_all
 
 import petmjx.engines.mjx
 from petmjx.engines.mjx import box_motion as motion
-from petmjx.engines.mjx.outcomes import started_states
+from petmjx.engines.mjx.first_states import started_states
 from petmjx.engines.mjx.padded_template import parked_positions
 from petmjx.engines.mjx.rollout import CHUNK_STEPS, BatchRollout
 from petmjx.engines.mjx.rules import Rules

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.engines.mjx.first_states import is_paused, started_states
 from petmjx.engines.mjx.frame_recorder import Recorder
-from petmjx.engines.mjx.outcomes import is_paused, started_states
 from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.timetable import Timetable
 from petmjx.engines.mjx.world_constants import NEVER, Worlds, device_array, padded_rows, upload_worlds
