@@ -367,7 +367,7 @@ def bricks(n_boxes: int) -> Plan:
 def _filling(engine: str, boxes: int) -> int:
     """Copies of a stack that fill an MJX engine."""
     if engine == MJX_WARP:
-        from petmjx.engines.warp.block_launch import size_for
+        from petmjx.engines.warp.block_sizes import size_for
 
         if size_for(boxes).per_sm == 1:
             return LARGE_STACK_LANES

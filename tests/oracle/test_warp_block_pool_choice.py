@@ -15,8 +15,8 @@ pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 from petmjx.engines.contact_penetration import stiffened_physics
 from petmjx.engines.mjx.timetable import build_timetable
 from petmjx.engines.warp import block_pool_choice
-from petmjx.engines.warp.block_launch import SIZES
 from petmjx.engines.warp.block_pool_choice import BlockPools
+from petmjx.engines.warp.block_sizes import SIZES
 from petmjx.engines.warp.compiled_programs import constants
 from petmjx.engines.warp.contact_buffers import CONTACTS_PER_BOX, MAX_GROWTH, MORE_BOXES, PAIRS_PER_BOX, most_room
 from petmjx.engines.warp.kernel_features import KernelFeatures

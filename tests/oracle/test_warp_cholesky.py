@@ -18,7 +18,7 @@ import warp as wp
 from petmjx.common.units import FloatArray
 from petmjx.common.warp_cpp import with_cpp
 from petmjx.common.warp_setup import set_up_warp
-from petmjx.engines.warp.block_launch import SIZES
+from petmjx.engines.warp.block_sizes import SIZES
 from petmjx.engines.warp.solver import newton
 from petmjx.engines.warp.world_arrays import MAX_BOXES, PANEL, most_panels
 

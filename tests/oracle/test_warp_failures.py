@@ -35,7 +35,7 @@ from support.tiny_worlds import (
 from support.worlds import simulate
 
 from petmjx.engines.warp import contact_buffers
-from petmjx.engines.warp.block_launch import SIZES
+from petmjx.engines.warp.block_sizes import SIZES
 from petmjx.engines.warp.contact_buffers import MORE_BOXES, most_room
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.world_arrays import MAX_BOXES

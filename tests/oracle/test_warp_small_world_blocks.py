@@ -27,8 +27,9 @@ from support.worlds import simulate
 from petmjx.engines.mjx.world_constants import NEVER
 from petmjx.engines.verdict import Outcome
 from petmjx.engines.warp import block_launch, block_pool_choice
-from petmjx.engines.warp.block_launch import FEW_BOXES, SIZES, Launch
+from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.block_pool import BlockPool
+from petmjx.engines.warp.block_sizes import FEW_BOXES, SIZES
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.small_world_blocks import small_world_pool, small_world_queues
 from petmjx.engines.warp.solver import newton

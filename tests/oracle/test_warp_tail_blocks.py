@@ -20,8 +20,9 @@ from support.worlds import simulate
 
 from petmjx.engines.verdict import Outcome
 from petmjx.engines.warp import block_launch, block_pool_choice, tail_blocks
-from petmjx.engines.warp.block_launch import LAST, SIZES, Launch
+from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.block_pool import BlockPool
+from petmjx.engines.warp.block_sizes import LAST, SIZES
 from petmjx.engines.warp.compiled_programs import programs
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.solver.newton import DRIVER_BYTES, own_bytes

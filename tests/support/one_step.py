@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from petmjx.common.units import FloatArray
 from petmjx.engines.mjx.timetable import build_timetable
 from petmjx.engines.protocol import Progress
-from petmjx.engines.warp.block_launch import Launch, size_for
+from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.block_pool import BlockPool
+from petmjx.engines.warp.block_sizes import size_for
 from petmjx.engines.warp.contact_buffers import MORE_BOXES
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.kernel_features import KernelFeatures

@@ -12,9 +12,10 @@ import pytest
 from numpy.typing import NDArray
 
 from petmjx.engines.verdict import Outcome
-from petmjx.engines.warp import block_launch, memory_shortage
-from petmjx.engines.warp.block_launch import Features, Launch, size_for
+from petmjx.engines.warp import block_sizes, memory_shortage
+from petmjx.engines.warp.block_launch import Features, Launch
 from petmjx.engines.warp.block_pool import BlockPool
+from petmjx.engines.warp.block_sizes import size_for
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.time_slices import Rollout, Slice
 from petmjx.engines.warp.world_arrays import most_panels
@@ -109,9 +110,9 @@ def sizes_apart(monkeypatch: pytest.MonkeyPatch, most_boxes: int) -> None:
     """Use blocks of two sizes for tiny worlds, too. Both sizes have the same number of threads. The kernel of the small
     blocks is compiled without optimisation, since compiling takes longer than these worlds."""
     monkeypatch.setattr("warp.config.optimization_level", 0)
-    small, large = block_launch.SIZES
+    small, large = block_sizes.SIZES
     alike = replace(small, most_boxes=most_boxes), replace(small, most_boxes=large.most_boxes)
-    monkeypatch.setattr(block_launch, "SIZES", alike)
+    monkeypatch.setattr(block_sizes, "SIZES", alike)
     here = Launch.here
 
     def sized(n_boxes: int, features: Features) -> Launch:

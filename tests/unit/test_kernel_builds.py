@@ -35,11 +35,11 @@ def test_a_build_compiles_the_kernel_that_a_run_would_launch(
 ) -> None:
     """A run chooses its kernel by JAX's device. A build, which has no device, chooses the same kernel by the limits of
     a GPU."""
-    from petmjx.engines.warp import block_launch
+    from petmjx.engines.warp import block_launch, block_sizes
 
     device = SimpleNamespace(is_cuda=True, sm_count=132, max_shared_memory_per_block=227 << 10)
     monkeypatch.setattr(block_launch, "launch_device", lambda: device)
-    of_run = [block_launch.Launch.of(size, block_launch.Features(lands=True)) for size in block_launch.USUAL_SIZES]
+    of_run = [block_launch.Launch.of(size, block_launch.Features(lands=True)) for size in block_sizes.USUAL_SIZES]
     monkeypatch.undo()
     monkeypatch.setattr("warp.compile_aot_module", lambda module, **options: aot.append((module.name, options)))
     builds = usual_builds(Simulation(), H100)

@@ -83,9 +83,9 @@ def test_where_nothing_can_be_written_nothing_is_noted(monkeypatch: pytest.Monke
 
 def test_an_engine_notes_the_kernels_that_it_loads(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("warp")
-    from petmjx.engines.warp import block_launch
+    from petmjx.engines.warp import block_launch, block_sizes
 
-    launch = block_launch.Launch.of(block_launch.SIZES[0], block_launch.Features(hands=True))
+    launch = block_launch.Launch.of(block_sizes.SIZES[0], block_launch.Features(hands=True))
     monkeypatch.setattr(block_launch.wp, "force_load", lambda *_, **__: None)
     monkeypatch.setattr(block_launch, "kernel", lambda launch: block_launch.pause)
     block_launch.load_kernels([launch])

@@ -35,7 +35,7 @@ class KernelBuild(NamedTuple):
 
     Attributes:
         gpu: the GPU; None: the CPU of this machine.
-        size: name of a block size: ``usual`` or ``large`` (the two of ``block_launch.SIZES``), ``few`` (``FEW_BOXES``),
+        size: name of a block size: ``usual`` or ``large`` (the two of ``block_sizes.SIZES``), ``few`` (``FEW_BOXES``),
             or ``last`` (``LAST``). On a CPU, one kernel serves all sizes.
         hands, lands: features of a kernel for GPUs, as in ``petmjx.engines.warp.block_launch.Features``.
     """
@@ -70,7 +70,8 @@ def compile_kernel(build: KernelBuild) -> None:
     from petmjx.common.warp_setup import set_up_warp
 
     set_up_warp()
-    from petmjx.engines.warp.block_launch import FEW_BOXES, LAST, SIZES, Features, Launch, kernel
+    from petmjx.engines.warp.block_launch import Features, Launch, kernel
+    from petmjx.engines.warp.block_sizes import FEW_BOXES, LAST, SIZES
     from petmjx.engines.warp.kernels.pause import pause
 
     usual, large = SIZES

@@ -22,7 +22,7 @@ from petmjx.engines.subprocess.task_pipe import ANSWER_WAIT_S, Child
 from petmjx.options.simulation import Simulation
 
 USUAL_SIZES: Final = ("usual", "few", "last")
-"""Block sizes of most runs, as in ``petmjx.engines.warp.block_launch.USUAL_SIZES``. The kernel that takes longest is
+"""Block sizes of most runs, as in ``petmjx.engines.warp.block_sizes.USUAL_SIZES``. The kernel that takes longest is
 the first."""
 
 SHARED_KB: Final = {75: 64, 80: 163, 86: 99, 87: 163, 89: 99, 90: 227, 100: 227, 103: 227, 110: 227, 120: 99, 121: 99}

@@ -6,8 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from petmjx.engines.warp.block_launch import FEW_BOXES, Features, Launch
+from petmjx.engines.warp.block_launch import Features, Launch
 from petmjx.engines.warp.block_pool import BlockPool
+from petmjx.engines.warp.block_sizes import FEW_BOXES
 from petmjx.engines.warp.contact_buffers import ContactBuffers
 from petmjx.engines.warp.small_world_blocks import small_world_pool
 from petmjx.engines.warp.tail_blocks import stiff_pool, tail_pool

@@ -21,8 +21,9 @@ from petmjx.engines.mjx.world_constants import NEVER, Worlds
 from petmjx.engines.mjx.world_state import State, of_flat
 from petmjx.engines.protocol import Progress
 from petmjx.engines.subprocess.kernel_builds import KernelBuilds
-from petmjx.engines.warp.block_launch import USUAL_SIZES, Features, Launch, launch_device, load_kernels
+from petmjx.engines.warp.block_launch import Features, Launch, launch_device, load_kernels
 from petmjx.engines.warp.block_pool import BlockPool
+from petmjx.engines.warp.block_sizes import USUAL_SIZES
 from petmjx.engines.warp.kernel_launcher import KernelLauncher
 from petmjx.engines.warp.small_world_blocks import small_world_queues
 from petmjx.engines.warp.tail_blocks import tail_queues

@@ -46,7 +46,7 @@ class MjxWarpEngine(Engine):
     (petmjx/engines/attempt_settings.py).
 
     Args:
-        lanes: largest number of worlds that run at the same time in blocks of one size (``block_launch.Size``). If
+        lanes: largest number of worlds that run at the same time in blocks of one size (``block_sizes.Size``). If
             ``lanes`` is None, the limit is the number for which the device has room.
         allow_cpu: whether to run Warp's kernels on the CPU if there is no CUDA device. Running on the CPU is slow, and
             meant for tests.

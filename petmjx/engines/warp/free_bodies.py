@@ -20,8 +20,9 @@ from petmjx.engines.mjx.host_to_device import let_go, round_up
 from petmjx.engines.mjx.timetable import build_timetable
 from petmjx.engines.mjx.world_constants import NEVER, Worlds, padded_rows
 from petmjx.engines.mjx.world_state import State, Status, of_flat
-from petmjx.engines.warp.block_launch import FEW_BOXES, Features, Launch
+from petmjx.engines.warp.block_launch import Features, Launch
 from petmjx.engines.warp.block_pool import BlockPool
+from petmjx.engines.warp.block_sizes import FEW_BOXES
 from petmjx.engines.warp.compiled_programs import constants
 from petmjx.engines.warp.contact_buffers import MAX_GROWTH, MORE_BOXES
 from petmjx.engines.warp.frame_buffers import pick_frames, room_for_frames

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 from petmjx.common.errors import InputError
 from petmjx.engines.mjx.host_to_device import round_up
-from petmjx.engines.warp.block_launch import Features, size_for
+from petmjx.engines.warp.block_launch import Features
+from petmjx.engines.warp.block_sizes import size_for
 from petmjx.engines.warp.world_arrays import MAX_BOXES
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
@@ -38,7 +39,7 @@ class KernelFeatures:
     """The features and block sizes of the kernels that some jobs need.
 
     Attributes:
-        widths: block size, named by its largest number of boxes (``block_launch.Size``) → number of boxes for which
+        widths: block size, named by its largest number of boxes (``block_sizes.Size``) → number of boxes for which
             buffers are made in this run. The latter is smaller if all plans of the run are smaller.
         hands: whether kernels need hands, which carry or drop boxes.
         gives: whether kernels need compliant boxes.

@@ -1,6 +1,6 @@
 """Thread blocks for small worlds, which are worlds that have few boxes so far (docs/batching.md).
 
-A block for small worlds simulates several worlds, each with one warp of 32 threads (``block_launch.FEW_BOXES``). A
+A block for small worlds simulates several worlds, each with one warp of 32 threads (``block_sizes.FEW_BOXES``). A
 world moves to a block of its own when it has more boxes, or when too few small worlds are left. The choice of blocks
 affects only the speed.
 """
@@ -12,8 +12,9 @@ from dataclasses import replace
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
-from petmjx.engines.warp.block_launch import FEW_BOXES, Launch, size_for
+from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.block_pool import BlockPool
+from petmjx.engines.warp.block_sizes import FEW_BOXES, size_for
 
 ENOUGH_SHARE, LEAST_SHARE = 0.75, 0.25
 """Limits for the use of blocks for small worlds, as shares of the lanes (places for a world) of these blocks. The

@@ -1,5 +1,5 @@
 """Thread blocks for the last worlds of a run (docs/batching.md). A block for last worlds fills a GPU multiprocessor
-(``block_launch.LAST``).
+(``block_sizes.LAST``).
 
 A run ends with its longest worlds. Two blocks that share a multiprocessor are slower than one block alone, so sharing
 delays the end of the run. The choice of blocks affects only the speed.
@@ -14,8 +14,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
-from petmjx.engines.warp.block_launch import LAST, Launch
+from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.block_pool import BlockPool
+from petmjx.engines.warp.block_sizes import LAST
 from petmjx.engines.warp.small_world_blocks import with_first_queue
 
 MOST_EXPECTED: Final = 16
