@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from petmjx.loop.order_sources import Orders
+from petmjx.loop.episode_orders import Orders
 from petmjx.plans.order_generator import Item, Order
 
 TARGET = "euro-pallet"

@@ -63,7 +63,7 @@ def score(at: float) -> None:
 
     stages.end("command line")
     from petmjx import api
-    from petmjx.engines import run_engine
+    from petmjx.engines import engine_of_run
     from petmjx.results.run_writer import RunWriter
     from petmjx.runs import simulate
 
@@ -74,11 +74,11 @@ def score(at: float) -> None:
         from benchmarks.instant_engine import Instant
         from petmjx.engines.user_engine import UserEngine
 
-        vars(run_engine)["make_engine"] = lambda *some, **more: UserEngine(Instant(), None)
+        vars(engine_of_run)["make_engine"] = lambda *some, **more: UserEngine(Instant(), None)
     else:
         _note_slices(stages)
     stages.around(simulate, "read_input", after="plans read")
-    stages.around(run_engine, "resolve_engine", before="GPU started", after="engine there")
+    stages.around(engine_of_run, "resolve_engine", before="GPU started", after="engine there")
     stages.around(RunWriter, "__enter__", after="folder open")
     stages.around(RunWriter, "add", before="first world final")
     stages.around(RunWriter, "flush", before="last world final", after="worlds on disk")

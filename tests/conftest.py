@@ -149,7 +149,7 @@ LONGEST_FIRST = (
     "test_warp_failures",
     "test_rocking",
     "test_open_worlds",
-    "test_stackable_placements",
+    "test_placements_on_all_engines",
     "test_mjx_twin",
     "test_damaged_input",
     "test_mjx_warp",

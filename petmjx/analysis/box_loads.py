@@ -15,7 +15,6 @@ from typing import Any, Final
 
 import pandas as pd
 
-from petmjx.analysis.arrival_shares import WAY_UNITS, ways_of
 from petmjx.analysis.crushing import (
     BOX_UNITS,
     PLAN_UNITS,
@@ -24,6 +23,7 @@ from petmjx.analysis.crushing import (
     with_crush_shares,
 )
 from petmjx.analysis.stacked_strength import remaining_share, stacked_strengths
+from petmjx.analysis.uncrushed_arrivals import WAY_UNITS, ways_of
 from petmjx.common.argument_checks import path_of
 from petmjx.common.atomic_write import write_errors
 from petmjx.common.errors import InputError

@@ -89,8 +89,8 @@ def label(
     well simple rules, and petmjx's own estimate, predict the labels.
     """
     from petmjx.cli.run_command import RunInterrupted
+    from petmjx.loop.episode_orders import ENDLESS, Orders, order_reading
     from petmjx.loop.label_files import write_labels
-    from petmjx.loop.order_sources import ENDLESS, Orders, order_reading
     from petmjx.loop.placement_labels import Labeller
     from petmjx.loop.unfinished_labels import n_unfinished
     from petmjx.show.progress import progress

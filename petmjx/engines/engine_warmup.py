@@ -15,7 +15,7 @@ from petmjx.options.run_options import AUTO, RunOptions
 from petmjx.options.simulation import Simulation
 
 if TYPE_CHECKING:
-    from petmjx.engines.remote.worker_choice import WorkerStartup
+    from petmjx.engines.remote.worker_startup import WorkerStartup
 
 WORTH_A_GPU: Final = 4 << 20
 """If plan files have at least this size, in bytes (about 400 plans), ``auto`` will use a GPU if there is one."""
@@ -28,7 +28,7 @@ def engine_warmup(options: RunOptions, plans: object, sim: Simulation) -> Iterat
     started workers for ``resolve_engine``. Starting libraries and workers is mostly waiting, so plans are read
     meanwhile."""
     if options.asked_workers is not None and isinstance(options.engine, str):
-        from petmjx.engines.remote.worker_choice import WorkerStartup  # for runs with workers only
+        from petmjx.engines.remote.worker_startup import WorkerStartup  # for runs with workers only
 
         startup = WorkerStartup(options, worth_gpus=bytes_of_plans(plans) >= WORTH_A_GPU)
         try:

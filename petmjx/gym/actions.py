@@ -14,7 +14,7 @@ from petmjx.analysis.criteria import SUPPORT_CRITERIA
 from petmjx.common.units import FloatArray
 from petmjx.gym.environment_options import ALL, CANDIDATES, CENTRE, LOADS, PHYSICS, SURE, PalletizingOptions
 from petmjx.loop.candidate_places import Places
-from petmjx.loop.order_sources import Orders
+from petmjx.loop.episode_orders import Orders
 from petmjx.loop.pallets import Pallets
 from petmjx.loop.placement_bounds import STANDS
 

@@ -14,7 +14,7 @@ from petmjx.common.checked_records import hint, shown_value
 from petmjx.common.errors import InputError
 from petmjx.common.units import FloatArray
 from petmjx.gym.environment_options import MOST_ERRORS, PalletizingOptions
-from petmjx.loop.order_sources import Boxes
+from petmjx.loop.episode_orders import Boxes
 
 _LIMITS: Final = {"boxes": (1.0, 100_000.0), "sizes": (0.0, 1.0), "errors": (0.0, MOST_ERRORS)}
 

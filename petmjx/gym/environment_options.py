@@ -10,7 +10,7 @@ from petmjx.common.argument_checks import flag_of, integer_of, number_of
 from petmjx.common.checked_records import hint, shown_value
 from petmjx.common.errors import InputError
 from petmjx.loop.candidate_places import LARGEST_GAP_MM
-from petmjx.loop.order_sources import ENDLESS, Orders, order_reading
+from petmjx.loop.episode_orders import ENDLESS, Orders, order_reading
 from petmjx.loop.rewards import weights_of
 
 CELLS: Final = "cells"
@@ -36,7 +36,7 @@ class PalletizingOptions:
     ``petmjx.Pallets``.
 
     Attributes:
-        orders: source of the orders, which are lists of boxes to pack (``petmjx.loop.order_sources.Orders``).
+        orders: source of the orders, which are lists of boxes to pack (``petmjx.loop.episode_orders.Orders``).
         orders_seed: seed of the generator of random orders.
         orders_units, orders_columns, orders_density: how to read a file of orders that is not in BED-BPP's form, as in
             the fields of ``petmjx.RunOptions``. If ``orders_units``, ``orders_columns`` or ``orders_density`` is None,

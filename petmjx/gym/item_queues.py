@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
-from petmjx.loop.order_sources import STRENGTH, Boxes
+from petmjx.loop.episode_orders import STRENGTH, Boxes
 
 _MORE: Final = 32
 """Number of boxes that the table holds for each episode in addition to the visible boxes. When 32 boxes have been

@@ -22,8 +22,8 @@ from petmjx.jax.pallet_functions import empty, place
 from petmjx.jax.placement_arrays import PlacementArrays
 from petmjx.jax.timestep_and_specs import Spec, StepType, TimeStep
 from petmjx.loop.candidate_places import LARGEST_GAP_MM
+from petmjx.loop.episode_orders import ENDLESS, Boxes, Orders, order_reading
 from petmjx.loop.height_maps import cells_of
-from petmjx.loop.order_sources import ENDLESS, Boxes, Orders, order_reading
 from petmjx.loop.rewards import weights_of
 from petmjx.options.carriers import AnyCarrier, extent_m
 from petmjx.options.run_options import AUTO

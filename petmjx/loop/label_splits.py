@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from petmjx.loop.order_sources import Boxes
+from petmjx.loop.episode_orders import Boxes
 
 SPLITS: Final = {"train": 0.8, "validation": 0.1, "test": 0.1}
 """Share of the orders in each split."""

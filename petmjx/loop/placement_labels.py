@@ -28,8 +28,8 @@ from petmjx.common.prefetch import prefetch
 from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.loop.candidate_places import Places
 from petmjx.loop.engine_setup import chooses_gpu
+from petmjx.loop.episode_orders import Boxes, Orders
 from petmjx.loop.label_splits import split_of
-from petmjx.loop.order_sources import Boxes, Orders
 from petmjx.loop.pallets import Pallets
 from petmjx.options.run_options import AUTO
 from petmjx.plans.plan import Plan

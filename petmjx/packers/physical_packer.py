@@ -14,7 +14,7 @@ from functools import partial
 from typing import Any
 
 from petmjx.common.parallel_map import UnorderedResults
-from petmjx.engines.run_engine import engine_for
+from petmjx.engines.engine_of_run import engine_for
 from petmjx.packers.finalists import finalists, learned_finalists
 from petmjx.packers.pack_flow import CPU, GPU, Flow, Searched, WorldsOfPlans
 from petmjx.packers.pack_options import PhysicalOptions

@@ -11,8 +11,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, Final
 
+from petmjx.common.progress_texts import ProgressTexts
 from petmjx.common.text import printable
-from petmjx.common.throughput import Throughput
 from petmjx.runs.simulate import RunStart
 from petmjx.runs.study import FinishedWorld
 
@@ -40,7 +40,7 @@ class NotebookBar:
 
     def begin(self, start: RunStart) -> None:
         self._start, self._done = start, 0
-        self._pace = Throughput(self._left, start.what, self._clock)
+        self._texts = ProgressTexts(self._left, start.what, self._clock)
         self._update = self._display(self._as_html())
 
     def world_done(self, world: FinishedWorld) -> None:
@@ -62,8 +62,8 @@ class NotebookBar:
         start, left = self._start, self._left
         assert start is not None  # ``begin`` is called before the first drawing
         share = start.progress.work_share
-        self._pace.update(self._done, share)
-        parts = self._pace.words
+        self._texts.update(self._done, share)
+        parts = self._texts.words
         if self._done != left and start.progress.message:
             parts.append(start.progress.message)
         drawn = self._done if share is None or left is None else round(share * left, 1)
@@ -89,7 +89,7 @@ class ScriptLines:
     def begin(self, start: RunStart) -> None:
         self._done, self._ended = 0, threading.Event()
         self._total = None if start.total is None else start.total - start.recorded
-        self._pace, self._progress = Throughput(self._total, start.what), start.progress
+        self._texts, self._progress = ProgressTexts(self._total, start.what), start.progress
         self._say(f"{start.size}; engine {start.choice.name} ({start.choice.reason})")
         threading.Thread(target=self._follow, args=(self._ended,), name="petmjx-lines", daemon=True).start()
 
@@ -102,16 +102,16 @@ class ScriptLines:
         """Write the last line, unless this has already been done."""
         if not self._ended.is_set():
             self._ended.set()
-            self._say_pace()
+            self._say_progress()
 
     def _follow(self, ended: threading.Event) -> None:
         while not ended.wait(self._line_s):
-            self._say_pace()
+            self._say_progress()
 
-    def _say_pace(self) -> None:
-        self._pace.update(self._done, self._progress.work_share)
+    def _say_progress(self) -> None:
+        self._texts.update(self._done, self._progress.work_share)
         message = "" if self._done == self._total else self._progress.message
-        self._say(", ".join(filter(None, (*self._pace.words, message))))
+        self._say(", ".join(filter(None, (*self._texts.words, message))))
 
     def _say(self, line: str) -> None:
         with suppress(OSError, ValueError, AttributeError):  # standard error may be closed or missing

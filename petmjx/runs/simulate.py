@@ -18,10 +18,10 @@ from petmjx.common.machine import package_versions
 from petmjx.common.text import count_text, printable_name
 from petmjx.common.units import FloatArray
 from petmjx.engines.engine_choice import Choice
+from petmjx.engines.engine_of_run import engine_for
 from petmjx.engines.engine_warmup import engine_warmup
 from petmjx.engines.metrics import BoxMetrics
 from petmjx.engines.protocol import Engine, Progress
-from petmjx.engines.run_engine import engine_for
 from petmjx.engines.verdict import Reason
 from petmjx.options.physics import Physics
 from petmjx.options.run_options import RunOptions

@@ -16,8 +16,8 @@ from rich.progress import BarColumn, ProgressColumn, Task
 from rich.progress import Progress as RichProgress
 from rich.text import Text
 
+from petmjx.common.progress_texts import ProgressTexts
 from petmjx.common.text import count_text, printable
-from petmjx.common.throughput import Throughput
 from petmjx.runs.simulate import RunStart
 from petmjx.runs.study import FinishedWorld
 
@@ -33,7 +33,7 @@ class ProgressSink(Protocol):
 
     def update(self, done: int, message: str = "", share: float | None = None) -> None:
         """Show that ``done`` worlds are finished, and a message about the present activity, such as compiling.
-        ``share`` has the same meaning as in ``Throughput.update``."""
+        ``share`` has the same meaning as in ``ProgressTexts.update``."""
 
 
 @contextmanager
@@ -89,13 +89,13 @@ class ProgressLines:
     def __init__(
         self, total: int | None, what: str, write: Callable[[str], object], clock: Callable[[], float] = time.monotonic
     ) -> None:
-        self._pace, self._write, self._clock = Throughput(total, what, clock), write, clock
+        self._texts, self._write, self._clock = ProgressTexts(total, what, clock), write, clock
         self._last = clock()
         self._done = self._written = 0
 
     def update(self, done: int, message: str = "", share: float | None = None) -> None:
         self._done = done
-        self._pace.update(done, share)
+        self._texts.update(done, share)
         now = self._clock()
         if now - self._last >= LINE_S:
             self._last = now
@@ -107,7 +107,7 @@ class ProgressLines:
 
     def _print(self, message: str = "") -> None:
         self._written = self._done
-        parts = self._pace.words + ([printable(message)] if message else [])
+        parts = self._texts.words + ([printable(message)] if message else [])
         with suppress(OSError):
             self._write(", ".join(parts) + "\n")
 
@@ -128,8 +128,8 @@ class _Bar(RichProgress):
 
     def __init__(self, total: int | None, what: str, console: Console) -> None:
         self._message = ""  # set before ``super().__init__``, which reads it
-        pace = self._pace = Throughput(total, what)
-        count, rate, left = _Words(lambda: pace.count), _Words(lambda: pace.rate), _Words(lambda: pace.left)
+        texts = self._texts = ProgressTexts(total, what)
+        count, rate, left = _Words(lambda: texts.count), _Words(lambda: texts.rate), _Words(lambda: texts.left)
         super().__init__(count, BarColumn(), rate, left, console=console)
         self._task = self.add_task("", total=total)
 
@@ -137,7 +137,7 @@ class _Bar(RichProgress):
         self, done: int, message: str = "", share: float | None = None
     ) -> None:
         self._message = printable(message)
-        self._pace.update(done, share)
+        self._texts.update(done, share)
         total = self.tasks[0].total
         super().update(self._task, completed=done if share is None or total is None else share * total)
 

@@ -19,7 +19,7 @@ from petmjx.options.simulation import Check, Simulation
 from petmjx.world.body_shapes import Room
 from petmjx.world.rotation import rotations
 from petmjx.world.scene import Scene
-from petmjx.world.stackable_scenes import stacked_values
+from petmjx.world.scene_arrays import stacked_values
 
 MOST_WAY_S: Final = 2.0
 """Longest duration of an approach, s. If an approach would take longer, because the box starts high, the box moves
@@ -82,8 +82,8 @@ def approach_path_of(scene: Scene, sim: Simulation) -> ApproachPath | None:
 
 
 def approach_paths_of(scenes: Sequence[Scene], sim: Simulation) -> ApproachPath | None:
-    """The approach paths of stackable scenes (scenes with arrays of equal shapes, petmjx.world.stackable_scenes); None
-    if the boxes appear at their places. The paths of a scene do not depend on the other scenes."""
+    """The approach paths of scenes whose arrays have equal shapes (petmjx.world.scene_arrays); None if the boxes
+    appear at their places. The paths of a scene do not depend on the other scenes."""
     placing = scenes[0].placing
     if placing.appears or sim.check is Check.STATIC:
         return None

@@ -23,7 +23,7 @@ from petmjx.world.contact_laws import CONTACTS_PER_FACE, cone_factor, depth_m
 from petmjx.world.growing_scenes import NextBoxes, Stacks
 from petmjx.world.history import CARRIER
 from petmjx.world.scene import Scene
-from petmjx.world.stackable_scenes import stacked_values
+from petmjx.world.scene_arrays import stacked_values
 from petmjx.world.supports import TOUCH_M
 
 NOTHING: Final = -2
@@ -74,11 +74,10 @@ def release_of(scene: Scene, sim: Simulation) -> Release:
 
 
 def releases_of(scenes: Sequence[Scene], sim: Simulation) -> Release:
-    """The places at which the boxes of stackable scenes are released. The places of a scene do not depend on the other
-    scenes.
+    """The places at which the boxes of scenes are released. The places of a scene do not depend on the other scenes.
 
-    Stackable scenes have arrays of equal shapes (petmjx.world.stackable_scenes). A scene with compliant boxes cannot be
-    stacked, so it is the only one in ``scenes``.
+    The arrays of all scenes have equal shapes (petmjx.world.scene_arrays). A scene with compliant boxes is the only one
+    in ``scenes``, because its arrays cannot be stacked.
     """
     start, physics = stacked_values(scenes, "start_pos"), sim.physics
     m, n = start.shape[:2]

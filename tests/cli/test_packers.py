@@ -58,7 +58,7 @@ def test_it_goes_on_where_it_was_and_tells_who_won(results: Path, capsys: pytest
 def test_one_engine_is_chosen_for_all_packers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """``auto`` would choose an engine for each file of plans, and no engine has all options: ``lanes`` is ignored."""
     choices = ["mujoco", "mujoco", "no second choice"]
-    monkeypatch.setattr("petmjx.engines.run_engine.choose", lambda *_, **__: (choices.pop(0), "the test says so"))
+    monkeypatch.setattr("petmjx.engines.engine_of_run.choose", lambda *_, **__: (choices.pop(0), "the test says so"))
     packers = [f"{name}={write(tmp_path / f'{name}.json', {'x': TOWER})}" for name in ("a", "b")]
     assert run("score", "--name", *packers, "--lanes", "4", "-o", tmp_path / "out") == 0
     assert [load_run(tmp_path / "out" / name).info["config"]["engine"] for name in ("a", "b")] == ["mujoco", "mujoco"]

@@ -22,7 +22,7 @@ from support.fake_stepper import (
     run_all,
 )
 
-from petmjx.engines.mjx.engine import FEWEST_WORLDS, stackable_jobs
+from petmjx.engines.mjx.engine import FEWEST_WORLDS, batch_groups
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.options.simulation import Check, Schedule, Simulation
 from petmjx.world.job import Drive, Excitation, Job
@@ -186,7 +186,7 @@ def test_a_batch_has_worlds_that_are_alike() -> None:
     (kept,) = run_all(FakeEngine(), [Job(fake_scene(1.0), keep_state=True)], SHORT)
     jobs = [Job(fake_scene(*[1.0] * n)) for n in (1, 9, 4, 5, 8, 16)]
     jobs += [Job(jobs[0].scene, drive, start=start) for drive in drives.values() for start in (None, kept.state)]
-    assert stackable_jobs(jobs) == [[1, 5], [3, 4], [0, 2], [6], [7], [8], [9]]
+    assert batch_groups(jobs) == [[1, 5], [3, 4], [0, 2], [6], [7], [8], [9]]
 
 
 def test_a_fall_is_seen_at_the_next_sample_and_ends_the_world(engine: FakeEngine) -> None:

@@ -16,7 +16,7 @@ from support.plans import make_plan
 import petmjx
 from petmjx.common.arrow_files import parquet_table
 from petmjx.common.errors import InputError, PlanWarning
-from petmjx.loop.order_sources import Orders
+from petmjx.loop.episode_orders import Orders
 from petmjx.plans.articles import read_articles
 from petmjx.plans.plan_writer import plans_table
 from petmjx.results.run_table_reader import open_part

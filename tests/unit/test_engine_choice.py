@@ -20,9 +20,9 @@ from petmjx.engines.cost_model import (
     rest_steps,
 )
 from petmjx.engines.engine_choice import ENGINES, Choice, choose, make_engine
+from petmjx.engines.engine_of_run import engine_for, resolve_engine
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.protocol import Progress
-from petmjx.engines.run_engine import engine_for, resolve_engine
 from petmjx.engines.verdict import Outcome
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation

@@ -19,7 +19,7 @@ from support.command_line import run
 
 import petmjx
 from petmjx.common.errors import InputError, PlanWarning
-from petmjx.loop.order_sources import Orders, order_reading
+from petmjx.loop.episode_orders import Orders, order_reading
 from petmjx.options.run_options import RunOptions
 from petmjx.packers.pack import orders_of, reading_of
 from petmjx.packers.sample_plans import pack_orders

@@ -21,7 +21,7 @@ from petmjx.engines import gpu_start
 from petmjx.engines.cost_model import MEASURED, Work
 from petmjx.engines.engine_warmup import WORTH_A_GPU, engine_warmup
 from petmjx.engines.remote import ray_cluster as of_clusters
-from petmjx.engines.remote import worker_choice as of_workers
+from petmjx.engines.remote import worker_startup as of_workers
 from petmjx.engines.remote.ray_actor import Recipe
 from petmjx.engines.remote.worker_resources import Node
 from petmjx.engines.subprocess import kernel_builds

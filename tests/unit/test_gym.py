@@ -30,7 +30,7 @@ from petmjx.gym.actions import _in_turn
 from petmjx.gym.item_queues import Queues
 from petmjx.gym.single_env import PalletizingEnv
 from petmjx.gym.vector_env import PalletizingVectorEnv
-from petmjx.loop.order_sources import STRENGTH, Boxes, Orders
+from petmjx.loop.episode_orders import STRENGTH, Boxes, Orders
 from petmjx.plans.item_units_and_quantities import SET_KG_M3
 from petmjx.plans.order_generator import Item, Order, draw_order
 from petmjx.show.pictures.picture_files import why_nothing_is_drawn

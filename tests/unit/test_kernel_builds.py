@@ -14,7 +14,7 @@ from petmjx.common.errors import InputError
 from petmjx.engines import gpu_start
 from petmjx.engines.kernel_notes import CPU_KERNEL, are_noted
 from petmjx.engines.subprocess import kernel_builds
-from petmjx.engines.subprocess.kernel_build_process import BuildAnswer, KernelBuild, compile_kernel
+from petmjx.engines.subprocess.kernel_build_child import BuildAnswer, KernelBuild, compile_kernel
 from petmjx.engines.subprocess.kernel_builds import KernelBuilds, all_builds, gpu_of, usual_builds
 from petmjx.options.simulation import Simulation
 

@@ -21,9 +21,9 @@ import pytest
 import petmjx
 from petmjx.cli import main
 from petmjx.common.errors import InputError
+from petmjx.loop.episode_orders import Boxes, Orders, order_reading
 from petmjx.loop.label_files import CARD, README, RULES, baselines, label_files, write_labels
 from petmjx.loop.label_splits import SPLITS, split_of
-from petmjx.loop.order_sources import Boxes, Orders, order_reading
 from petmjx.loop.placement_labels import COLUMNS, Label, Labeller, plans_of_labels
 from petmjx.loop.unfinished_labels import LabelParts, labels_of
 

@@ -17,9 +17,9 @@ from petmjx.common.errors import EngineUnavailable
 from petmjx.engines import kernel_notes, machine_speed
 from petmjx.engines.cost_model import MEASURED, Work
 from petmjx.engines.engine_choice import Choice
+from petmjx.engines.engine_of_run import resolve_engine
 from petmjx.engines.kernel_notes import CPU_KERNEL, are_noted, note_kernels
 from petmjx.engines.mujoco.engine import MujocoEngine
-from petmjx.engines.run_engine import resolve_engine
 from petmjx.engines.verdict import Verdict
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation

@@ -17,11 +17,11 @@ import petmjx
 from petmjx.common.errors import EngineUnavailable
 from petmjx.engines.cost_model import MEASURED, Costs, Work
 from petmjx.engines.engine_choice import Choice
+from petmjx.engines.engine_of_run import resolve_engine
 from petmjx.engines.job_stream import JobStream
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.mujoco_to_warp_handover import LEAST_WORLDS, HandoverEngine
 from petmjx.engines.protocol import Engine, Progress, takes_stream
-from petmjx.engines.run_engine import resolve_engine
 from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
@@ -242,7 +242,7 @@ def test_a_run_of_both_engines_goes_on_after_ctrl_c(tmp_path: Path, monkeypatch:
         cheap = replace(CHEAP, mujoco=CHEAP.mujoco.slowed(0.001), kernel=CHEAP.kernel.slowed(0.0001))
         return HandoverEngine(MujocoEngine(1), lambda: Named(1), cheap), Choice("mujoco", "for this test", 1.0)
 
-    monkeypatch.setattr("petmjx.engines.run_engine.resolve_engine", resolved)
+    monkeypatch.setattr("petmjx.engines.engine_of_run.resolve_engine", resolved)
     plans = [make_plan(f"p{number}", stack(1)) for number in range(30)]
     with pytest.raises(KeyboardInterrupt):
         petmjx.score(plans, out=tmp_path / "run")

@@ -10,7 +10,7 @@ pytest.importorskip("gymnasium", reason="gymnasium is not installed (extra: gym)
 import petmjx.gym.observation_maps
 from petmjx.gym.item_queues import Queues
 from petmjx.gym.observation_maps import Maps
-from petmjx.loop.order_sources import Boxes
+from petmjx.loop.episode_orders import Boxes
 
 
 def test_queues_are_lists_of_boxes() -> None:

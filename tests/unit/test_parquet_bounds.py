@@ -67,7 +67,7 @@ from pathlib import Path
 import pyarrow
 import petmjx
 from petmjx.common.errors import InputError
-from petmjx.loop.order_sources import Orders
+from petmjx.loop.episode_orders import Orders
 from petmjx.plans.articles import read_articles
 for file in sorted(Path(sys.argv[1]).glob("*.parquet")):
     print("plans", petmjx.load_plans(file).skipped[0].message)

@@ -17,7 +17,7 @@ from petmjx.engines.mjx.world_constants import upload_worlds
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene, build_scene
-from petmjx.world.stackable_scenes import AT_A_TIME, stackable_groups
+from petmjx.world.scene_arrays import AT_A_TIME, equal_shape_groups
 from petmjx.world.variants import Distribution, DistributionShape, PlacementChange, Variant, apply_all
 
 ERROR = Distribution(DistributionShape.NORMAL, 0.0, 3.0)
@@ -58,7 +58,7 @@ def test_worlds_that_are_alike_are_filled_in_together(
     with monkeypatch.context() as patch:
         patch.setattr(scene_rows, "MANY", len(scenes))
         in_threads = rows_of(scenes, 28, sim, 1, padding=3)
-    monkeypatch.setattr(scene_rows, "stackable_groups", one_by_one)
+    monkeypatch.setattr(scene_rows, "equal_shape_groups", one_by_one)
     apart = rows_of(scenes, 28, sim, 1)
     assert together.keys() == apart.keys() == in_threads.keys()
     for name, values in apart.items():
@@ -69,7 +69,7 @@ def test_worlds_that_are_alike_are_filled_in_together(
 def test_groups_have_each_scene_once_and_only_those_alike() -> None:
     sim = Simulation()
     scenes = [*with_errors(sim, AT_A_TIME + 5, 7), make_scene(stack(3), sim), make_scene(stack(3), sim)]
-    scene_groups = list(stackable_groups(scenes))
+    scene_groups = list(equal_shape_groups(scenes))
     assert sorted(number for numbers, _ in scene_groups for number in numbers) == [*range(len(scenes))]
     assert sorted(len(numbers) for numbers, _ in scene_groups) == [2, 5, AT_A_TIME]
     assert all(len({scenes[number].n_boxes for number in numbers}) == 1 for numbers, _ in scene_groups)

@@ -18,8 +18,8 @@ from support.outcomes import dropped_outcome, make_outcome, make_plan
 from support.stories import standing_story
 
 from petmjx.analysis.run_comparison import compare_runs
+from petmjx.common.progress_texts import MARK_S, ProgressTexts
 from petmjx.common.text import count_text, printable, three_digits, time_left
-from petmjx.common.throughput import MARK_S, Throughput
 from petmjx.engines.verdict import Outcome
 from petmjx.plans.plan_set import Skipped
 from petmjx.results.run_reader import load_run
@@ -386,42 +386,42 @@ def test_the_last_line_of_progress_is_written_once() -> None:
 
 def test_the_last_worlds_are_expected_to_take_as_long_as_the_ones_before() -> None:
     now, left = 0.0, []
-    pace = Throughput(1000, "world", lambda: now)
+    texts = ProgressTexts(1000, "world", lambda: now)
     for now, done in (  # noqa: B007  # the clock reads it
         (1.0, 0), (10.0, 500), (20.0, 996), (23.0, 998), (24.0, 998), (40.0, 998), (40.5, 999),
     ):  # fmt: skip
-        pace.update(done)
-        left.append(pace.left)
+        texts.update(done)
+        left.append(texts.left)
     # When two worlds are left, the last two of the 998 finished worlds have taken the time since 20.0 s. At the mean
     # rate of all worlds, the estimate would be 0 s.
     assert left == ["", "10 s left", "10 s left", "3 s left", "4 s left", "20 s left", "18 s left"]
-    assert pace.words == ["999 of 1,000 worlds", "24.7 worlds/s", "18 s left"]
-    pace.update(1000)
+    assert texts.words == ["999 of 1,000 worlds", "24.7 worlds/s", "18 s left"]
+    texts.update(1000)
     now = 60.0
-    assert pace.words == ["1,000 of 1,000 worlds", "24.7 worlds/s"]
-    assert not Throughput(None, "world").left
+    assert texts.words == ["1,000 of 1,000 worlds", "24.7 worlds/s"]
+    assert not ProgressTexts(None, "world").left
 
 
 def test_the_time_left_follows_from_the_work_that_is_done_where_no_world_has_ended() -> None:
     """A quarter of the work of a chain, the placement of boxes, takes 10 s. The chain's four worlds arrive one after
     the other."""
     now, left = 0.0, []
-    pace = Throughput(4, "world", lambda: now)
+    texts = ProgressTexts(4, "world", lambda: now)
     for now, done, share in ((10.0, 0, 0.25), (20.0, 0, 0.5), (35.0, 1, 0.875), (40.0, 4, 1.0)):  # noqa: B007
-        pace.update(done, share)
-        left.append(pace.left)
+        texts.update(done, share)
+        left.append(texts.left)
     assert left == ["30 s left", "20 s left", "15 s left", ""]
-    assert pace.words == ["4 of 4 worlds", "0.1 worlds/s"]
+    assert texts.words == ["4 of 4 worlds", "0.1 worlds/s"]
 
 
 def test_of_a_million_worlds_few_moments_are_kept() -> None:
     now = 0.0
-    pace = Throughput(1_000_000, "world", lambda: now)
+    texts = ProgressTexts(1_000_000, "world", lambda: now)
     for done in range(1, 10_001):
         now = done / 4000
-        pace.update(done)
-    assert len(pace._marks) < 2.5 / MARK_S + 5
-    assert pace.left == "4 min 8 s left"
+        texts.update(done)
+    assert len(texts._marks) < 2.5 / MARK_S + 5
+    assert texts.left == "4 min 8 s left"
 
 
 def test_lines_of_an_unknown_total() -> None:

@@ -23,7 +23,7 @@ from petmjx.gym.environment_options import PalletizingOptions
 from petmjx.gym.observation_spaces import BOX_KG, LEFT, LOAD_N, PALLET_KG
 from petmjx.gym.single_env import PalletizingEnv
 from petmjx.gym.vector_env import PalletizingVectorEnv
-from petmjx.loop.order_sources import Boxes, Orders
+from petmjx.loop.episode_orders import Boxes, Orders
 
 REPOSITORY = Path(__file__).parents[2]
 THREADS: dict[str, Any] = {"threads": 1, "engine": "mujoco"}

@@ -15,8 +15,8 @@ from petmjx.engines import attempt_stream
 from petmjx.engines.attempt_stream import score_worlds
 from petmjx.engines.cost_model import Work
 from petmjx.engines.engine_choice import make_engine
+from petmjx.engines.engine_of_run import engine_for
 from petmjx.engines.protocol import PHYSICS, Capability, Engine, Progress, says_at_hand, takes_stream
-from petmjx.engines.run_engine import engine_for
 from petmjx.engines.verdict import Outcome
 from petmjx.engines.world_prefetch import WorldPrefetch
 from petmjx.loop import candidate_trials

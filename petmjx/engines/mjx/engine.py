@@ -96,7 +96,7 @@ class Group:
 
     @classmethod
     def of(cls, jobs: Sequence[Job], indices: list[int]) -> Group:
-        """A group of jobs that may share a batch (``stackable_jobs``). ``indices``: the indices of these jobs."""
+        """A group of jobs that may share a batch (``batch_groups``). ``indices``: the indices of these jobs."""
         alike = [jobs[index] for index in indices]
         steps = max(len(job.drive.excitation.samples) if job.drive else 0 for job in alike)
         return cls(indices, round_up(max(job.scene.n_boxes for job in alike)), steps)
@@ -179,7 +179,7 @@ class MjxJaxEngine(Engine):
         """
         most, stop = 1 if self._one_by_one else self.lanes, threading.Event()
         threads = cpu_threads() if self._one_by_one else 1
-        waiting = [Group.of(jobs, alike) for alike in stackable_jobs(jobs)]
+        waiting = [Group.of(jobs, alike) for alike in batch_groups(jobs)]
         running: dict[Future[None], tuple[Group, list[int], Batch]] = {}
         with ThreadPoolExecutor(threads, thread_name_prefix="petmjx-mjx-jax") as pool:
             try:
@@ -217,7 +217,7 @@ class MjxJaxEngine(Engine):
                 stop.set()
 
     def _phases(self, batch: Batch, sim: Simulation, progress: Progress) -> list[Phase]:
-        """The phases of a batch of stackable worlds: first the placement, then the drive."""
+        """The phases of a batch: first the placement, then the drive."""
         job = batch.jobs[0]
         drives: list[str | None] = [] if isinstance(job.start, State) else [None]
         if job.drive is not None:
@@ -280,7 +280,7 @@ def without_skin(sim: Simulation) -> Simulation:
     return sim.changed(physics=sim.physics.changed(skin_m=0.0))
 
 
-def stackable_jobs(jobs: Sequence[Job]) -> list[list[int]]:
+def batch_groups(jobs: Sequence[Job]) -> list[list[int]]:
     """Groups of jobs that may share a batch, as lists of the jobs' indices. Groups with the largest plans come first.
 
     All jobs of a group have the same kind of drive, and carriers with the same number of boards. Either all jobs begin

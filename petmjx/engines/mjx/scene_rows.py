@@ -19,7 +19,7 @@ from petmjx.world.friction_pairs import filled_up
 from petmjx.world.history import CARRIER
 from petmjx.world.release_places import NOTHING, Release, release_of, releases_of
 from petmjx.world.scene import IDENTITY_QUAT, Scene
-from petmjx.world.stackable_scenes import stackable_groups, stacked_values
+from petmjx.world.scene_arrays import equal_shape_groups, stacked_values
 
 MANY: Final = 1_000
 """From this number of rows on, several threads copy faster than one, since NumPy releases the interpreter's lock while
@@ -78,7 +78,7 @@ def _rows_of_distinct(scenes: Sequence[Scene], width: int, sim: Simulation, boar
         else:
             _put(rows, numbers[0], group_scenes[0], sim)
 
-    on_threads(put, [*stackable_groups(scenes)], MOST_ROW_THREADS if n >= MANY else 1)
+    on_threads(put, [*equal_shape_groups(scenes)], MOST_ROW_THREADS if n >= MANY else 1)
     for values in rows.values():
         values[n:] = values[0]
     return rows
@@ -141,7 +141,8 @@ def _scene_values(scenes: Sequence[Scene]) -> Rows:
 def _put_plain(
     rows: Rows, at: NDArray[np.intp], scenes: Sequence[Scene], release: Release, path: ApproachPath | None
 ) -> None:
-    """Write the values of stackable scenes (``petmjx.world.stackable_scenes``) into their rows, all at once."""
+    """Write the values of scenes whose arrays have equal shapes (petmjx/world/scene_arrays.py) into their rows, all at
+    once."""
     k, s = scenes[0].n_boxes, len(scenes[0].carrier.half_size)
     half = stacked_values(scenes, "half_size")
     quat, place = stacked_values(scenes, "start_quat"), release.pos

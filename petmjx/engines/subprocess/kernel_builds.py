@@ -17,7 +17,7 @@ from typing import Final
 from petmjx.common.errors import InputError
 from petmjx.common.machine import cpu_threads, cuda_limits
 from petmjx.engines.kernel_notes import are_noted, note_kernels
-from petmjx.engines.subprocess.kernel_build_process import BuildAnswer, GpuLimits, KernelBuild
+from petmjx.engines.subprocess.kernel_build_child import BuildAnswer, GpuLimits, KernelBuild
 from petmjx.engines.subprocess.task_pipe import ANSWER_WAIT_S, Child
 from petmjx.options.simulation import Simulation
 
@@ -108,7 +108,7 @@ class KernelBuilds:
     def _begin_next(self, idle: Child | None) -> None:
         """Begin the next kernel, in an idle process or in a new one. If no kernel is left, the idle process ends."""
         if self._waiting:
-            child = idle or Child("petmjx.engines.subprocess.kernel_build_process")
+            child = idle or Child("petmjx.engines.subprocess.kernel_build_child")
             self._children[child] = self._waiting.popleft()
             child.tasks.put(pickle.dumps(self._children[child]))
         elif idle is not None:

@@ -10,11 +10,11 @@ from collections.abc import Callable
 from petmjx.common.text import count_text, three_digits, time_left
 
 MARK_S = 0.1
-"""Smallest time between two entries of ``Throughput._marks``, s. Without this smallest time, a million worlds would add
-a million entries."""
+"""Smallest time between two entries of ``ProgressTexts._marks``, s. Without this smallest time, a million worlds would
+add a million entries."""
 
 
-class Throughput:
+class ProgressTexts:
     """Counts finished worlds (simulations of one plan each), and reports their number, their rate, and the time that
     the remaining worlds will take.
 

@@ -1,4 +1,4 @@
-"""Stackable scenes: groups of scenes whose arrays have equal shapes, so that the arrays can be stacked.
+"""Arrays with the values of several scenes. The arrays of these scenes have equal shapes, so that they can be stacked.
 
 The worlds of stacked scenes are computed together. The results are bit-identical to those of each world alone.
 """
@@ -19,8 +19,8 @@ AT_A_TIME: Final = 64
 1 MB."""
 
 
-def stackable_groups(scenes: Sequence[Scene]) -> Iterator[tuple[list[int], bool]]:
-    """Groups of scenes whose arrays can be stacked. A group is given as the numbers of its scenes, and whether these
+def equal_shape_groups(scenes: Sequence[Scene]) -> Iterator[tuple[list[int], bool]]:
+    """Groups of scenes whose arrays have equal shapes. A group is given as the numbers of its scenes, and whether these
     scenes are plain.
 
     ``is_plain`` defines plain scenes. A scene that is not plain is a group of its own. All plain scenes of the same

@@ -20,7 +20,7 @@ from petmjx.engines.user_engine import UserEngine
 from petmjx.options.run_options import AUTO, RunOptions
 
 if TYPE_CHECKING:
-    from petmjx.engines.remote.worker_choice import WorkerStartup
+    from petmjx.engines.remote.worker_startup import WorkerStartup
 
 
 @contextmanager
@@ -77,7 +77,7 @@ def resolve_engine(
             )
         return UserEngine(requested_engine, options.threads), Choice(requested_engine.name, "given")
     if options.asked_workers is not None:
-        from petmjx.engines.remote.worker_choice import resolve_workers  # for runs with workers only
+        from petmjx.engines.remote.worker_startup import resolve_workers  # for runs with workers only
 
         return resolve_workers(options, work, costs or MEASURED, startup)
     threads = options.threads or cpu_threads()
