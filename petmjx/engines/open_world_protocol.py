@@ -24,7 +24,7 @@ small world."""
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
+class Snapshot:
     """The current state of an open world with k placed boxes.
 
     Attributes:
@@ -53,8 +53,8 @@ class Reading:
 
 
 @dataclass(frozen=True, eq=False)
-class Readings:
-    """The ``Reading`` of each of m open worlds, as arrays with k columns. k is the largest number of boxes of a world.
+class Snapshots:
+    """The ``Snapshot`` of each of m open worlds, as arrays with k columns. k is the largest number of boxes of a world.
 
     In columns beyond a world's placed boxes, numbers are NaN and ``dropped`` is False.
 
@@ -78,9 +78,9 @@ class Readings:
     dropped: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, readings: Sequence[Reading], scenes: Sequence[Scene]) -> Readings:
-        """Several readings as arrays. ``scenes``: the scene of each reading's world."""
-        placed = np.array([len(reading.pos) for reading in readings], np.int64)
+    def of(cls, snapshots: Sequence[Snapshot], scenes: Sequence[Scene]) -> Snapshots:
+        """Several snapshots as arrays. ``scenes``: the scene of each snapshot's world."""
+        placed = np.array([len(snapshot.pos) for snapshot in snapshots], np.int64)
         width = int(placed.max(initial=0))
 
         def padded(
@@ -94,24 +94,24 @@ class Readings:
 
         return cls(
             placed=placed,
-            time_s=np.array([reading.time_s for reading in readings]),
-            ended=np.array([reading.ended for reading in readings], bool),
-            flags=np.array([reading.flags for reading in readings], np.int64),
-            culprit=np.array([reading.culprit for reading in readings], np.int64),
-            pos=padded([reading.pos for reading in readings], more=(3,)),
-            quat=padded([reading.quat for reading in readings], more=(4,)),
+            time_s=np.array([snapshot.time_s for snapshot in snapshots]),
+            ended=np.array([snapshot.ended for snapshot in snapshots], bool),
+            flags=np.array([snapshot.flags for snapshot in snapshots], np.int64),
+            culprit=np.array([snapshot.culprit for snapshot in snapshots], np.int64),
+            pos=padded([snapshot.pos for snapshot in snapshots], more=(3,)),
+            quat=padded([snapshot.quat for snapshot in snapshots], more=(4,)),
             target=padded([scene.target for scene in scenes], more=(3,)),
             half_size=padded([scene.half_size for scene in scenes], more=(3,)),
-            top_force_n=padded([reading.top_force_n for reading in readings]),
-            max_tilt_deg=padded([reading.max_tilt_deg for reading in readings]),
-            max_top_force_n=padded([reading.max_top_force_n for reading in readings]),
-            dropped=padded([reading.dropped for reading in readings], False),
+            top_force_n=padded([snapshot.top_force_n for snapshot in snapshots]),
+            max_tilt_deg=padded([snapshot.max_tilt_deg for snapshot in snapshots]),
+            max_top_force_n=padded([snapshot.max_top_force_n for snapshot in snapshots]),
+            dropped=padded([snapshot.dropped for snapshot in snapshots], False),
         )
 
-    def of_world(self, row: int) -> Reading:
-        """The reading of one world."""
+    def of_world(self, row: int) -> Snapshot:
+        """The snapshot of one world."""
         of_boxes = ("pos", "quat", "top_force_n", "max_tilt_deg", "max_top_force_n", "dropped")
-        return Reading(
+        return Snapshot(
             time_s=float(self.time_s[row]),
             ended=bool(self.ended[row]),
             flags=Flag(int(self.flags[row])),
@@ -120,8 +120,8 @@ class Readings:
         )
 
     @classmethod
-    def joined(cls, parts: Sequence[Readings]) -> Readings:
-        """The readings of the worlds of all parts, part after part."""
+    def joined(cls, parts: Sequence[Snapshots]) -> Snapshots:
+        """The snapshots of the worlds of all parts, part after part."""
         return cls(**joined_records(parts, max(part.pos.shape[1] for part in parts)))
 
 
@@ -254,7 +254,7 @@ class OpenWorlds(ABC):
             self._put_next(worlds, boxes)
             self._scenes.add(worlds, boxes)
 
-    def try_next(self, worlds: Sequence[int], boxes: NextBoxes, *, until_lost: bool = False) -> Readings:
+    def try_next(self, worlds: Sequence[int], boxes: NextBoxes, *, until_lost: bool = False) -> Snapshots:
         """Put one box into a copy (*fork*) of each world, simulate until the box is at rest, and return the states of
         the forks. The forks are then discarded, and the worlds do not change. A world may be named several times. Each
         world must have paused.
@@ -313,15 +313,15 @@ class OpenWorlds(ABC):
             self._fork(sources, into)
             self._scenes.copy(sources, into)
 
-    def read(self, worlds: Sequence[int]) -> list[Reading]:
-        """The ``Reading`` of each of these worlds."""
-        readings = self.readings(worlds)
-        return [readings.of_world(row) for row in range(len(worlds))]
+    def read(self, worlds: Sequence[int]) -> list[Snapshot]:
+        """The ``Snapshot`` of each of these worlds."""
+        snapshots = self.snapshots(worlds)
+        return [snapshots.of_world(row) for row in range(len(worlds))]
 
-    def readings(self, worlds: Sequence[int]) -> Readings:
-        """The readings of these worlds, as arrays."""
+    def snapshots(self, worlds: Sequence[int]) -> Snapshots:
+        """The snapshots of these worlds, as arrays."""
         _check_worlds(worlds, len(self), distinct=False)
-        return self._readings(worlds) if len(worlds) else Readings.of([], [])
+        return self._snapshots(worlds) if len(worlds) else Snapshots.of([], [])
 
     def finish(self, worlds: Sequence[int], drives: Sequence[Drive | None] | None = None) -> list[Outcome]:
         """The outcomes that worlds have if no further boxes follow. If ``drives`` has a drive for a world, the world is
@@ -356,10 +356,10 @@ class OpenWorlds(ABC):
         self._put(worlds, self.with_next(worlds, boxes))
 
     @abstractmethod
-    def _readings(self, worlds: Sequence[int]) -> Readings: ...
+    def _snapshots(self, worlds: Sequence[int]) -> Snapshots: ...
 
     @abstractmethod
-    def _try_next(self, worlds: Sequence[int], boxes: NextBoxes, *, until_lost: bool) -> Readings: ...
+    def _try_next(self, worlds: Sequence[int], boxes: NextBoxes, *, until_lost: bool) -> Snapshots: ...
 
     @abstractmethod
     def _try_scenes(

@@ -12,7 +12,7 @@ from petmjx.analysis.story import Story
 from petmjx.common.errors import InputError
 from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.engines.metrics import BoxMetrics
-from petmjx.engines.open_world_protocol import Reading
+from petmjx.engines.open_world_protocol import Snapshot
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
@@ -30,7 +30,7 @@ SHOWN_HEIGHT_M: Final = 1.2
 """Pictures show the carrier and at least this height above it, m."""
 
 
-def picture(scene: Scene, reading: Reading, sim: Simulation, size: tuple[int, int], view: str) -> NDArray[np.uint8]:
+def picture(scene: Scene, snapshot: Snapshot, sim: Simulation, size: tuple[int, int], view: str) -> NDArray[np.uint8]:
     """(height, width, 3) pixels of a picture of a pallet in its current state.
 
     Raises:
@@ -38,28 +38,28 @@ def picture(scene: Scene, reading: Reading, sim: Simulation, size: tuple[int, in
     """
     if reason := why_nothing_is_drawn():
         raise InputError(f"show: {reason}")
-    k = len(reading.pos)
+    k = len(snapshot.pos)
     # A scene must have at least one box to be drawn. The box added here is not placed, so it is invisible.
     if not scene.n_boxes:
         scene = EmptyCarrier(sim).with_box(scene, NextBoxes(np.full((1, 3), 0.1), np.zeros((1, 3)), np.ones(1)), 0)
-    story = _story(scene, reading, sim)
-    camera = framing(_scene_corners(scene, reading), view_of(view), size, Margins(0, 0, 0, 0))
+    story = _story(scene, snapshot, sim)
+    camera = framing(_scene_corners(scene, snapshot), view_of(view), size, Margins(0, 0, 0, 0))
     with Painter(colouring(story, Colour.ORDER), size, max(1.0, min(size) / 600)) as painter:
         poses = poses_of_frame(story.history, 0)
         assert poses.n_placed == k
         return painter.picture(poses, camera)
 
 
-def _scene_corners(scene: Scene, reading: Reading) -> FloatArray:
+def _scene_corners(scene: Scene, snapshot: Snapshot) -> FloatArray:
     """(c, 3) corners of a cuboid around the carrier and the boxes, m."""
     low, high = scene.carrier.low.copy(), scene.carrier.high.copy()
-    tops = (scene.target + scene.half_size)[: len(reading.pos), 2]
+    tops = (scene.target + scene.half_size)[: len(snapshot.pos), 2]
     high[2] = max(SHOWN_HEIGHT_M, float(tops.max(initial=0.0)))
     return np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
 
 
-def _story(scene: Scene, reading: Reading, sim: Simulation) -> Story:
-    n, k = scene.n_boxes, len(reading.pos)
+def _story(scene: Scene, snapshot: Snapshot, sim: Simulation) -> Story:
+    n, k = scene.n_boxes, len(snapshot.pos)
 
     def frame(values: FloatArray) -> FloatArray:
         table = np.full((1, n, *values.shape[1:]), np.nan)
@@ -67,11 +67,11 @@ def _story(scene: Scene, reading: Reading, sim: Simulation) -> Story:
         return table
 
     history = History(
-        time_s=np.array([reading.time_s]),
+        time_s=np.array([snapshot.time_s]),
         n_placed=np.array([k], np.int32),
-        pos=frame(reading.pos),
-        quat=frame(reading.quat),
-        top_force_n=frame(reading.top_force_n),
+        pos=frame(snapshot.pos),
+        quat=frame(snapshot.quat),
+        top_force_n=frame(snapshot.top_force_n),
         carrier_pos=scene.carrier.pos[None],
         carrier_quat=np.array([IDENTITY_QUAT]),
         drive=np.zeros((1, 3)),
@@ -84,11 +84,11 @@ def _story(scene: Scene, reading: Reading, sim: Simulation) -> Story:
         job=0,
         verdict=Verdict.STABLE,
         reason=Reason.NONE,
-        culprit=reading.culprit,
+        culprit=snapshot.culprit,
         first_sign_s=float("nan"),
         n_boxes=n,
         n_placed=k,
-        sim_time_s=reading.time_s,
+        sim_time_s=snapshot.time_s,
         n_steps=0,
         flags=Flag.NONE,
         boxes=boxes,

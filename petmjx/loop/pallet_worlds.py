@@ -111,12 +111,12 @@ class PalletWorlds:
     def _rested(self, rows: NDArray[np.int64]) -> PlacementResults:
         if len(rows):
             self.worlds.go_on()
-        readings = self.worlds.readings(rows.tolist())
-        outcomes = PlacementResults.of_readings(rows, readings, self._sim.thresholds)
+        snapshots = self.worlds.snapshots(rows.tolist())
+        outcomes = PlacementResults.of_snapshots(rows, snapshots, self._sim.thresholds)
         self.dead[rows] = outcomes.ended
         rests = outcomes.stable & ~outcomes.moving & self._decidable & ~(self._strength[rows] > 0).any(axis=1)
         self.margin[rows] = np.where(rests, outcomes.margin, -1.0)
-        apart = boxes_apart_mm(readings, self._sim.thresholds)
+        apart = boxes_apart_mm(snapshots, self._sim.thresholds)
         self.apart_mm[rows, : apart.shape[1]] = apart
         return outcomes
 

@@ -214,13 +214,13 @@ class Pallets(Closable):
         with self._using():
             request = self._placements(size_mm, corner_mm, mass_kg, pallet)
             if not len(request):
-                return PlacementResults.of_readings(
-                    request.pallet, self._worlds.readings([]), self.simulation.thresholds
+                return PlacementResults.of_snapshots(
+                    request.pallet, self._worlds.snapshots([]), self.simulation.thresholds
                 )
             boxes, worlds = self._standing.next_boxes(request), request.pallet.tolist()
             if shaken is None:
-                readings = self._worlds.try_next(worlds, boxes)
-                outcomes = PlacementResults.of_readings(request.pallet, readings, self.simulation.thresholds)
+                snapshots = self._worlds.try_next(worlds, boxes)
+                outcomes = PlacementResults.of_snapshots(request.pallet, snapshots, self.simulation.thresholds)
             else:
                 outcomes = driven_results(self._worlds, request.pallet, boxes, shaken, self.simulation.thresholds)
             if number is None:
@@ -248,8 +248,8 @@ class Pallets(Closable):
             open_requests = request.take(np.flatnonzero(decided == OPEN))
             if len(open_requests):
                 boxes = self._standing.next_boxes(open_requests)
-                readings = self._worlds.try_next(open_requests.pallet.tolist(), boxes, until_lost=True)
-                results = PlacementResults.of_readings(open_requests.pallet, readings, self.simulation.thresholds)
+                snapshots = self._worlds.try_next(open_requests.pallet.tolist(), boxes, until_lost=True)
+                results = PlacementResults.of_snapshots(open_requests.pallet, snapshots, self.simulation.thresholds)
                 margin[decided == OPEN] = np.where(results.stable, results.margin, -1.0)
                 decided[decided == OPEN] = np.where(results.stable, STANDS, FALLS)
             return decided == STANDS, margin
@@ -312,7 +312,9 @@ class Pallets(Closable):
         """The current results of the given pallets, or, if ``pallet`` is None, of all pallets."""
         with self._using():
             rows = pallets_of(pallet, self.n)
-            return PlacementResults.of_readings(rows, self._worlds.readings(rows.tolist()), self.simulation.thresholds)
+            return PlacementResults.of_snapshots(
+                rows, self._worlds.snapshots(rows.tolist()), self.simulation.thresholds
+            )
 
     def told(self, pallet: Any = None) -> PlacementResults:
         """Deprecated name of ``results``, as in version 0.2."""
@@ -453,8 +455,8 @@ class Pallets(Closable):
         size = (integer_of(size[0], "size", 16, 8192), integer_of(size[1], "size", 16, 8192))
         with self._using():
             number = self._one(pallet, may_be_empty=True)
-            (reading,) = self._worlds.read([number])
-            return picture(self._worlds.scene(number), reading, self.simulation, size, view)
+            (snapshot,) = self._worlds.read([number])
+            return picture(self._worlds.scene(number), snapshot, self.simulation, size, view)
 
     def close(self) -> None:
         """Free the engine's resources. All later calls of the object's methods raise InputError."""

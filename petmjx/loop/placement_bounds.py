@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.engines.mujoco.box_motion import shift, tilt_deg
-from petmjx.engines.open_world_protocol import Readings
+from petmjx.engines.open_world_protocol import Snapshots
 from petmjx.loop.box_tables import BoxTable
 from petmjx.loop.placement_arguments import Placements
 from petmjx.options.carriers import Carrier
@@ -128,18 +128,18 @@ def decidable(sim: Simulation) -> bool:
     )
 
 
-def boxes_apart_mm(readings: Readings, thresholds: Thresholds) -> FloatArray:
+def boxes_apart_mm(snapshots: Snapshots, thresholds: Thresholds) -> FloatArray:
     """(m, k) upper bound for the distance of any corner of each box from its planned position, mm. The distance is 0 if
     the box rests at its planned place, that is, if its shift is below the smallest shift that counts and its tilt was
     always below ``CALM_DEG``."""
     with np.errstate(invalid="ignore"):  # values after the last box of a pallet are NaN
-        m, k = readings.max_tilt_deg.shape
-        tilted = np.fmax(readings.max_tilt_deg, tilt_deg(readings.quat.reshape(-1, 4)).reshape(m, k))
-        shifted = shift(readings.pos, readings.target, thresholds.shift_floor_m)
+        m, k = snapshots.max_tilt_deg.shape
+        tilted = np.fmax(snapshots.max_tilt_deg, tilt_deg(snapshots.quat.reshape(-1, 4)).reshape(m, k))
+        shifted = shift(snapshots.pos, snapshots.target, thresholds.shift_floor_m)
         rests = (shifted == 0).all(axis=2) & (tilted < CALM_DEG)
-        offset = np.linalg.norm(readings.pos - readings.target, axis=2)
-        turn = np.sqrt(np.clip(1.0 - readings.quat[..., 0] ** 2, 0.0, 1.0))  # sine of half the angle
-        apart = (offset + 2 * turn * np.linalg.norm(readings.half_size, axis=2)) * MM_PER_M + NEAR_MM
+        offset = np.linalg.norm(snapshots.pos - snapshots.target, axis=2)
+        turn = np.sqrt(np.clip(1.0 - snapshots.quat[..., 0] ** 2, 0.0, 1.0))  # sine of half the angle
+        apart = (offset + 2 * turn * np.linalg.norm(snapshots.half_size, axis=2)) * MM_PER_M + NEAR_MM
     return np.where(rests | np.isnan(apart), 0.0, apart)
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.engines.mujoco.box_motion import has_dropped, shift, tilt_deg
-from petmjx.engines.open_world_protocol import Readings, joined_records, widened_rows
+from petmjx.engines.open_world_protocol import Snapshots, joined_records, widened_rows
 from petmjx.engines.verdict import DROPPED_EXCESS, Flag, Outcome, Signs, Verdict, judge_all, margins_of
 from petmjx.options.simulation import Thresholds
 
@@ -76,18 +76,18 @@ class PlacementResults:
         return cls(**joined_records(parts, max(part.top_force_n.shape[1] for part in parts)))
 
     @classmethod
-    def of_readings(cls, pallet: NDArray[np.int64], readings: Readings, thresholds: Thresholds) -> PlacementResults:
+    def of_snapshots(cls, pallet: NDArray[np.int64], snapshots: Snapshots, thresholds: Thresholds) -> PlacementResults:
         """The results of simulated pallets that are at rest or have failed."""
-        m, k = readings.max_tilt_deg.shape
+        m, k = snapshots.max_tilt_deg.shape
         with np.errstate(invalid="ignore"):  # values are NaN after the last box of a pallet, and in failed simulations
-            shifted = shift(readings.pos, readings.target, thresholds.shift_floor_m)
+            shifted = shift(snapshots.pos, snapshots.target, thresholds.shift_floor_m)
             quat, middles, halves = (
-                values.reshape(-1, values.shape[2]) for values in (readings.quat, readings.pos, readings.half_size)
+                values.reshape(-1, values.shape[2]) for values in (snapshots.quat, snapshots.pos, snapshots.half_size)
             )
-            tilted = np.fmax(readings.max_tilt_deg, tilt_deg(quat).reshape(m, k))
-            dropped = readings.dropped | has_dropped(middles, quat, halves, thresholds).reshape(m, k)
+            tilted = np.fmax(snapshots.max_tilt_deg, tilt_deg(quat).reshape(m, k))
+            dropped = snapshots.dropped | has_dropped(middles, quat, halves, thresholds).reshape(m, k)
             verdict, reason = judge_all(
-                readings.flags, Signs(shifted, tilted, readings.max_top_force_n, dropped), thresholds
+                snapshots.flags, Signs(shifted, tilted, snapshots.max_top_force_n, dropped), thresholds
             )
             x, y, z = np.abs(np.moveaxis(shifted, 2, 0))
             farthest = np.maximum(np.maximum(x, y), z)
@@ -95,7 +95,7 @@ class PlacementResults:
             over = np.nan_to_num(np.maximum(over, DROPPED_EXCESS * dropped), nan=-np.inf)
         stable, invalid = verdict == str(Verdict.STABLE), verdict == str(Verdict.INVALID)
         worst = over.argmax(axis=1) if k else np.zeros(m, np.int64)
-        culprit = np.where(readings.culprit >= 0, readings.culprit, np.where(invalid, -1, worst))
+        culprit = np.where(snapshots.culprit >= 0, snapshots.culprit, np.where(invalid, -1, worst))
         margin = 1.0 - over.max(axis=1, initial=0.0)
         eps = float(np.finfo(np.float64).eps)
         margin = np.where(stable, np.maximum(margin, 0.0), np.minimum(margin, -eps))
@@ -108,12 +108,12 @@ class PlacementResults:
             margin=np.where(invalid, np.nan, margin),
             shift_mm=_largest(farthest * MM_PER_M),
             tilt_deg=_largest(tilted),
-            n_boxes=readings.placed,
-            ended=readings.ended,
-            moving=(readings.flags & int(Flag.MOVING)) != 0,
-            top_force_n=readings.top_force_n,
-            middle_mm=readings.pos * MM_PER_M,
-            quat=readings.quat,
+            n_boxes=snapshots.placed,
+            ended=snapshots.ended,
+            moving=(snapshots.flags & int(Flag.MOVING)) != 0,
+            top_force_n=snapshots.top_force_n,
+            middle_mm=snapshots.pos * MM_PER_M,
+            quat=snapshots.quat,
             share=np.full(m, np.nan),
         )
 

@@ -88,21 +88,23 @@ def test_boxes_can_be_put_in_one_by_one(engine: MujocoEngine | MjxWarpEngine) ->
     worlds = engine.open([scene.first(0) for scene in plans], SIM)
     for count in range(1, 5):
         worlds.go_on()
-        readings = worlds.read(range(len(plans)))
-        open_ones = [k for k, scene in enumerate(plans) if scene.n_boxes >= count and not readings[k].ended]
+        snapshots = worlds.read(range(len(plans)))
+        open_ones = [k for k, scene in enumerate(plans) if scene.n_boxes >= count and not snapshots[k].ended]
         worlds.put(open_ones, [plans[k].first(count) for k in open_ones])
     worlds.go_on()
-    for reading, outcome, expected in zip(worlds.read(range(len(plans))), everything(worlds), run(engine), strict=True):
+    for snapshot, outcome, expected in zip(
+        worlds.read(range(len(plans))), everything(worlds), run(engine), strict=True
+    ):
         assert (outcome.verdict, outcome.reason, outcome.culprit) == (
             expected.verdict,
             expected.reason,
             expected.culprit,
         )
-        if not reading.ended:
+        if not snapshot.ended:
             if isinstance(engine, MjxWarpEngine):
                 assert_same_but_for_a_digit_of_tilts(outcome, expected)
             np.testing.assert_allclose(outcome.boxes.pos, expected.boxes.pos, atol=FLOAT64)
-        assert reading.ended == (outcome.verdict is Verdict.UNSTABLE and outcome.sim_time_s == reading.time_s)
+        assert snapshot.ended == (outcome.verdict is Verdict.UNSTABLE and outcome.sim_time_s == snapshot.time_s)
 
 
 def test_readings_have_the_middles_of_boxes_whose_mass_is_elsewhere(engine: MujocoEngine | MjxWarpEngine) -> None:
@@ -111,7 +113,7 @@ def test_readings_have_the_middles_of_boxes_whose_mass_is_elsewhere(engine: Mujo
     worlds = engine.open([scene], SIM)
     worlds.go_on()
     (outcome,) = worlds.finish([0])
-    np.testing.assert_allclose(worlds.readings([0]).pos[0], outcome.boxes.pos, atol=1e-4)
+    np.testing.assert_allclose(worlds.snapshots([0]).pos[0], outcome.boxes.pos, atol=1e-4)
 
 
 def test_pallets_that_tremble_end_as_a_run_of_all_their_boxes_does(engine: MujocoEngine | MjxWarpEngine) -> None:

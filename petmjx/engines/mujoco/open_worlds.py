@@ -17,7 +17,7 @@ import numpy as np
 from petmjx.engines.mujoco.message_log import QUIET_MUJOCO
 from petmjx.engines.mujoco.open_models import Templates
 from petmjx.engines.mujoco.world_run import WorldRun
-from petmjx.engines.open_world_protocol import OpenWorlds, Reading, Readings
+from petmjx.engines.open_world_protocol import OpenWorlds, Snapshot, Snapshots
 from petmjx.engines.verdict import Flag, Outcome
 from petmjx.options.simulation import Simulation
 from petmjx.world.growing_scenes import NextBoxes
@@ -78,7 +78,7 @@ class OpenWorld(WorldRun):
         twin._explosion, twin._stepper = copy.copy(self._explosion), copy.copy(self._stepper)
         return twin
 
-    def tried(self, scene: Scene, *, until_lost: bool = False) -> Reading:
+    def tried(self, scene: Scene, *, until_lost: bool = False) -> Snapshot:
         """Put the additional boxes of this scene into a copy (*fork*), simulate it until they are at rest, and return
         its state. With ``until_lost``, the simulation already ends when a box is tilted too far at a sample, or is gone
         (fallen for certain) at a check whether the pallet is quiet."""
@@ -86,9 +86,9 @@ class OpenWorld(WorldRun):
         twin._job, twin._until_gone = replace(twin._job, has_errors=until_lost), until_lost
         twin.put(scene)
         twin.go_on()
-        reading = twin.read()
+        snapshot = twin.read()
         twin._live.give_back()
-        return reading
+        return snapshot
 
     def _observe(self) -> bool:
         if not super()._observe():
@@ -132,13 +132,13 @@ class OpenWorld(WorldRun):
             self._proceed()
             self._keep_still_pose()
 
-    def read(self) -> Reading:
+    def read(self) -> Snapshot:
         """The state of the world, with ``Flag.MOVING`` if the world paused because its time was up, although boxes were
         still moving."""
         live, k = self._live, self._live.n_placed
         pose = live.pose[:k]
         moves = self.paused and not (self._quiet.holds or self._metrics.has_failed)
-        return Reading(
+        return Snapshot(
             time_s=self._clock.time_s(self._step),
             ended=self.ended,
             flags=self._flags | (Flag.MOVING if moves else Flag.NONE),
@@ -190,16 +190,16 @@ class MujocoWorlds(OpenWorlds):
         for world, twin in zip(into, twins, strict=True):
             self._worlds[world] = twin
 
-    def _readings(self, worlds: Sequence[int]) -> Readings:
-        return Readings.of([self._worlds[world].read() for world in worlds], [self._scenes[world] for world in worlds])
+    def _snapshots(self, worlds: Sequence[int]) -> Snapshots:
+        return Snapshots.of([self._worlds[world].read() for world in worlds], [self._scenes[world] for world in worlds])
 
-    def _try_next(self, worlds: Sequence[int], boxes: NextBoxes, *, until_lost: bool) -> Readings:
-        def tried(row: int) -> tuple[Reading, Scene]:
+    def _try_next(self, worlds: Sequence[int], boxes: NextBoxes, *, until_lost: bool) -> Snapshots:
+        def tried(row: int) -> tuple[Snapshot, Scene]:
             scene = self._blank.with_box(self._scenes[worlds[row]], boxes, row)
             return self._worlds[worlds[row]].tried(scene, until_lost=until_lost), scene
 
         trials = self._map(tried, range(len(worlds)))
-        return Readings.of([reading for reading, _ in trials], [scene for _, scene in trials])
+        return Snapshots.of([snapshot for snapshot, _ in trials], [scene for _, scene in trials])
 
     def _try_scenes(
         self, worlds: Sequence[int], scenes: Sequence[Scene], drives: Sequence[Drive | None]

@@ -16,7 +16,7 @@ from petmjx.common.units import FloatArray
 from petmjx.engines.mjx import box_motion as motion
 from petmjx.engines.mjx.world_constants import Worlds, device_array
 from petmjx.engines.mjx.world_state import State, Status, take_rows
-from petmjx.engines.open_world_protocol import Readings
+from petmjx.engines.open_world_protocol import Snapshots
 from petmjx.engines.step_clock import Clock
 from petmjx.engines.verdict import Flag
 from petmjx.options.simulation import Simulation
@@ -86,8 +86,8 @@ def with_new_box(worlds: Worlds, box: NewBox) -> Worlds:
     )
 
 
-class ReadingInputs(NamedTuple):
-    """The fields of ``State`` and ``Metrics`` from which ``Readings`` are computed."""
+class SnapshotInputs(NamedTuple):
+    """The fields of ``State`` and ``Metrics`` from which ``Snapshots`` are computed."""
 
     placed: Int[Array, " world"]
     step: Int[Array, " world"]
@@ -102,8 +102,8 @@ class ReadingInputs(NamedTuple):
     drop_step: Int[Array, "world box"]
 
     @classmethod
-    def of(cls, state: State) -> ReadingInputs:
-        """The inputs for the readings of all worlds."""
+    def of(cls, state: State) -> SnapshotInputs:
+        """The inputs for the snapshots of all worlds."""
         return cls(**{name: getattr(state if name in State._fields else state.metrics, name) for name in cls._fields})
 
     def flags_now(self, sim: Simulation) -> NDArray[np.int64]:
@@ -116,22 +116,22 @@ class ReadingInputs(NamedTuple):
 
 
 @jax.jit
-def reading_inputs(worlds: Worlds, state: State, rows: Int[Array, " row"]) -> ReadingInputs:
-    """The inputs for the readings of the worlds in the rows ``rows``, with the middles of boxes instead of their
+def snapshot_inputs(worlds: Worlds, state: State, rows: Int[Array, " row"]) -> SnapshotInputs:
+    """The inputs for the snapshots of the worlds in the rows ``rows``, with the middles of boxes instead of their
     centres of mass. For a row beyond the table, the inputs are those of an arbitrary world."""
-    inputs = take_rows(ReadingInputs.of(state), rows)
+    inputs = take_rows(SnapshotInputs.of(state), rows)
     middles = motion.middles(inputs.qpos, take_rows(worlds, rows).middle)
     return inputs._replace(qpos=jnp.concatenate([middles, inputs.qpos[..., 3:]], axis=-1))
 
 
-def readings_of(report: ReadingInputs, half_size: FloatArray, target: FloatArray, sim: Simulation) -> Readings:
-    """The readings of the first m worlds, where m is the length of ``half_size``.
+def snapshots_of(report: SnapshotInputs, half_size: FloatArray, target: FloatArray, sim: Simulation) -> Snapshots:
+    """The snapshots of the first m worlds, where m is the length of ``half_size``.
 
     Args:
         report: the fields of the worlds, on the device.
         half_size, target: (m, k, 3) half extents and planned centres of the boxes, m.
     """
-    state: ReadingInputs = jax.tree.map(lambda values: values[: len(half_size)], jax.device_get(report))
+    state: SnapshotInputs = jax.tree.map(lambda values: values[: len(half_size)], jax.device_get(report))
     width = half_size.shape[1]
     placed = np.asarray(state.placed, np.int64)
     beyond = np.arange(width) >= placed[:, None]
@@ -143,7 +143,7 @@ def readings_of(report: ReadingInputs, half_size: FloatArray, target: FloatArray
 
     clock, pose = Clock(sim.physics.timestep_s), doubles(np.asarray(state.qpos))
     steps, which = np.unique(np.maximum(np.asarray(state.step), 0), return_inverse=True)
-    return Readings(
+    return Snapshots(
         placed=placed,
         time_s=np.array([clock.time_s(int(step)) for step in steps])[which],
         ended=np.asarray(state.status) == Status.FINISHED,

@@ -21,13 +21,13 @@ from petmjx.engines.mjx.readback import readbacks_of
 from petmjx.engines.mjx.timetable import build_timetable
 from petmjx.engines.mjx.world_constants import Worlds, device_array, padded_rows, upload_worlds
 from petmjx.engines.mjx.world_state import State, Status, put_rows, take_rows
-from petmjx.engines.open_world_protocol import OpenWorlds, Readings
+from petmjx.engines.open_world_protocol import OpenWorlds, Snapshots
 from petmjx.engines.verdict import Flag, Outcome
 from petmjx.engines.warp import world_arrays
 from petmjx.engines.warp.block_launch import Features
 from petmjx.engines.warp.contact_buffers import MAX_GROWTH
 from petmjx.engines.warp.kernel_features import needs_of
-from petmjx.engines.warp.next_boxes import NewBox, new_box, reading_inputs, readings_of
+from petmjx.engines.warp.next_boxes import NewBox, new_box, snapshot_inputs, snapshots_of
 from petmjx.engines.warp.open_world_functions import OpenState, Simulator
 from petmjx.engines.warp.world_table import OVERFLOW_BITS
 from petmjx.options.simulation import Simulation
@@ -102,16 +102,16 @@ class WarpWorlds(OpenWorlds):
         box = self._new_box(self._scenes.stacks(worlds), boxes, len(rows))
         self.open = self._jitted_put_next(self.open, rows, box)
 
-    def _try_next(self, worlds: Sequence[int], boxes: NextBoxes, *, until_lost: bool) -> Readings:
+    def _try_next(self, worlds: Sequence[int], boxes: NextBoxes, *, until_lost: bool) -> Snapshots:
         if len(worlds) <= MOST_TRIED:
             return self._tried(worlds, boxes, until_lost)
         parts = []
         for first in range(0, len(worlds), MOST_TRIED):
             some = slice(first, first + MOST_TRIED)
             parts.append(self._tried(worlds[some], boxes.take(np.arange(len(boxes))[some]), until_lost))
-        return Readings.joined(parts)
+        return Snapshots.joined(parts)
 
-    def _tried(self, worlds: Sequence[int], boxes: NextBoxes, until_lost: bool) -> Readings:
+    def _tried(self, worlds: Sequence[int], boxes: NextBoxes, until_lost: bool) -> Snapshots:
         count, before = len(worlds), self._scenes.stacks(worlds)
         padded = _coarsely_padded(count)
         forks = _take(self.open, self._rows(worlds, padded), count)
@@ -125,8 +125,8 @@ class WarpWorlds(OpenWorlds):
             ends = jnp.ones_like(begun.worlds.ends_when_lost)
             begun = begun._replace(worlds=begun.worlds._replace(ends_when_lost=ends, ends_when_gone=ends))
         after = self._to_the_end(begun, jnp.zeros((1, 1, 3)))
-        report = reading_inputs(*after, device_array(np.arange(padded, dtype=np.int32)))
-        return readings_of(report, *before.with_next(boxes), self._sim)
+        report = snapshot_inputs(*after, device_array(np.arange(padded, dtype=np.int32)))
+        return snapshots_of(report, *before.with_next(boxes), self._sim)
 
     def _new_box(self, before: Stacks, boxes: NextBoxes, rows: int) -> NewBox:
         if before.mass.shape[1] >= self.width and np.isfinite(before.mass[:, self.width - 1]).any():
@@ -146,10 +146,10 @@ class WarpWorlds(OpenWorlds):
         settled = self._to_the_end(self._jitted_put(forks, rows, more), jnp.zeros((1, 1, 3)))
         return self._ended_outcomes(settled.state, jobs, batch)
 
-    def _readings(self, worlds: Sequence[int]) -> Readings:
-        report = reading_inputs(*self.open, self._rows(worlds))
+    def _snapshots(self, worlds: Sequence[int]) -> Snapshots:
+        report = snapshot_inputs(*self.open, self._rows(worlds))
         stacks = self._scenes.stacks(worlds)
-        return readings_of(report, stacks.half_size, stacks.target, self._sim)
+        return snapshots_of(report, stacks.half_size, stacks.target, self._sim)
 
     @property
     def _appears(self) -> bool:
