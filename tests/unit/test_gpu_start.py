@@ -173,7 +173,7 @@ class _Cluster:
 class _Pool:
     size = 2
 
-    def __init__(self, recipe: Recipe, places: object, cluster: _Cluster, check_pool: int) -> None:
+    def __init__(self, recipe: Recipe, resources: object, cluster: _Cluster, check_pool: int) -> None:
         self.name, self._cluster = recipe.name, cluster
         cluster.said.put(recipe.name)
 

@@ -14,7 +14,7 @@ from petmjx.common.errors import EngineUnavailable, InputError
 from petmjx.common.units import FloatArray
 from petmjx.engines.cost_model import CREEPING, DISPLACED_COST, MEASURED
 from petmjx.engines.remote.job_dealer import MOST_JOBS, MOST_ON_DEVICE, JobDealer, WorkerJobs
-from petmjx.engines.remote.worker_resources import Node, Place, places, threads_beside
+from petmjx.engines.remote.worker_resources import Node, WorkerResources, threads_beside, worker_resources
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import Drive, Excitation, Job
 
@@ -38,7 +38,7 @@ def finish(dealer: JobDealer, worker: WorkerJobs, jobs: Iterable[int] | None = N
 
 
 def dead(dealer: JobDealer, worker: WorkerJobs) -> list[int]:
-    """The jobs that are given up after the death of a worker. The place of the dead worker gets another worker."""
+    """The jobs that are given up after the death of a worker. Another worker replaces the dead worker."""
     given_up = dealer.died(worker)
     vars(worker).update(vars(WorkerJobs(worker.threads, ready=True)))
     return given_up
@@ -313,34 +313,36 @@ NODES = (Node(8, 2), Node(4, 0), Node(0, 0))
 @pytest.mark.parametrize(
     ("engine", "workers", "threads", "expected"),
     [
-        ("mujoco", "auto", None, [Place(8), Place(4)]),
-        ("mujoco", "auto", 3, [Place(3)] * 3),
-        ("mujoco", 2, None, [Place(4)] * 2),  # only one worker with 6 CPUs would fit on each node
-        ("mujoco", 3, None, [Place(4)] * 3),
-        ("mujoco", 12, None, [Place(1)] * 12),
-        ("mujoco", 2, 1, [Place(1)] * 2),
-        ("mjx-warp", "auto", None, [Place(1, 1)] * 2),
-        ("mjx-jax", 1, None, [Place(1, 1)]),
-        ("mjx-warp", 4, None, [Place(1, 0.5)] * 4),
-        ("mjx-warp", 6, None, [Place(1, 0.3333)] * 6),  # Ray rounds shares to ten-thousandths
+        ("mujoco", "auto", None, [WorkerResources(8), WorkerResources(4)]),
+        ("mujoco", "auto", 3, [WorkerResources(3)] * 3),
+        ("mujoco", 2, None, [WorkerResources(4)] * 2),  # only one worker with 6 CPUs would fit on each node
+        ("mujoco", 3, None, [WorkerResources(4)] * 3),
+        ("mujoco", 12, None, [WorkerResources(1)] * 12),
+        ("mujoco", 2, 1, [WorkerResources(1)] * 2),
+        ("mjx-warp", "auto", None, [WorkerResources(1, 1)] * 2),
+        ("mjx-jax", 1, None, [WorkerResources(1, 1)]),
+        ("mjx-warp", 4, None, [WorkerResources(1, 0.5)] * 4),
+        ("mjx-warp", 6, None, [WorkerResources(1, 0.3333)] * 6),  # Ray rounds shares to ten-thousandths
     ],
 )
-def test_what_workers_take(engine: str, workers: int | str, threads: int | None, expected: list[Place]) -> None:
-    assert places(engine, NODES, workers, threads) == expected
+def test_what_workers_take(
+    engine: str, workers: int | str, threads: int | None, expected: list[WorkerResources]
+) -> None:
+    assert worker_resources(engine, NODES, workers, threads) == expected
 
 
 def test_workers_that_share_a_gpu_have_a_cpu_each() -> None:
     nodes = [Node(4, 1), Node(5, 2)]  # four workers would have room on any two of the three GPUs
-    assert places("mjx-jax", nodes, 3) == [Place(1, 1)] * 3
+    assert worker_resources("mjx-jax", nodes, 3) == [WorkerResources(1, 1)] * 3
     with pytest.raises(InputError, match="workers: no room for 9 workers of 1 CPU beside the GPUs; there are 9 CPUs"):
-        places("mjx-jax", nodes, 9)
+        worker_resources("mjx-jax", nodes, 9)
 
 
 def test_a_device_engine_without_gpus() -> None:
-    assert places("mjx-jax", [Node(4)], "auto") == [Place(4)]
-    assert places("mjx-jax", [Node(4)], 2) == [Place(2)] * 2
+    assert worker_resources("mjx-jax", [Node(4)], "auto") == [WorkerResources(4)]
+    assert worker_resources("mjx-jax", [Node(4)], 2) == [WorkerResources(2)] * 2
     with pytest.raises(EngineUnavailable, match="mjx-warp cannot run here: there are 4 CPUs and 0 GPUs"):
-        places("mjx-warp", [Node(4)], "auto")
+        worker_resources("mjx-warp", [Node(4)], "auto")
 
 
 @pytest.mark.parametrize(
@@ -355,7 +357,7 @@ def test_a_device_engine_without_gpus() -> None:
 )
 def test_more_workers_than_there_is_room_for(engine: str, workers: int | str, threads: int | None, line: str) -> None:
     with pytest.raises(InputError, match=line):
-        places(engine, NODES, workers, threads)
+        worker_resources(engine, NODES, workers, threads)
 
 
 @pytest.mark.parametrize(

@@ -84,8 +84,8 @@ def test_a_worker_reports_progress_and_errors() -> None:
 
 
 def test_the_notes_of_a_worker_are_notes_of_the_run() -> None:
-    place: Any = None
-    worker = _WorkerRecord(place, None, None, WorkerJobs(1))
+    resources: Any = None
+    worker = _WorkerRecord(resources, None, None, WorkerJobs(1))
     pool = WorkerPool.__new__(WorkerPool)
     pool._workers = [worker]
     run = _PoolRun(JobStream(), SHORT, Progress(notes={"before": None}), JobDealer(None, 1), 0.0)

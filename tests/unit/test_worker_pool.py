@@ -31,7 +31,7 @@ from petmjx.engines.remote import worker_pool as pool_module
 from petmjx.engines.remote.ray_actor import Recipe
 from petmjx.engines.remote.ray_cluster import Cluster
 from petmjx.engines.remote.worker_pool import WorkerPool
-from petmjx.engines.remote.worker_resources import Place
+from petmjx.engines.remote.worker_resources import WorkerResources
 from petmjx.engines.verdict import Reason
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
@@ -82,7 +82,7 @@ def close_pool() -> None:
 def pool() -> WorkerPool:
     """Two workers, which take both CPUs of the cluster."""
     if not _kept:
-        _kept.append(WorkerPool(MUJOCO, [Place(1), Place(1)], Cluster()))
+        _kept.append(WorkerPool(MUJOCO, [WorkerResources(1), WorkerResources(1)], Cluster()))
     return _kept[0]
 
 
@@ -149,7 +149,7 @@ def wait_for_two(pool: WorkerPool) -> None:
                 pool._greet(worker, ref)
         for lost in [worker for worker in pool._workers if not worker.ready]:
             pool._kill(lost)
-            pool._workers[pool._workers.index(lost)] = pool._start(lost.place)
+            pool._workers[pool._workers.index(lost)] = pool._start(lost.resources)
         if len(pool.pids) == 2:
             return
     pytest.fail("no second worker got ready")
@@ -169,7 +169,7 @@ def test_workers_with_kernels_give_the_tables_of_one_process(tmp_path: Path, mon
     assert "[0.8, 1.0]" in GRID
     (file := tmp_path / "sweep.toml").write_text(GRID.replace("[0.8, 1.0]", "[0.8]"))
     alone = petmjx.sweep(file, plans, engine="mjx-warp-cpu", threads=1)
-    pool = WorkerPool(Recipe("mjx-warp-cpu", {"threads": 1}), [Place(1), Place(1)], Cluster())
+    pool = WorkerPool(Recipe("mjx-warp-cpu", {"threads": 1}), [WorkerResources(1), WorkerResources(1)], Cluster())
     try:
         wait_for_two(pool)
         for least in ({}, {"mjx-warp-cpu": 1}):
@@ -299,9 +299,9 @@ def test_a_place_where_no_worker_gets_ready_any_more_is_left(
     os.kill(lost_pool.pids[0], signal.SIGKILL)
     assert len(list(outcomes)) == 29
     patience = time.monotonic() + 60.0  # a worker needs a second or two until it reports that it cannot start
-    while len(lost_pool._places) == 2 and time.monotonic() < patience:
+    while len(lost_pool._resources) == 2 and time.monotonic() < patience:
         assert len(list(lost_pool.run(jobs * 8, SHORT))) == 240
-    assert len(lost_pool._places) == 1
+    assert len(lost_pool._resources) == 1
 
 
 def test_a_ray_of_this_machine_that_has_died_is_not_waited_for(
@@ -319,7 +319,7 @@ def test_a_ray_of_this_machine_that_has_died_is_not_waited_for(
 
 
 def _ready(recipe: Recipe) -> None:
-    pool = WorkerPool(recipe, [Place(1)], Cluster())
+    pool = WorkerPool(recipe, [WorkerResources(1)], Cluster())
     try:
         pool.wait_for_first()
     finally:

@@ -22,7 +22,7 @@ from petmjx.engines.protocol import GPU_WORLDS, Capability, Engine, Progress, Ru
 from petmjx.engines.remote.job_dealer import MOST_ON_DEVICE, JobDealer, WorkerJobs
 from petmjx.engines.remote.ray_actor import Packet, Recipe, Report, Worker, WorkerReady, WorkerRun
 from petmjx.engines.remote.ray_cluster import Cluster
-from petmjx.engines.remote.worker_resources import Place
+from petmjx.engines.remote.worker_resources import WorkerResources
 from petmjx.engines.verdict import Outcome
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
@@ -68,7 +68,7 @@ class _WorkerRecord:
         counted: the part of the worker's progress in this run that has already been added to the run's progress.
     """
 
-    place: Place
+    resources: WorkerResources
     actor: Any
     hello: Any
     jobs: WorkerJobs
@@ -106,12 +106,14 @@ class WorkerPool(Engine):
     kept between runs, until :meth:`close`.
 
     Args:
-        places: the CPUs and GPUs of each worker. All workers start immediately.
+        resources: the CPUs and GPUs of each worker. All workers start immediately.
         cluster: the cluster in which the workers run. :meth:`close` also closes the cluster.
         check_pool: number of processes of each worker that check outcomes (petmjx/engines/subprocess/check_pool.py).
     """
 
-    def __init__(self, recipe: Recipe, places: Sequence[Place], cluster: Cluster, check_pool: int = 0) -> None:
+    def __init__(
+        self, recipe: Recipe, resources: Sequence[WorkerResources], cluster: Cluster, check_pool: int = 0
+    ) -> None:
         self.name = recipe.name
         self._recipe, self._cluster, self._ray, self._check_pool = recipe, cluster, cluster.ray, check_pool
         self._running = RunLock(self.name)
@@ -121,9 +123,9 @@ class WorkerPool(Engine):
         self._devices: dict[str, None] = {}
         self._false_starts = self._deaths = 0
         self._deadly: dict[int, Scene] = {}
-        self._places = list(places)
-        self.devices = max(round(sum(place.gpus for place in places)), 1)
-        self._workers += (self._start(place) for place in places)
+        self._resources = list(resources)
+        self.devices = max(round(sum(worker.gpus for worker in resources)), 1)
+        self._workers += map(self._start, resources)
 
     def wait_for_first(self) -> None:
         """Wait until a worker is ready, but at most ``START_S``.
@@ -144,7 +146,7 @@ class WorkerPool(Engine):
     @property
     def size(self) -> int:
         """The number of workers."""
-        return len(self._places)
+        return len(self._resources)
 
     @property
     def device(self) -> str:
@@ -203,9 +205,9 @@ class WorkerPool(Engine):
             yield from self._run(run)
 
     def _run(self, run: _PoolRun) -> Iterator[Outcome]:
-        lacking = Counter(self._places)
-        lacking.subtract(worker.place for worker in self._workers)
-        self._workers += [self._start(place) for place in lacking.elements()]
+        lacking = Counter(self._resources)
+        lacking.subtract(worker.resources for worker in self._workers)
+        self._workers += [self._start(resources) for resources in lacking.elements()]
         progress = run.progress
         before, began = progress.message, time.monotonic()
         for worker in self._workers:
@@ -251,16 +253,16 @@ class WorkerPool(Engine):
 
     # Workers.
 
-    def _start(self, place: Place) -> _WorkerRecord:
-        resources = {"num_cpus": place.cpus, "num_gpus": place.gpus}
+    def _start(self, resources: WorkerResources) -> _WorkerRecord:
+        limits = {"num_cpus": resources.cpus, "num_gpus": resources.gpus}
         # a worker takes packets of jobs while it reports about its run
-        remote = self._ray.remote(Worker).options(**resources, max_concurrency=2, max_restarts=0)
-        threads = None if self.name in LEAST else place.cpus
+        remote = self._ray.remote(Worker).options(**limits, max_concurrency=2, max_restarts=0)
+        threads = None if self.name in LEAST else resources.cpus
         # after a worker's death, its device may be broken, so the next worker tries its engine first
         thorough = self.name != "mjx-warp" or self._deaths > 0
         options = {"check_pool": self._check_pool, "thorough": thorough}
         actor = remote.remote(self._recipe, os.environ.get("PETMJX_CACHE_DIR"), threads, **options)
-        return _WorkerRecord(place, actor, actor.hello.remote(), WorkerJobs(place.cpus), working=thorough)
+        return _WorkerRecord(resources, actor, actor.hello.remote(), WorkerJobs(resources.cpus), working=thorough)
 
     def _kill(self, worker: _WorkerRecord) -> None:
         worker.reports = None
@@ -317,9 +319,9 @@ class WorkerPool(Engine):
         self._kill(worker)
         self._workers.remove(worker)
         if self._false_starts < FALSE_STARTS:
-            self._workers.append(self._start(worker.place))
+            self._workers.append(self._start(worker.resources))
         else:
-            self._places.remove(worker.place)
+            self._resources.remove(worker.resources)
             self._false_starts = 0
 
     def _bury(self, worker: _WorkerRecord, run: _PoolRun) -> Iterator[Outcome]:
@@ -327,7 +329,7 @@ class WorkerPool(Engine):
         yet, no job is given up."""
         self._deaths += 1
         self._kill(worker)
-        self._workers[self._workers.index(worker)] = self._start(worker.place)
+        self._workers[self._workers.index(worker)] = self._start(worker.resources)
         if not worker.working:
             run.dealer.put_back(worker.jobs)
             return

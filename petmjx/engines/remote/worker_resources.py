@@ -26,7 +26,7 @@ class Node:
 
 
 @dataclass(frozen=True)
-class Place:
+class WorkerResources:
     """The CPUs and GPUs of one worker.
 
     Attributes:
@@ -38,7 +38,9 @@ class Place:
     gpus: float = 0
 
 
-def places(engine: str, nodes: Sequence[Node], workers: int | str, threads: int | None = None) -> list[Place]:
+def worker_resources(
+    engine: str, nodes: Sequence[Node], workers: int | str, threads: int | None = None
+) -> list[WorkerResources]:
     """The CPUs and GPUs of all workers.
 
     Args:
@@ -61,7 +63,7 @@ def places(engine: str, nodes: Sequence[Node], workers: int | str, threads: int 
         # A worker's share of a GPU is rounded down to a whole number of ``PARTS``-ths. Then exactly the intended number
         # of workers fits on each GPU. So each GPU gets this number, whichever GPU Ray fills first.
         share = PARTS // _sharing(gpus, number) / PARTS
-        return [Place(cpus=1, gpus=share)] * number
+        return [WorkerResources(cpus=1, gpus=share)] * number
     if workers == AUTO:
         sizes = [(node.cpus, threads or node.cpus) for node in nodes if node.cpus]
         cpus = [part for total, part in sizes for _ in range(total // part)]
@@ -73,7 +75,7 @@ def places(engine: str, nodes: Sequence[Node], workers: int | str, threads: int 
     if not fit:
         crew = "a worker" if workers == AUTO else count_text(int(workers), "worker")
         raise InputError(f"workers: no room for {crew} of {count_text(threads or 1, 'CPU')}; {_has(nodes)}")
-    return [Place(cpus=count) for count in cpus]
+    return [WorkerResources(cpus=count) for count in cpus]
 
 
 def why_no_gpus(nodes: Sequence[Node], workers: int | str) -> str | None:

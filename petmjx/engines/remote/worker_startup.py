@@ -17,7 +17,7 @@ from petmjx.engines.engine_choice import Choice, check_options, choose, options_
 from petmjx.engines.remote.ray_actor import Recipe
 from petmjx.engines.remote.ray_cluster import END_S, Cluster
 from petmjx.engines.remote.worker_pool import WorkerPool
-from petmjx.engines.remote.worker_resources import Node, places, threads_beside, why_no_gpus
+from petmjx.engines.remote.worker_resources import Node, threads_beside, why_no_gpus, worker_resources
 from petmjx.engines.subprocess.check_pool import max_check_processes
 from petmjx.options.run_options import AUTO, RunOptions
 
@@ -166,7 +166,7 @@ def _pool(name: str, options: RunOptions, cluster: Cluster) -> WorkerPool:
     """A pool of workers, which start immediately."""
     assert options.asked_workers is not None
     limits = options_of(name, options)
-    worker_places = places(name, cluster.nodes, options.asked_workers, limits.pop("threads", None))
+    resources = worker_resources(name, cluster.nodes, options.asked_workers, limits.pop("threads", None))
     # on CPUs, all threads simulate, so no processes are started that check outcomes
-    threads = threads_beside(cluster.nodes, len(worker_places)) if name == "mjx-warp" else 0
-    return WorkerPool(Recipe(name, limits), worker_places, cluster, max_check_processes(threads))
+    threads = threads_beside(cluster.nodes, len(resources)) if name == "mjx-warp" else 0
+    return WorkerPool(Recipe(name, limits), resources, cluster, max_check_processes(threads))
