@@ -310,8 +310,8 @@ def _interlocked_share(plan: Plan, n_below: np.ndarray[Any, np.dtype[np.int64]])
     stand on the target."""
     turned = plan.turned != plan.turned[0]
     n_above = int(np.count_nonzero(n_below))
-    held = (n_below > 1) | ((n_below == 1) & turned)
-    return int(np.count_nonzero(held)) / n_above if n_above else None
+    interlocked = (n_below > 1) | ((n_below == 1) & turned)
+    return int(np.count_nonzero(interlocked)) / n_above if n_above else None
 
 
 def _their_height(tops_mm: np.ndarray[Any, np.dtype[np.float64]]) -> float:

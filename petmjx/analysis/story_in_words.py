@@ -202,13 +202,13 @@ def _hangs_over(story: Story) -> list[str]:
     if not outcome.build_edge_m < 0:
         return []
     box = outcome.build_edge_box
-    begins, held = steps_beyond(story.scene, box)
-    if begins < 0:
+    first_step, counterweight = steps_beyond(story.scene, box)
+    if first_step < 0:
         return []
-    overhang = f"While the plan is built, box {box} hangs over from step {begins} on"
-    if held < 0:
+    overhang = f"While the plan is built, box {box} hangs over from step {first_step} on"
+    if counterweight < 0:
         return [f"{overhang}; nothing that is placed later holds it."]
-    return [f"{overhang}; its counterweight, box {held}, comes too late."]
+    return [f"{overhang}; its counterweight, box {counterweight}, comes too late."]
 
 
 def _leans(story: Story) -> str:

@@ -115,13 +115,13 @@ def defer_signals(afterwards: bool) -> Iterator[None]:
         signals.append(number)
 
     handlers = {number: signal.getsignal(number) for number in STOPPING}
-    held = {number: handler for number, handler in handlers.items() if callable(handler)}
-    for number in held:
+    deferred = {number: handler for number, handler in handlers.items() if callable(handler)}
+    for number in deferred:
         signal.signal(number, note)
     try:
         yield
     finally:
-        for number, handler in held.items():
+        for number, handler in deferred.items():
             signal.signal(number, handler)
     if signals and afterwards:
         signal.raise_signal(signals[0])

@@ -64,7 +64,7 @@ def find_plans(
     plans: dict[str, Plan] = {}
     gone: list[str] = []
     if given is None:
-        plans = {plan_id: run.held[plan_id] for plan_id in wanted if plan_id in run.held}
+        plans = {plan_id: run.plans_in_memory[plan_id] for plan_id in wanted if plan_id in run.plans_in_memory}
         if len(plans) < len(wanted):
             plans |= kept_plans(run.parts, records, [plan_id for plan_id in wanted if plan_id not in plans])
         left = [records[plan_id] for plan_id in wanted if plan_id not in plans and plan_id in records]

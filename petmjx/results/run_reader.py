@@ -151,12 +151,12 @@ class RunResults:
         parts: the files of the tables. Callers that need only some columns of a table read the columns through
         ``parts``.
         info: the entries of ``run.json``.
-        held: plan id → plan, for plans that exist only as objects in memory.
+        plans_in_memory: plan id → plan, for plans that exist only as objects in memory.
     """
 
     parts: Parts
     info: dict[str, Any]
-    held: Mapping[str, Plan] = field(default_factory=dict)
+    plans_in_memory: Mapping[str, Plan] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         counts = self.info.get("counts", {})
@@ -221,7 +221,7 @@ class RunResults:
             weakref.finalize(self, temporary.cleanup)
             folder = Path(temporary.name)
             written = Parts(folder, {}).plus(self.parts.write(folder))
-            if self.held and (placements := placements_table(self.held.values())) is not None:
+            if self.plans_in_memory and (placements := placements_table(self.plans_in_memory.values())) is not None:
                 written = written.plus(Tables(folder).write(PLACEMENTS, 0, placements))
             write_run_file(self.info | {LISTED: written.digests}, folder)
         except OSError as error:
@@ -345,11 +345,11 @@ RunSource = RunResults | str | PathLike[str]
 """A run, or its folder."""
 
 
-def load_run(path: str | Path, held: Mapping[str, Plan] | None = None) -> RunResults:
+def load_run(path: str | Path, plans_in_memory: Mapping[str, Plan] | None = None) -> RunResults:
     """Open the folder of a run.
 
     Args:
-        held: plan id → plan, for plans of the run that are in no file.
+        plans_in_memory: plan id → plan, for plans of the run that are in no file.
 
     Raises:
         InputError: the folder has no run, ``run.json`` cannot be read, or a newer petmjx wrote the results. If a part
@@ -357,7 +357,7 @@ def load_run(path: str | Path, held: Mapping[str, Plan] | None = None) -> RunRes
     """
     folder = path_of(path, "path")
     info = read_info(folder)
-    return RunResults(Parts.of(folder, info), info, held or {})
+    return RunResults(Parts.of(folder, info), info, plans_in_memory or {})
 
 
 def read_info(folder: Path) -> dict[str, Any]:

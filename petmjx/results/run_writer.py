@@ -173,7 +173,7 @@ class RunWriter(RunInfo):
         self._lacks_placements = False  # Whether the table ``placements`` must still be written.
         self._opened_s = 0.0  # Time at which the table ``plans`` was written (monotonic clock).
         self._is_behind = False  # Whether run.json must still be written.
-        self._trouble: Exception | None = None  # The error of the last try to write; None if the try succeeded.
+        self._write_error: Exception | None = None  # The error of the last try to write; None if the try succeeded.
         self._retry_s = 0.0  # Time before which nothing is written again (monotonic clock).
         self._until_end = contextlib.ExitStack()
         self._ended = False
@@ -226,8 +226,8 @@ class RunWriter(RunInfo):
         rank = self._ranks.rank(plan.plan_id, variant)
         row = Row.of(plan, variant, rank, str(schedule), outcome, attempts, values, interval_n)
         while self._added_bytes - self._written_bytes > MOST_WAITING_BYTES:
-            if (trouble := self._trouble) is not None:
-                raise trouble
+            if (write_error := self._write_error) is not None:
+                raise write_error
             self._room.get()
         self._added_bytes += row.nbytes
         self._queue.put(row)
@@ -269,20 +269,20 @@ class RunWriter(RunInfo):
         self._cut_short = error is not None
         # The first Ctrl-C ends the run. A second Ctrl-C must not end the process before all worlds are written.
         with defer_signals(afterwards=error is None):
-            trouble = self._ask(lambda: self._end(error))
+            write_error = self._ask(lambda: self._end(error))
             self._joined()
-        if error is None and trouble is not None:
-            raise trouble
+        if error is None and write_error is not None:
+            raise write_error
 
-    def results(self, held: Mapping[str, Plan] | None = None) -> RunResults:
+    def results(self, plans_in_memory: Mapping[str, Plan] | None = None) -> RunResults:
         """The results of the run. Call this method only when the run has ended.
 
         Args:
-            held: plan id → plan, for plans of the run that are in no file.
+            plans_in_memory: plan id → plan, for plans of the run that are in no file.
         """
         if self._in_memory:
-            return RunResults(self.parts, to_json(self.info), held or {})
-        results = load_run(self.out_dir, held)
+            return RunResults(self.parts, to_json(self.info), plans_in_memory or {})
+        results = load_run(self.out_dir, plans_in_memory)
         if self._temporary is not None:
             weakref.finalize(results, self._temporary.cleanup)
         return results
@@ -367,11 +367,11 @@ class RunWriter(RunInfo):
         try:
             self._write_waiting()
         except Exception as error:
-            self._trouble = error
+            self._write_error = error
             self.warn(f"{error if isinstance(error, PetmjxError) else one_line(error)}; tried again")
             self._retry_s = time.monotonic() + min(RETRY_S, self._seconds_per_part)
         else:
-            self._trouble = None
+            self._write_error = None
         self._room.put(None)
 
     def _write_waiting(self, last: bool = False) -> None:
@@ -540,22 +540,22 @@ class RunWriter(RunInfo):
         Returns:
             The error that occurred while the remaining worlds were written; None if no error occurred.
         """
-        trouble: Exception | None = None
+        write_error: Exception | None = None
         try:
             self._write_waiting(last=True)
         except Exception as failure:
-            trouble = failure
-        cause = trouble if error is None else error
+            write_error = failure
+        cause = write_error if error is None else error
         if cause is None:
             self.status = FINISHED
         elif isinstance(cause, KeyboardInterrupt | SystemExit):
             self.status = "interrupted"
         else:
             self.status, self.error = "failed", one_line(cause)
-        if error is not None and trouble is not None:
+        if error is not None and write_error is not None:
             # The error of the run itself is raised. The error of writing is only noted in run.json, where it stays
             # until the run is resumed.
-            also = f"the last part could not be written: {one_line(trouble)}"
+            also = f"the last part could not be written: {one_line(write_error)}"
             self.error = f"{self.error}; {also}" if self.error else also
         try:
             with contextlib.nullcontext() if cause is None else contextlib.suppress(PetmjxError):
@@ -565,7 +565,7 @@ class RunWriter(RunInfo):
                     self._tables.drop_others()
         finally:
             self._leave()
-        return trouble
+        return write_error
 
     def _leave(self) -> None:
         """Release the folder, and end the thread. If the run did not finish, its temporary folder is deleted."""

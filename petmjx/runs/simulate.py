@@ -198,11 +198,11 @@ class _Run:
             "engine_reason": self.choice.reason,
         }
 
-    def results(self, watcher: Watcher | None, held: Mapping[str, Plan]) -> RunResults:
+    def results(self, watcher: Watcher | None, plans_in_memory: Mapping[str, Plan]) -> RunResults:
         """Simulate all worlds that are not recorded in the output folder yet, and write everything to this folder.
 
         Args:
-            held: plan id → plan, for plans that are in no file.
+            plans_in_memory: plan id → plan, for plans that are in no file.
         """
         study, options = self.study, self.options
         with RunWriter(
@@ -247,7 +247,7 @@ class _Run:
                 writer.warn(warning)
             if study.plans:  # a shard may have no plans
                 study.summarise(writer)
-        return writer.results(held)
+        return writer.results(plans_in_memory)
 
     def _note_input(self, writer: RunWriter) -> None:
         """Write skipped plans and warnings to ``run.json``."""

@@ -140,10 +140,10 @@ def slide_m(
                 return math.inf
             stop_s = speed / (2 * brake)
             return max(farthest, math.hypot(x + vx * stop_s, y + vy * stop_s))
-        held = float(grip[step] * friction_share(np.array(math.hypot(vx, vy)), kinetic))
+        brake_m_s2 = float(grip[step] * friction_share(np.array(math.hypot(vx, vy)), kinetic))
         pushed_x, pushed_y = (v - float(a) * timestep_s for v, a in zip((vx, vy), acceleration[step, :2], strict=True))
         speed = math.hypot(pushed_x, pushed_y)
-        remaining_share = max(1.0 - held * timestep_s / speed, 0.0) if speed > 0 else 0.0
+        remaining_share = max(1.0 - brake_m_s2 * timestep_s / speed, 0.0) if speed > 0 else 0.0
         x += (vx + pushed_x * remaining_share) / 2 * timestep_s
         y += (vy + pushed_y * remaining_share) / 2 * timestep_s
         vx, vy = pushed_x * remaining_share, pushed_y * remaining_share

@@ -41,7 +41,8 @@ def plan_of_run(run: RunResults, plan_id: str, plans: PlanSource | None = None) 
         raise InputError(f"{run.path}: plan {printable_name(plan_id)} {among}")
     record = manifest.plans[plan_id]
     if plans is None:
-        stored_plans = run.held if plan_id in run.held else kept_plans(run.parts, manifest.plans, [plan_id])
+        of_run = run.plans_in_memory
+        stored_plans = of_run if plan_id in of_run else kept_plans(run.parts, manifest.plans, [plan_id])
         if plan_id in stored_plans:
             return stored_plans[plan_id]
         plans = _file(run, plan_id, record.source)

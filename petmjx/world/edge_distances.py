@@ -82,8 +82,8 @@ class Edges(NamedTuple):
         If a box would tip over by its own weight, but the boxes on it hold it down, the value is ``by_load``.
         ``building_edges`` checks whether such a box would fall before the boxes on it are placed.
         """
-        held = (self.by_weight < 0) & (self.by_load >= 0)
-        nearer: FloatArray = np.where(held, self.by_load, np.fmin(self.by_weight, self.by_load))
+        held_down = (self.by_weight < 0) & (self.by_load >= 0)
+        nearer: FloatArray = np.where(held_down, self.by_load, np.fmin(self.by_weight, self.by_load))
         return nearer
 
 

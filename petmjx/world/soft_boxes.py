@@ -254,10 +254,10 @@ def add_soft_box(
     _set_contact(flex, friction)
     stiffness = np.inf if scene.stiffness is None else float(scene.stiffness[box])
     law = edge_law(half, float(scene.mass[box]), stiffness, physics.timestep_s)
-    held = spec.add_equality(type=mujoco.mjtEq.mjEQ_FLEX, name1=flex.name)
-    held.active = True
-    held.solref = np.array(law.solref)
-    held.solimp[:3] = law.solimp
+    edge_lengths = spec.add_equality(type=mujoco.mjtEq.mjEQ_FLEX, name1=flex.name)
+    edge_lengths.active = True
+    edge_lengths.solref = np.array(law.solref)
+    edge_lengths.solimp[:3] = law.solimp
 
 
 def _set_contact(shape: mujoco.MjsGeom | mujoco.MjsFlex, friction: Triple) -> None:

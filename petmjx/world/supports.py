@@ -53,8 +53,8 @@ class Boxes:
         mass: (n,) masses of the boxes, kg.
         mass_center: (n, 3) vector from each box's middle to its centre of mass, m.
         carrier_mass: (n,) mass of the carrier in each box's scene, kg.
-        held: (n, 2, 2) how far beyond a box's supports its load may act while a wall still keeps the box from tipping,
-            m. Axis 1 is the low and the high end, axis 2 is x and y.
+        wall_allowance: (n, 2, 2) how far beyond a box's supports its load may act while a wall still keeps the box from
+            tipping, m. Axis 1 is the low and the high end, axis 2 is x and y.
     """
 
     first: IntArray
@@ -63,7 +63,7 @@ class Boxes:
     mass: FloatArray
     mass_center: FloatArray
     carrier_mass: FloatArray
-    held: FloatArray
+    wall_allowance: FloatArray
 
     @classmethod
     def of(cls, scenes: Sequence[Scene], targets: Sequence[FloatArray]) -> Boxes:
@@ -71,12 +71,12 @@ class Boxes:
         mass = [scene.mass for scene in scenes]
         counts = [*map(len, mass)]
         first = np.concatenate([[0], np.cumsum(counts)])
-        centred, held = np.zeros((first[-1], 3)), np.zeros((first[-1], 2, 2))
+        centred, wall_allowance = np.zeros((first[-1], 3)), np.zeros((first[-1], 2, 2))
         for scene, target, begin, n in zip(scenes, targets, first.tolist(), counts, strict=False):
             if scene.mass_center is not None:
                 centred[begin : begin + n] = scene.mass_center
             if scene.carrier.walls:
-                held[begin : begin + n] = _held_by_walls(scene, target)
+                wall_allowance[begin : begin + n] = _wall_allowances(scene, target)
         return cls(
             first,
             np.concatenate(targets),
@@ -84,7 +84,7 @@ class Boxes:
             np.concatenate(mass),
             centred,
             np.repeat([scene.carrier.mass for scene in scenes], counts),
-            held,
+            wall_allowance,
         )
 
     def of_scenes(self, numbers: IntArray) -> tuple[Boxes, IntArray]:
@@ -102,9 +102,9 @@ class Boxes:
         return low
 
     @cached_property
-    def is_held(self) -> bool:
+    def has_wall_allowance(self) -> bool:
         """Whether a wall keeps any of the boxes from tipping."""
-        return bool(self.held.any())
+        return bool(self.wall_allowance.any())
 
     def among(self, placed: int | Sequence[int]) -> NDArray[np.bool_]:
         """(n,) whether each box is one of the first ``placed`` boxes of its scene."""
@@ -114,9 +114,9 @@ class Boxes:
         return among
 
 
-def _held_by_walls(scene: Scene, target: FloatArray) -> FloatArray:
+def _wall_allowances(scene: Scene, target: FloatArray) -> FloatArray:
     """(n, 2, 2) how far beyond a box's supports its load may act while a wall keeps the box from tipping, m
-    (``Boxes.held``), in a scene with walls. ``target`` has the (n, 3) middles of the boxes, m.
+    (``Boxes.wall_allowance``), in a scene with walls. ``target`` has the (n, 3) middles of the boxes, m.
 
     If the load W of a box acts at a distance e beyond an edge of the supports, the box tips until it touches the wall
     on that side. The box touches the wall at its own top or at the wall's top, whichever is lower. The point at which
@@ -261,12 +261,12 @@ class Bearing:
         if len(several):
             hull = self.number_of_hull[box[several]]
             wider: FloatArray | float = 0.0
-            if self.boxes.is_held:
-                held = self.boxes.held[box[several]]
+            if self.boxes.has_wall_allowance:
+                allowance = self.boxes.wall_allowance[box[several]]
                 outward = -self.hulls.normal[hull]
-                wider = (np.maximum(outward, 0.0) * held[:, None, 1] - np.minimum(outward, 0.0) * held[:, None, 0]).sum(
-                    axis=2
-                )
+                wider = (
+                    np.maximum(outward, 0.0) * allowance[:, None, 1] - np.minimum(outward, 0.0) * allowance[:, None, 0]
+                ).sum(axis=2)
             distances_m = self.hulls.distances_m(hull, point.take(several, axis=0)) + wider
             distance_m[several] = distances_m.min(axis=1, initial=np.inf)
         return distance_m
@@ -282,8 +282,8 @@ class Bearing:
         alone = np.flatnonzero(self.n_supports == 1)
         contact = self.ends[alone]
         low[alone], high[alone] = self.low.take(contact, axis=0), self.high.take(contact, axis=0)
-        if self.boxes.is_held:
-            low, high = low - self.boxes.held[:, 0], high + self.boxes.held[:, 1]
+        if self.boxes.has_wall_allowance:
+            low, high = low - self.boxes.wall_allowance[:, 0], high + self.boxes.wall_allowance[:, 1]
         return low, high
 
     @cached_property

@@ -216,13 +216,13 @@ def fill(run: Run, out: Path, at: int, lasts: bool) -> bool:
 
     with pytest.MonkeyPatch.context() as monkeypatch:
         Moments(full, at, lasts).watch(monkeypatch)
-        trouble = ""
+        error_text = ""
         try:
             run.write(out)
         except PetmjxError as error:
-            trouble = str(error)
-    if trouble:
-        assert "No space left on device" in trouble
+            error_text = str(error)
+    if error_text:
+        assert "No space left on device" in error_text
     else:
         assert_complete(out)
     if not sizes:

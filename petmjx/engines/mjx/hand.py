@@ -89,7 +89,7 @@ def wrenches(state: State, worlds: Worlds, sim: Simulation) -> Float[Array, "wor
     """Forces, N, and moments, N·m, of hands on boxes during the next step, in world axes."""
     timestep, gravity = sim.physics.timestep_s, sim.physics.gravity_m_s2
     box = jnp.maximum(state.placed - 1, 0)
-    pose, vel, half, held = (
+    pose, vel, half, start = (
         _values_of_box(values, box) for values in (state.qpos, state.qvel, worlds.half, worlds.start)
     )
     mass, equal = _values_of_box(worlds.mass[:, 1:], box)[:, None], _values_of_box(worlds.inertia_box[:, 1:], box)
@@ -102,7 +102,7 @@ def wrenches(state: State, worlds: Worlds, sim: Simulation) -> Float[Array, "wor
     ahead = state.way_begin + now * way - pose[:, :3]
     lag = (now - before) / timestep * way - vel[:, :3]
     along = ((after - now) - (now - before)) / timestep**2 * way
-    askew = _rotation_vectors(pose[:, 3:], held[:, 3:])
+    askew = _rotation_vectors(pose[:, 3:], start[:, 3:])
     lowered = (state.lowered_from != NEVER)[:, None]
     force = jnp.where(
         lowered,

@@ -26,7 +26,7 @@ def paths(bodies: FreeBodies, sim: Simulation, threads: int) -> FloatArray:
             if step > last_step:
                 live.step(step - last_step)
                 last_step = step
-            if live.trouble() is not Flag.NONE:
+            if live.error_flags() is not Flag.NONE:
                 break
             poses[row] = live.pose
         return poses

@@ -446,7 +446,7 @@ class LiveWorld:
         self._warmstarts[self._row] = state.warmstart[1:]
         self.data.time = time_s
 
-    def trouble(self) -> Flag:
+    def error_flags(self) -> Flag:
         """The flags of errors in this world, from MuJoCo's warnings and from numbers that are not finite."""
         flags = Flag.NONE
         count = self._warnings

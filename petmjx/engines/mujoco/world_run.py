@@ -238,7 +238,7 @@ class WorldRun:
         sampled = step % self._sample_steps == 0
         polled = step % self._sim.quiet.poll_steps == 0
         if sampled or polled:
-            self._flags |= live.trouble()
+            self._flags |= live.error_flags()
             if self._flags & _FATAL:
                 return False
         in_rest = step > self._end - self._rest_steps
@@ -360,7 +360,7 @@ class WorldRun:
     def _look_at_the_end(self) -> None:
         """At the last step: give a moving world more time, unless a box was lost (fallen or tilted too far) before the
         drive; or start the drive."""
-        self._flags |= self._live.trouble()
+        self._flags |= self._live.error_flags()
         if self._flags & _FATAL:
             return
         k = self._live.n_placed
