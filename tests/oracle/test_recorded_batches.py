@@ -161,7 +161,7 @@ def test_recorded_worlds_of_warp_are_the_same_to_the_last_bit(
 
     if room is not None:
         monkeypatch.setattr(frame_buffers, "FRAMES_PER_WORLD", 0)
-        monkeypatch.setattr(frame_buffers, "FRAMES_PER_BLOCK", room)
+        monkeypatch.setattr(frame_buffers, "FRAMES_PER_LANE", room)
     batched = run_all(engine, recorded(piles()), SIM)
     exact = run_all(MujocoEngine(1), recorded(piles()), SIM)
     for one, plain, twin in zip(batched, plain_piles(), exact, strict=True):

@@ -19,17 +19,17 @@ from petmjx.engines.warp.world_table import WorldTable
 MOST_BYTES: Final = 64 << 20
 """Size of the largest frame buffer, bytes. If the largest plan of a run has 45 boxes, a buffer of this size has room
 for 40,000 frames. For worlds of 45 boxes, an H200 has 264 thread blocks. If all worlds are recorded, these blocks write
-about 10,000 frames in 250 ms, which is longer than a time slice on a GPU. A block that finds no room waits for the next
+about 10,000 frames in 250 ms, which is longer than a time slice on a GPU. A lane that finds no room waits for the next
 slice."""
 
 FRAMES_PER_WORLD: Final = 512
 """Number of frames for which the buffer has room, per recorded world. Even the fastest worlds write fewer frames in a
 slice."""
 
-FRAMES_PER_BLOCK: Final = 4
-"""Smallest number of frames for which the buffer has room, per lane (place for a running world; a block has at least
-one lane). When a block checks for room, all other blocks may be about to write a frame, so a block steps a recorded
-world only if there is room for a frame of each block."""
+FRAMES_PER_LANE: Final = 4
+"""Smallest number of frames for which the buffer has room, per lane (place for a running world). When a lane checks for
+room, all other lanes may be about to write a frame. So a recorded world takes a step only if there is room for a frame
+of each lane."""
 
 FEWEST: Final = 1024
 """Smallest number of frames that are transferred together. If a slice has more frames, eight times this number is
@@ -59,10 +59,10 @@ def room_for_frames(
     Args:
         every: (world,) number of steps between two frames of a world; 0: the world is not recorded.
         wanted: number of frames for which there should be room; None: the largest number. Buffers have at most
-            ``MOST_BYTES``, but room for at least ``FRAMES_PER_BLOCK`` frames per lane (place for a running world).
+            ``MOST_BYTES``, but room for at least ``FRAMES_PER_LANE`` frames per lane (place for a running world).
     """
     most = MOST_BYTES // (4 * sum(math.prod(shape) for shape in _shapes(1, n_boxes, 0).values()))
-    n_frames = max(most if wanted is None else min(wanted, most), FRAMES_PER_BLOCK * lanes) if every.any() else 1
+    n_frames = max(most if wanted is None else min(wanted, most), FRAMES_PER_LANE * lanes) if every.any() else 1
     room = {name: np.zeros(shape, _KINDS[name]) for name, shape in _shapes(n_frames, n_boxes, len(every)).items()}
     room["every"][:] = every
     placed: dict[str, jax.Array] = jax.device_put(room)
