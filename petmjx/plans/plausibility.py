@@ -248,10 +248,11 @@ def order_cost(layouts: Sequence[Layout]) -> float:
     """How implausible it is that the boxes of each layout were placed in the order in which they are listed, or in the
     reversed order, since some files list boxes from the top down.
 
-    Packers mostly place boxes from the ground up: from one box to the next, the height falls in a tenth of the steps,
-    and each level coordinate in a third of them. If a level coordinate falls less often than the height, its axis may
-    be the vertical. A box is hardly ever placed below one that is listed before it. In lists in any other order, such
-    as that of articles, all axes have about the same cost.
+    Packers mostly place boxes from the ground up. From one box to the next, the height falls in 14 % of the steps in
+    plans of the packer ``baseline``, and in 25 % in plans of the packer ``balanced``; each level coordinate falls in
+    30 % and 39 % of the steps (200 plans each, ``petmjx samples -n 200 --seed 33901``). If a level coordinate falls
+    less often than the height, its axis may be the vertical. A box is hardly ever placed below one that is listed
+    before it. In lists in any other order, such as that of articles, all axes have about the same cost.
     """
     return min(_cost_in_order(layouts, 1), _cost_in_order(layouts, -1))
 
@@ -273,15 +274,15 @@ def _cost_in_order(layouts: Sequence[Layout], direction: int) -> float:
 
 
 _ON_SIDE: Final = 2.4
-"""Largest cost of an order. The cost is limited because one load in 13 is built up from one side, so that its height
-falls often."""
+"""Largest cost of an order. The cost is limited because some loads are built up from one side: in 14 of 200 plans of
+``baseline`` (``order_cost``), and in 7 of 200 of ``balanced``, the height falls more often than a level coordinate."""
 _FALLS: Final = 1.5
 """Cost of an order for each standard deviation by which the height falls more often than a level coordinate."""
 _ORDERED: Final = 0.2
 """Boxes are listed along a level axis only if their coordinates fall in at most this share of the steps."""
 _LATE: Final = 0.8
-"""Cost of each box that is listed before a box on which it rests. In right readings of layouts, one plan in 20 has such
-a box; in readings along another vertical axis, two plans of three."""
+"""Cost of each box that is listed before a box on which it rests. No plan of ``order_cost`` has such a box. If the
+plans are read along another vertical axis, 42 to 46 % (``baseline``) and 66 to 69 % (``balanced``) have one."""
 
 
 def _n_late(low: FloatArray, size: FloatArray, tolerance: float) -> int:
