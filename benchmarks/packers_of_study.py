@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from petmjx.common.parallel_map import ordered_results
-from petmjx.packers.balanced_packer import TASTES
+from petmjx.packers.balanced_packer import PREFERENCE_SETS
 from petmjx.packers.baseline_packer import PackRules, PlacedBox, pack
 from petmjx.packers.item_stream import ItemStream, by_taste, pack_stream
 from petmjx.packers.learned_candidates import FourSidedStream, lowest_first
@@ -42,8 +42,8 @@ def _apart(order: Order) -> Placements:
     """The packer ``balanced`` with free space between boxes. This packer shows the effect of the clearances of the
     packer ``physical`` alone."""
     best: Placements = ()
-    for taste in TASTES:
-        packing = Packing(order.items, TARGET_EXTENT_MM[order.target], taste, CLEARANCE_MM)
+    for preferences in PREFERENCE_SETS:
+        packing = Packing(order.items, TARGET_EXTENT_MM[order.target], preferences, CLEARANCE_MM)
         packing.fill()
         best = max(best, packing.placed, key=len)
         if len(best) == len(order.items):

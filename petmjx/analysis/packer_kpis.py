@@ -26,7 +26,7 @@ KPIS: Final = ("kpi_1", "kpi_2", "kpi_4", "kpi_5", "utilisation_2m")
 """KPIs whose means are shown. Two KPIs are left out: kpi_3 is the height, which is known without orders, and kpi_6
 needs a simulation with the check ``static``."""
 
-GOODS: Final = ("left_out", "not_ordered", "resized", "as_ordered")
+ORDER_COUNTS: Final = ("left_out", "not_ordered", "resized", "as_ordered")
 """Columns with numbers of boxes. The first three are fields of :class:`petmjx.plans.order_matching.PlanOrderCounts`;
 the last is the number of boxes that have the ordered size and mass and lie on the order's target, such as a pallet."""
 
@@ -37,8 +37,8 @@ class OrderComparison:
 
     Attributes:
         sizes: id of each order → number of boxes of the order.
-        rows: one row for each plan that has an order, with the columns ``plan_id``, ``packer``, ``GOODS`` and ``KPIS``
-            (float64; null if a KPI has no value).
+        rows: one row for each plan that has an order, with the columns ``plan_id``, ``packer``, ``ORDER_COUNTS`` and
+            ``KPIS`` (float64; null if a KPI has no value).
         notes: lines for the user about each packer's boxes that were not ordered, plans without an order, plans that
             could not be read again, orders without any plan, and unusable orders.
     """
@@ -116,16 +116,16 @@ def compare_with_orders(plans: Mapping[str, Mapping[str, Plan]], orders: Mapping
             odd.add(plan, order, matching)
             as_ordered = int(np.count_nonzero(matching.as_ordered & on_target(plan, order)))
             kpis = kpis_of(plan, order, matching)
-            goods = (ordered.left_out, ordered.not_ordered, ordered.resized, as_ordered)
+            counts = (ordered.left_out, ordered.not_ordered, ordered.resized, as_ordered)
             rows.append(
                 {"packer": name, "plan_id": plan_id}
-                | dict(zip(GOODS, goods, strict=True))
+                | dict(zip(ORDER_COUNTS, counts, strict=True))
                 | {kpi: kpis[kpi] for kpi in KPIS}
             )
         notes += odd.lines(f"of {printable_name(name)}")
-    table = pd.DataFrame(rows, columns=["plan_id", "packer", *GOODS, *KPIS])
+    table = pd.DataFrame(rows, columns=["plan_id", "packer", *ORDER_COUNTS, *KPIS])
     sizes = {order_id: len(order.items) for order_id, order in orders.items()}
-    return OrderComparison(sizes, table.astype(dict.fromkeys((*GOODS, *KPIS), "float64")), tuple(notes))
+    return OrderComparison(sizes, table.astype(dict.fromkeys((*ORDER_COUNTS, *KPIS), "float64")), tuple(notes))
 
 
 def _articles_of(runs: Mapping[str, RunResults]) -> Articles | None:

@@ -54,7 +54,7 @@ def file_option(flag: str, text: str, section: str) -> Any:
     return typer.Option(flag, metavar="FILE", help=text, rich_help_panel=section)
 
 
-SIMULATED = "What is simulated"
+SIMULATION_PANEL = "What is simulated"
 PlansOrRun = Annotated[
     list[Path] | None,
     typer.Argument(
@@ -69,11 +69,11 @@ Variant = Annotated[
         "--variant",
         metavar="N",
         help="Number of the world (column variant of the table worlds), if the run has several worlds of the plan.",
-        rich_help_panel=SIMULATED,
+        rich_help_panel=SIMULATION_PANEL,
     ),
 ]
-HOW_SURE = "How sure it is"
-HOW_IT_RUNS = "How it runs"
+CONFIDENCE_PANEL = "How sure it is"
+RUN_PANEL = "How it runs"
 
 
 def named_paths(texts: Sequence[str], option: str) -> dict[str, str]:
@@ -176,7 +176,7 @@ class _Option:
 def takes(
     *fields: str,
     without: Collection[str] = (),
-    simulated: str = SIMULATED,
+    simulated: str = SIMULATION_PANEL,
     more: Sequence[tuple[type[CheckedRecord], str]] = (),
 ) -> Callable[[Command], Command]:
     """Decorator that gives a command options of ``Simulation`` and ``RunOptions``: all options, all but some, or only
@@ -193,7 +193,7 @@ def takes(
             replace fields of ``Simulation`` that have the same names.
     """
     record_fields = {name for record, _ in more for name in record.model_fields}
-    records: list[tuple[type[CheckedRecord], str]] = [(Simulation, simulated), *more, (RunOptions, HOW_IT_RUNS)]
+    records: list[tuple[type[CheckedRecord], str]] = [(Simulation, simulated), *more, (RunOptions, RUN_PANEL)]
     options = [
         option
         for record, section in records

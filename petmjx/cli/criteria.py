@@ -15,7 +15,7 @@ from petmjx.cli.figure import Pdf, Png, Svg, figure_files
 from petmjx.common.errors import InputError
 from petmjx.common.machine import cpu_threads
 
-ASKED = "What is asked"
+CRITERIA_PANEL = "What is asked"
 """Heading of the options that change what the criteria require."""
 
 
@@ -30,7 +30,7 @@ ASKED = "What is asked"
     "tolerance_mm",
     "seed",
     "p_arrives",
-    more=((CriteriaOptions, ASKED),),
+    more=((CriteriaOptions, CRITERIA_PANEL),),
 )
 def criteria(
     plans: opt.PlanPaths = None,
@@ -52,7 +52,7 @@ def criteria(
             "--only",
             metavar="NAME",
             help="Evaluate this criterion, such as support_75. May be given several times. [default: all]",
-            rich_help_panel=ASKED,
+            rich_help_panel=CRITERIA_PANEL,
         ),
     ] = None,
     processes: Annotated[

@@ -22,7 +22,7 @@ from petmjx.repairs.repair_options import RepairOptions
 if TYPE_CHECKING:
     from petmjx.repairs.repair import Repairs
 
-CHANGED = "What may be changed"
+CHANGES_PANEL = "What may be changed"
 
 _OF_RUNS = (
     "workers", "ray", "record", "record_interval_s", "record_details", "orders", "allow_large", "out", "overwrite",
@@ -32,7 +32,7 @@ _OF_RUNS = (
 repair."""
 
 
-@opt.takes(without=_OF_RUNS, more=((RepairOptions, CHANGED), (Confidence, opt.HOW_SURE)))
+@opt.takes(without=_OF_RUNS, more=((RepairOptions, CHANGES_PANEL), (Confidence, opt.CONFIDENCE_PANEL)))
 def repair(
     plans: opt.PlanPaths = None,
     out: Annotated[

@@ -24,7 +24,7 @@ Names = Annotated[
 ]
 
 
-@opt.takes(more=((Confidence, opt.HOW_SURE), (Transport, opt.HOW_SURE)))
+@opt.takes(more=((Confidence, opt.CONFIDENCE_PANEL), (Transport, opt.CONFIDENCE_PANEL)))
 def score(plans: opt.PlanPaths = None, names: Names = None, as_json: opt.JsonOption = False, **options: Any) -> None:
     """Simulate packing plans, and report which of them stand.
 

@@ -18,8 +18,8 @@ from petmjx.show.pictures.picture_options import PictureOptions
 if TYPE_CHECKING:
     from petmjx.analysis.story import Story
 
-DRAWN = "What is drawn"
-LOOK = "How it looks"
+OUTPUT_PANEL = "What is drawn"
+PICTURE_PANEL = "How it looks"
 
 _OF_RUNS = (
     "limit", "record", "record_interval_s", "record_details", "orders", "strict", "allow_large", "out", "overwrite",
@@ -28,10 +28,10 @@ _OF_RUNS = (
 """Options of runs that this command does not have, because they have no meaning for a single simulation."""
 
 
-_file = partial(opt.file_option, section=DRAWN)
+_file = partial(opt.file_option, section=OUTPUT_PANEL)
 
 
-@opt.takes(without=_OF_RUNS, more=((PictureOptions, LOOK),))
+@opt.takes(without=_OF_RUNS, more=((PictureOptions, PICTURE_PANEL),))
 def show(
     plan_id: Annotated[str, typer.Argument(metavar="PLAN_ID", help="Id of the plan.")],
     source: opt.PlansOrRun = None,
@@ -47,7 +47,7 @@ def show(
     viewer: Annotated[
         bool,
         typer.Option(
-            "--viewer", help="Play the simulation in MuJoCo's viewer; needs a display.", rich_help_panel=DRAWN
+            "--viewer", help="Play the simulation in MuJoCo's viewer; needs a display.", rich_help_panel=OUTPUT_PANEL
         ),
     ] = False,
     repaired: Annotated[
@@ -55,7 +55,7 @@ def show(
         typer.Option(
             "--repair",
             help="Also repair the plan, and draw it before and after, side by side, with the changes; needs --html.",
-            rich_help_panel=DRAWN,
+            rich_help_panel=OUTPUT_PANEL,
         ),
     ] = False,
     variant: opt.Variant = None,

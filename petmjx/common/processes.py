@@ -127,7 +127,7 @@ def defer_signals(afterwards: bool) -> Iterator[None]:
         signal.raise_signal(signals[0])
 
 
-EVERY: Final = (100_000, 20, 100)
+COLLECTION_THRESHOLDS: Final = (100_000, 20, 100)
 """Thresholds of Python's garbage collector: the number of new objects after which it collects the youngest generation,
 and the numbers of collections after which it collects the two older generations. With Python's default of 700, 10 and
 10, the collector would scan all objects of JAX and Warp again and again while these packages start."""
@@ -148,7 +148,7 @@ def is_command() -> bool:
 def collect_rarely() -> None:
     """Make garbage collections rare. Call this function only in processes that petmjx started, not in a user's
     process."""
-    gc.set_threshold(*EVERY)
+    gc.set_threshold(*COLLECTION_THRESHOLDS)
 
 
 @contextlib.contextmanager

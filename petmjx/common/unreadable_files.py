@@ -29,7 +29,7 @@ _MARKUP: Final = re.compile(rb"\s*<(\?xml|!doctype \w+|!--|[a-z][\w:.-]*)[\s/>]"
 _PICKLE: Final = re.compile(rb"\x80[\x02-\x05]")
 _SNIFFED_BYTES: Final = 1 << 12
 """Number of bytes at the beginning of a file from which its format is recognised."""
-LOOKED_AT_ARCHIVE: Final = 1 << 16
+ARCHIVE_BYTES: Final = 1 << 16
 """Number of bytes at the beginning of a ZIP archive from which its content is recognised."""
 
 
@@ -39,7 +39,7 @@ def foreign_kind(data: bytes | bytearray) -> str | None:
     """
     begin = bytes(data[:_SNIFFED_BYTES])
     if begin.startswith(b"PK\x03\x04"):
-        return _zip_kind(bytes(data[:LOOKED_AT_ARCHIVE]))
+        return _zip_kind(bytes(data[:ARCHIVE_BYTES]))
     kind = next((text for magic, text in _MAGIC if begin.startswith(magic)), None)
     if kind is not None:
         return kind

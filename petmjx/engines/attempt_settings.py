@@ -191,11 +191,11 @@ _FALLBACK_NOTES: Final = {
 }
 """Capability that an engine lacks → the note about the worlds that the fallback engine simulated for this reason."""
 
-BESIDE: Final = {"mjx-warp": "mjx-warp-cpu"}
+ATTEMPT_ENGINES: Final = {"mjx-warp": "mjx-warp-cpu"}
 """Name of an engine → name of the engine that makes further attempts on CPU threads at the same time, if few worlds
 need further attempts."""
 
-BESIDE_ITSELF: Final = "mjx-warp-cpu"
+ENGINE_WITH_ATTEMPT_THREADS: Final = "mjx-warp-cpu"
 """Name of the engine that makes further attempts itself if few worlds need them: on additional threads of the same
 process, while the run goes on. Without additional threads, most threads of the engine would be idle while the last
 world is simulated."""
@@ -242,7 +242,7 @@ class Engines:
             self.note(_FALLBACK_NOTES[missing[0]].format(self.fallback.name))
         return self.fallback
 
-    def beside(self, job: Job, sim: Simulation, attempt: AttemptRecipe, *, soft: bool, few: bool) -> str | None:
+    def attempt_engine(self, job: Job, sim: Simulation, attempt: AttemptRecipe, *, soft: bool, few: bool) -> str | None:
         """Name of the engine that makes a further attempt at a job beside the engine of the run. If the result is None,
         the engine of the run makes the attempt.
 
@@ -251,23 +251,26 @@ class Engines:
                 settled state other worlds start from, stays on the engine of the run, since there may be many such
                 jobs.
         """
-        if self.primary.name not in (*BESIDE, BESIDE_ITSELF):
+        if self.primary.name not in (*ATTEMPT_ENGINES, ENGINE_WITH_ATTEMPT_THREADS):
             return None
         engine = self.for_job(job, sim, attempt, soft=soft)
-        if self.primary.name == BESIDE_ITSELF:
-            return BESIDE_ITSELF if engine is self.primary and few and not job.settles else None
+        if self.primary.name == ENGINE_WITH_ATTEMPT_THREADS:
+            return ENGINE_WITH_ATTEMPT_THREADS if engine is self.primary and few and not job.settles else None
         if engine is not self.primary:
             return engine.name
         if not few or job.settles:
             return None
-        name = BESIDE[self.primary.name]
+        name = ATTEMPT_ENGINES[self.primary.name]
         self.note(_STIFFER_NOTE.format(name))
         return name
 
     @cached_property
     def attempt_simulator(self) -> AttemptSimulator:
         """The processes or threads that make attempts at the same time as the engine of the run."""
-        if isinstance(threads := getattr(self.primary, "threads", None), int) and self.primary.name == BESIDE_ITSELF:
+        if (
+            isinstance(threads := getattr(self.primary, "threads", None), int)
+            and self.primary.name == ENGINE_WITH_ATTEMPT_THREADS
+        ):
             return AttemptThreads(threads)
         return AttemptProcess("petmjx.engines.subprocess.attempt_child")
 

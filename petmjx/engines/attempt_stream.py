@@ -17,7 +17,7 @@ from typing import Any, Final, Generic
 from petmjx.common.errors import InputError
 from petmjx.common.processes import defer_signals
 from petmjx.common.text import count_text
-from petmjx.engines.attempt_settings import ATTEMPTS, BESIDE, AttemptRecipe, Engines, may_go_on, ready_for
+from petmjx.engines.attempt_settings import ATTEMPT_ENGINES, ATTEMPTS, AttemptRecipe, Engines, may_go_on, ready_for
 from petmjx.engines.attempt_with_fallback import AttemptResult, AttemptRunner, Pending
 from petmjx.engines.contact_penetration import may_penetrate
 from petmjx.engines.job_stream import JobBounds, JobStream
@@ -35,7 +35,7 @@ MOST_PENDING: Final = 13 * GPU_WORLDS // 8
 """Largest number of worlds in a list, for an engine that cannot read a stream of jobs. The thread that makes worlds
 also pauses when this number of worlds waits for a further attempt."""
 
-BESIDE_WAIT_S: Final = 0.02
+ATTEMPT_WAIT_S: Final = 0.02
 """Interval at which a run asks for worlds that follow from results, s, while the engine is idle and only further
 attempts run, in other processes or threads."""
 
@@ -53,7 +53,7 @@ def check_pool_for(engine: Engine, worlds: int) -> CheckPool[Any] | None:
 
 def _is_gpu(engine: Engine) -> bool:
     """Whether an engine simulates on a GPU in this process, and not in workers, which check outcomes themselves."""
-    return engine.name in BESIDE and Capability.CHECKS not in engine.capabilities
+    return engine.name in ATTEMPT_ENGINES and Capability.CHECKS not in engine.capabilities
 
 
 def score_worlds(
@@ -181,7 +181,7 @@ class _AttemptRun(Generic[AnyWorld]):
         while True:
             self._put_following()
             closed = self.stream.closed  # read before outcomes are checked: the stream may be closed meanwhile
-            n_ready = self.stream.wait_for(LARGE if primary.name in BESIDE else 1)
+            n_ready = self.stream.wait_for(LARGE if primary.name in ATTEMPT_ENGINES else 1)
             if n_ready or self.for_fallback:
                 self.attempt_tasks.prepare(self.stream.peek(LARGE), self.attempts[1:])
                 self.first_runner.check_pool = self.attempt_tasks.check_pool
@@ -194,7 +194,7 @@ class _AttemptRun(Generic[AnyWorld]):
                 # order.
                 yield from self._task_results(wait=self.following is None)
                 if self.following is not None:
-                    time.sleep(BESIDE_WAIT_S)
+                    time.sleep(ATTEMPT_WAIT_S)
             elif not self.retry_queue and closed:
                 source.raise_error()
                 return
@@ -331,7 +331,7 @@ class _AttemptTasks(Generic[AnyWorld]):
         process is compiled early: compiling takes as long as simulating many worlds."""
         if self.needs_pool:
             self.check_pool = self.check_pool or self.lent or check_pool_for(self.engines.primary, len(jobs))
-        name = BESIDE.get(self.engines.primary.name)
+        name = ATTEMPT_ENGINES.get(self.engines.primary.name)
         if name is None or len(jobs) < LARGE:
             return
         if self.sim.physics.cone is not Cone.ELLIPTIC or self.sim.has_soft:
@@ -346,7 +346,7 @@ class _AttemptTasks(Generic[AnyWorld]):
         """Begin an attempt at a world as a task. Returns False if the engine of the run must make the attempt."""
         runner, (world, _, _) = self.runner_of(attempt), pending
         soft, few = runner.is_soft(world), self.are_few(attempt, pending)
-        name = self.engines.beside(world.job, runner.sim, attempt, soft=soft, few=few)
+        name = self.engines.attempt_engine(world.job, runner.sim, attempt, soft=soft, few=few)
         if name is not None:
             self._ask(runner, pending, name)
         return name is not None

@@ -32,7 +32,7 @@ _PER_ASIDE: Final = 0.01
 have a cost, the place nearest to the edges is preferred among equally low places (``cost_mm`` of
 petmjx/packers/learned_candidates.py)."""
 
-LOOKED_AT: Final = 3
+PLACES_PER_CANDIDATE: Final = 3
 """Number of places that are examined for each candidate that is wanted. More places than candidates are examined
 because some places have too little support."""
 
@@ -185,7 +185,7 @@ class Candidates:
             same = (jnp.abs(corner - corner[best][None]) <= TOUCH_MM).all(axis=1) & (turned == turned[best])
             return jnp.where(same, _FAR, cost), (best, cost[best] < _FAR)
 
-        return jax.lax.scan(take, cost, None, length=LOOKED_AT * self.count)[1]
+        return jax.lax.scan(take, cost, None, length=PLACES_PER_CANDIDATE * self.count)[1]
 
 
 def _corner_points(

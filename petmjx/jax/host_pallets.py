@@ -29,7 +29,7 @@ KEPT_PER_PALLET: Final = 4
 """Number of settled worlds in the cache for each of the n pallets of a ``HostState``."""
 
 
-MOST_ASKED: Final = 64
+SPARE_WORLDS: Final = 64
 """Number of additional worlds in the cache, for candidates on pallets of older states."""
 
 
@@ -44,7 +44,7 @@ class Host:
 
     def __init__(self, n: int, sim: Simulation, engine: Engine, most_boxes: int) -> None:
         self.most_boxes = most_boxes
-        slots = KEPT_PER_PALLET * n + MOST_ASKED
+        slots = KEPT_PER_PALLET * n + SPARE_WORLDS
         self._lock = threading.Lock()
         self._engine, self._sim = engine, sim
         self._begin(slots)
@@ -93,7 +93,7 @@ class Host:
         with self._lock:
             used = np.flatnonzero(gets | stands)
             many = len(used) if keeps else len({_key(size[row], corner[row], mass[row]) for row in used})
-            if (needed := KEPT_PER_PALLET * many + MOST_ASKED) > len(self._pallets):
+            if (needed := KEPT_PER_PALLET * many + SPARE_WORLDS) > len(self._pallets):
                 self._begin(needed)
             pinned: set[int] = set()
             if len(other_rows):

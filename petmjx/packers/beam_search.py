@@ -18,9 +18,9 @@ from math import ceil, inf
 from typing import Final, NamedTuple
 
 from petmjx.common.machine import why_no_warp_on_cpu
-from petmjx.packers.balanced_packer import TASTES
+from petmjx.packers.balanced_packer import PREFERENCE_SETS
 from petmjx.packers.baseline_packer import PlacedBox
-from petmjx.packers.packing_state import FullPacking, NextCandidate, Packing, Taste
+from petmjx.packers.packing_state import FullPacking, NextCandidate, Packing, Preferences
 from petmjx.plans.order_generator import Item
 
 MOST_STEPS: Final = 80
@@ -79,8 +79,8 @@ def search(
         branch: number of candidates that each step tries for each packing.
     """
     best: RankedPacking | None = None
-    for taste in TASTES:
-        packing = _search(items, extent_mm, clearance_mm, taste, width, branch)
+    for preferences in PREFERENCE_SETS:
+        packing = _search(items, extent_mm, clearance_mm, preferences, width, branch)
         if best is None or packing.worth > best.worth:
             best = packing
         if len(best.placed) == len(items):
@@ -132,9 +132,14 @@ class _SearchBranch(NamedTuple):
 
 
 def _search(
-    items: Sequence[Item], extent_mm: tuple[float, float], clearance_mm: float, taste: Taste, width: int, branch: int
+    items: Sequence[Item],
+    extent_mm: tuple[float, float],
+    clearance_mm: float,
+    preferences: Preferences,
+    width: int,
+    branch: int,
 ) -> RankedPacking:
-    start = Packing(items, extent_mm, taste, clearance_mm)
+    start = Packing(items, extent_mm, preferences, clearance_mm)
     fills = fills_for(start)
     first = _full_packing(fills, start)
     assert first is not None

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from petmjx.common.units import FloatArray
 from petmjx.packers.baseline_packer import PlacedBox
 from petmjx.packers.height_map import HeightMap
-from petmjx.packers.packing_state import NextCandidate, Packing, Taste
+from petmjx.packers.packing_state import NextCandidate, Packing, Preferences
 from petmjx.packers.pile_balance import Balance
 from petmjx.plans.order_generator import Item
 
@@ -63,8 +63,8 @@ class ItemStream(Packing):
         clearance_mm: free space between a box and its neighbours along x and y, mm.
         look_ahead: number of boxes that the packer sees at a time. Any of the boxes that the packer sees may be placed
             next.
-        taste: weights with which candidates are rated, as in the packer ``balanced``. If ``taste`` is None, the first
-            set of weights of ``balanced`` is used.
+        preferences: values and costs with which candidates are rated, as in the packer ``balanced``. If ``preferences``
+            is None, the first of the sets of ``balanced`` is used.
     """
 
     def __init__(
@@ -73,9 +73,9 @@ class ItemStream(Packing):
         extent_mm: tuple[float, float],
         clearance_mm: float = 0.0,
         look_ahead: int = 1,
-        taste: Taste | None = None,
+        preferences: Preferences | None = None,
     ) -> None:
-        super().__init__(items, extent_mm, taste or Taste(), clearance_mm)
+        super().__init__(items, extent_mm, preferences or Preferences(), clearance_mm)
         self.look_ahead = look_ahead
         self.skipped = 0
         self._masses = np.zeros(len(items))

@@ -66,7 +66,7 @@ PACKERS: Final[Mapping[str, Packer]] = MappingProxyType(
     {BASELINE: _baseline, BALANCED: _balanced_packer, LEARNED: _learned_packer}
 )
 
-WHY: Final[Mapping[str, str]] = MappingProxyType(
+LEFT_OUT_REASONS: Final[Mapping[str, str]] = MappingProxyType(
     {LEARNED: "when they came, no place below 2 m was in balance and likely to stand"}
 )
 """Name of a packer → why it leaves boxes out. Other packers leave out boxes for which there is no place below 2 m."""

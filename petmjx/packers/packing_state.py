@@ -29,9 +29,9 @@ the pile; the smallest share only limits overhangs in addition."""
 
 
 @dataclass(frozen=True)
-class Taste:
-    """Weights with which candidates are rated. Values and costs are in mm of height: a cost of 1 mm has the same effect
-    as a place that is 1 mm higher.
+class Preferences:
+    """The preferences of a packer: the values and costs with which candidates are rated. Values and costs are in mm of
+    height: a cost of 1 mm has the same effect as a place that is 1 mm higher.
 
     Attributes:
         per_base_side: value per mm of the square root of the base area.
@@ -86,14 +86,14 @@ class Packing:
     Args:
         items: items of one order.
         extent_mm: length and width of the target, mm.
-        taste: weights with which candidates are rated.
+        preferences: values and costs with which candidates are rated.
         clearance_mm: free space between a box and its neighbours along x and y, mm.
     """
 
     _Table: ClassVar[type[Candidates]] = Candidates
 
     def __init__(
-        self, items: Sequence[Item], extent_mm: tuple[float, float], taste: Taste, clearance_mm: float = 0.0
+        self, items: Sequence[Item], extent_mm: tuple[float, float], preferences: Preferences, clearance_mm: float = 0.0
     ) -> None:
         kinds: dict[Item, list[Item]] = {}
         for item in items:
@@ -111,8 +111,8 @@ class Packing:
         self._kind_of, self._turned = np.array(shapes, dtype=np.intp).reshape(-1, 2).T
         sizes = np.array([_size(firsts[kind], turned) for kind, turned in shapes], dtype=np.float64).reshape(-1, 3)
         self._weight = np.array([firsts[kind].weight_kg for kind in self._kind_of])
-        self._worth = _worth(sizes, self._weight, taste)
-        self._taste = taste
+        self._worth = _worth(sizes, self._weight, preferences)
+        self._preferences = preferences
         # In the table of candidates, a box's base includes its free space, and the target is larger by one free space.
         # In the balance, a base is only as large as the box, since free space supports nothing.
         self._base = sizes[:, :2]
@@ -152,8 +152,8 @@ class Packing:
         """
         table, weight = self._table, self._weight
         support = table.carried / table.area
-        cost = table.z - self._worth + self._taste.per_overhang * (1 - support)
-        cost += self._taste.per_distance * table.points.sum(axis=1)[:, None]
+        cost = table.z - self._worth + self._preferences.per_overhang * (1 - support)
+        cost += self._preferences.per_distance * table.points.sum(axis=1)[:, None]
         fits = (table.z + table.height <= MAX_HEIGHT_MM + TOUCH_MM) & (support >= LEAST_SUPPORT - SHARE_SLACK)
         if kinds is not None:
             fits = fits & np.isin(self._kind_of, kinds)
@@ -248,10 +248,10 @@ class Packing:
         tables["worth"][:shapes] = self._worth
         tables["kind"][:shapes] = self._kind_of
         tables["stock"][: len(self._stock)] = [len(same) for same in self._stock]
-        taste = self._taste
+        preferences = self._preferences
         numbers = tables["numbers"]
         numbers[Number.TOP], tables["counts"][Count.SHAPES] = self.top_mm, shapes
-        numbers[Number.PER_OVERHANG], numbers[Number.PER_DISTANCE] = taste.per_overhang, taste.per_distance
+        numbers[Number.PER_OVERHANG], numbers[Number.PER_DISTANCE] = preferences.per_overhang, preferences.per_distance
         self._table.write(tables)
         self._pile.write(tables)
 
@@ -266,16 +266,19 @@ def _size(item: Item, orientation: int) -> tuple[float, float, float]:
     return (*(base if orientation == 0 else base[::-1]), item.height_mm)
 
 
-def _worth(sizes: FloatArray, weight: FloatArray, taste: Taste) -> FloatArray:
-    """(s,) the part of a candidate's value that depends only on its shape, for each shape, in mm of height (``Taste``).
+def _worth(sizes: FloatArray, weight: FloatArray, preferences: Preferences) -> FloatArray:
+    """(s,) the part of a candidate's value that depends only on its shape, for each shape, in mm of height
+    (``Preferences``).
 
     Args:
         sizes: (s, 3) sizes of the shapes, mm.
         weight: (s,) weights of the shapes, kg.
-        taste: weights with which candidates are rated.
+        preferences: values and costs with which candidates are rated.
     """
     side = np.sqrt(sizes[:, 0] * sizes[:, 1])
     worth: FloatArray = (
-        taste.per_base_side * side + taste.per_log_weight * np.log(weight) + taste.per_height * sizes[:, 2]
+        preferences.per_base_side * side
+        + preferences.per_log_weight * np.log(weight)
+        + preferences.per_height * sizes[:, 2]
     )
     return worth

@@ -25,7 +25,7 @@ from petmjx.common.parallel_map import ordered_results
 from petmjx.options.run_options import MOST_WORKERS
 from petmjx.packers.baseline_packer import PackRules, PlacedBox
 from petmjx.packers.left_out_items import LeftOutItems, left_out_of
-from petmjx.packers.packer_registry import BASELINE, WHY, packer_named
+from petmjx.packers.packer_registry import BASELINE, LEFT_OUT_REASONS, packer_named
 from petmjx.plans.bedbpp_writer import Placement, write_plans
 from petmjx.plans.order_generator import PACKER_STREAM, Item, Order, draw_order, stream, target_extent_mm
 from petmjx.plans.order_reader import read_orders
@@ -213,7 +213,7 @@ def _pack(
     look_ahead: int | None,
 ) -> _Packed:
     placed = packer_named(packer, look_ahead)(order.items, target_extent_mm(order.target), rules, rng)
-    return order_id, as_placements(placed), left_out_of(order_id, order, placed, WHY.get(packer, ""))
+    return order_id, as_placements(placed), left_out_of(order_id, order, placed, LEFT_OUT_REASONS.get(packer, ""))
 
 
 def _plans(

@@ -9,7 +9,7 @@ from typing import Final, Protocol, runtime_checkable
 from petmjx.common.errors import InputError
 from petmjx.common.safe_read import open_regular
 from petmjx.common.text import count_text, number_in, shortened_text
-from petmjx.common.unreadable_files import LOOKED_AT_ARCHIVE, foreign_kind
+from petmjx.common.unreadable_files import ARCHIVE_BYTES, foreign_kind
 
 PARQUET_MAGIC: Final = b"PAR1"
 PARQUET_SUFFIX: Final = ".parquet"
@@ -83,7 +83,7 @@ def foreign_kind_of(path: Path) -> str | None:
         ValueError: the name is impossible for a file, such as a name with a null character.
     """
     with open_regular(path) as file:
-        return foreign_kind(file.read(LOOKED_AT_ARCHIVE))
+        return foreign_kind(file.read(ARCHIVE_BYTES))
 
 
 def looks_like_table(data: bytes | bytearray) -> bool:

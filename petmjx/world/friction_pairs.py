@@ -72,7 +72,7 @@ def filled_up(table: FloatArray | None, entry: tuple[int, ...] = ()) -> FloatArr
     return filled
 
 
-_NOT_SAID: Final = ""
+_UNKNOWN_MATERIAL: Final = ""
 """Stands for the material of a box if the plan gives no material."""
 
 
@@ -109,7 +109,7 @@ def find_surfaces(plan: Plan, sim: Simulation) -> Surfaces | None:
         InputError: the friction between two of the materials is unknown, or there are too many surfaces.
     """
     boards = carrier_surfaces(sim)
-    materials = plan.materials or (_NOT_SAID,) * plan.n_boxes
+    materials = plan.materials or (_UNKNOWN_MATERIAL,) * plan.n_boxes
     has_materials = any(materials)
     if not sim.physics.has_own_friction or not (has_materials or any(friction is not None for friction, _ in boards)):
         return None

@@ -44,7 +44,7 @@ def test_a_world_is_simulated_again_beside_the_others_and_the_same(monkeypatch: 
         results.append(result)
     assert len(begun_after) == 1
     assert begun_after[0] < 3, "not at the end"
-    monkeypatch.setattr(attempt_settings, "BESIDE_ITSELF", "")
+    monkeypatch.setattr(attempt_settings, "ENGINE_WITH_ATTEMPT_THREADS", "")
     (again,) = score_worlds([make_world(SINKS)], Simulation(), engine)
     assert len(begun_after) == 1
     (beside,) = (result for result in results if result.world.plan is SINKS)

@@ -106,7 +106,7 @@ def test_what_cannot_get_a_box_stays_as_it_is() -> None:
 
 def test_settled_worlds_are_built_again_when_they_are_gone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("petmjx.jax.host_pallets.KEPT_PER_PALLET", 2)
-    monkeypatch.setattr("petmjx.jax.host_pallets.MOST_ASKED", 1)
+    monkeypatch.setattr("petmjx.jax.host_pallets.SPARE_WORLDS", 1)
     state = petmjx.jax.empty(2, engine="mujoco", most_boxes=4)
     place = jax.jit(petmjx.jax.place)
     first, report = place(state, SIZE, STEPS[0], MASS)

@@ -18,7 +18,7 @@ from support.plan_files import order
 from petmjx.common import parallel_map as parallel_module
 from petmjx.common.errors import InputError
 from petmjx.common.parallel_map import ordered_results
-from petmjx.packers.balanced_packer import TASTES, pack_balanced
+from petmjx.packers.balanced_packer import PREFERENCE_SETS, pack_balanced
 from petmjx.packers.baseline_packer import PackRules, PlacedBox, pack_best
 from petmjx.packers.left_out_items import LeftOutItems
 from petmjx.packers.pile_balance import MARGIN_M, Balance, hull_planes
@@ -85,12 +85,12 @@ def test_the_other_tastes_are_for_orders_that_do_not_fit(monkeypatch: pytest.Mon
         if len(packed_with(drawn.items, 1, drawn.target, monkeypatch)) < len(drawn.items)
     )
     first = packed_with(tight.items, 1, tight.target, monkeypatch)
-    every = packed_with(tight.items, len(TASTES), tight.target, monkeypatch)
+    every = packed_with(tight.items, len(PREFERENCE_SETS), tight.target, monkeypatch)
     assert len(every) > len(first)
 
 
-def packed_with(items: tuple[Item, ...], tastes: int, target: str, monkeypatch: pytest.MonkeyPatch) -> list[PlacedBox]:
-    monkeypatch.setattr("petmjx.packers.balanced_packer.TASTES", TASTES[:tastes])
+def packed_with(items: tuple[Item, ...], n_sets: int, target: str, monkeypatch: pytest.MonkeyPatch) -> list[PlacedBox]:
+    monkeypatch.setattr("petmjx.packers.balanced_packer.PREFERENCE_SETS", PREFERENCE_SETS[:n_sets])
     return pack_balanced(items, TARGET_EXTENT_MM[target])
 
 

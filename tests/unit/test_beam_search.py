@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from support.packings import orders, targets
 
 import petmjx.packers.beam_search as beam_module
-from petmjx.packers.balanced_packer import TASTES
+from petmjx.packers.balanced_packer import PREFERENCE_SETS
 from petmjx.packers.beam_search import search
-from petmjx.packers.packing_state import Packing, Taste
+from petmjx.packers.packing_state import Packing, Preferences
 from petmjx.plans.order_generator import TARGET_EXTENT_MM, Item, draw_order
 
 pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
@@ -35,11 +35,11 @@ def grown(packing: Packing, boxes: int) -> Packing:
 
 
 @settings(max_examples=40, deadline=None)
-@given(orders, targets, st.sampled_from(TASTES), st.sampled_from([0.0, 2.5, 6.0, 1 / 3]), st.integers(0, 12))
+@given(orders, targets, st.sampled_from(PREFERENCE_SETS), st.sampled_from([0.0, 2.5, 6.0, 1 / 3]), st.integers(0, 12))
 def test_they_are_the_same(
-    items: list[Item], extent: tuple[int, int], taste: Taste, clearance_mm: float, boxes: int
+    items: list[Item], extent: tuple[int, int], preferences: Preferences, clearance_mm: float, boxes: int
 ) -> None:
-    packing = Packing(items, extent, taste, clearance_mm)
+    packing = Packing(items, extent, preferences, clearance_mm)
     fills = compiled.FillKernel(packing)
     grown(packing, boxes)
     first = packing.next(3)[-1:]
@@ -50,7 +50,7 @@ def test_they_are_the_same(
 
 
 def test_one_that_becomes_too_high_is_given_up() -> None:
-    packing = grown(Packing(DRAWN.items, EXTENT, TASTES[0], 3.0), 5)
+    packing = grown(Packing(DRAWN.items, EXTENT, PREFERENCE_SETS[0], 3.0), 5)
     fills, filled = compiled.FillKernel(packing), packing.filled()
     assert filled is not None
     assert fills(packing, None, filled.top_mm) == filled
@@ -68,8 +68,8 @@ def test_python_says_whether_a_box_tips_over_whose_weight_acts_on_an_edge(monkey
 
     monkeypatch.setattr(compiled, "tips", noted)
     order = draw_order(33, 9)
-    for taste in TASTES:
-        packing = Packing(order.items, TARGET_EXTENT_MM[order.target], taste)
+    for preferences in PREFERENCE_SETS:
+        packing = Packing(order.items, TARGET_EXTENT_MM[order.target], preferences)
         assert compiled.FillKernel(packing)(packing) == packing.filled()
     assert set(answers) == {True, False}
 
@@ -78,7 +78,7 @@ def test_python_says_whether_a_box_tips_over_whose_weight_acts_on_an_edge(monkey
 def test_where_there_is_no_room_python_fills_up(monkeypatch: pytest.MonkeyPatch, room: dict[str, int]) -> None:
     for name, number in room.items():
         monkeypatch.setattr(compiled, name, number)
-    packing, calls = Packing(DRAWN.items, EXTENT, TASTES[0], 3.0), []
+    packing, calls = Packing(DRAWN.items, EXTENT, PREFERENCE_SETS[0], 3.0), []
     monkeypatch.setattr(packing, "filled", lambda *arguments: calls.append(arguments))
     assert compiled.FillKernel(packing)(packing) is None
     assert calls == [(None, inf)]
@@ -86,11 +86,11 @@ def test_where_there_is_no_room_python_fills_up(monkeypatch: pytest.MonkeyPatch,
 
 def test_areas_without_an_exact_sum_are_left_to_python(monkeypatch: pytest.MonkeyPatch) -> None:
     third = [replace(item, length_mm=item.length_mm + 1 / 3) for item in DRAWN.items]
-    assert Packing(third, EXTENT, TASTES[0]).grain_mm < compiled.GRAIN_MM
-    assert Packing(DRAWN.items, EXTENT, TASTES[0], 2.25).grain_mm == 0.25
+    assert Packing(third, EXTENT, PREFERENCE_SETS[0]).grain_mm < compiled.GRAIN_MM
+    assert Packing(DRAWN.items, EXTENT, PREFERENCE_SETS[0], 2.25).grain_mm == 0.25
     calls = []
     monkeypatch.setattr(Packing, "filled", lambda *arguments: calls.append(arguments[1:]))
-    packing = Packing(third, EXTENT, TASTES[0])
+    packing = Packing(third, EXTENT, PREFERENCE_SETS[0])
     assert compiled.FillKernel(packing)(packing) is None
     assert calls == [(None, inf)]
 
@@ -113,4 +113,4 @@ def test_where_warp_does_not_work_python_fills_up(broken: str, monkeypatch: pyte
         monkeypatch.setitem(sys.modules, compiled.__name__, None)
     else:
         monkeypatch.setattr(compiled, "_kernel", lambda: 1 / 0)
-    assert beam_module.fills_for(Packing(DRAWN.items, EXTENT, TASTES[0])) is Packing.filled
+    assert beam_module.fills_for(Packing(DRAWN.items, EXTENT, PREFERENCE_SETS[0])) is Packing.filled

@@ -20,14 +20,14 @@ import petmjx
 from petmjx.common.errors import InputError
 from petmjx.common.parallel_map import ordered_results
 from petmjx.packers import learned_packer as learned_module
-from petmjx.packers.balanced_packer import TASTES
+from petmjx.packers.balanced_packer import PREFERENCE_SETS
 from petmjx.packers.free_space import AIR, LARGE, LEVEL_MM, SMALL, free_space
 from petmjx.packers.height_map import CELL_MM, HeightMap
 from petmjx.packers.item_stream import ItemStream, by_taste, pack_stream
 from petmjx.packers.learned_candidates import COARSE_MM, LEAST_SUPPORT, FourSidedStream, lowest_first
 from petmjx.packers.learned_features import NAMES, features
 from petmjx.packers.learned_packer import CLEARANCE_MM, LEARNED, Policy, pack_learned, published_policy
-from petmjx.packers.packer_registry import WHY
+from petmjx.packers.packer_registry import LEFT_OUT_REASONS
 from petmjx.packers.packing_state import Packing
 from petmjx.packers.policy_network import Network, likely
 from petmjx.packers.sample_plans import generate
@@ -85,9 +85,9 @@ def _packed(index: int, seed: int) -> list[tuple[float, ...]]:
 
 def test_the_rule_on_a_stream_is_that_of_balanced() -> None:
     """If the rule of ``balanced`` sees all boxes of a stream, its packing is that of the packer ``balanced``."""
-    packing = Packing(DRAWN.items, EXTENT, TASTES[0])
+    packing = Packing(DRAWN.items, EXTENT, PREFERENCE_SETS[0])
     packing.fill()
-    stream = ItemStream(DRAWN.items, EXTENT, 0.0, len(DRAWN.items), TASTES[0])
+    stream = ItemStream(DRAWN.items, EXTENT, 0.0, len(DRAWN.items), PREFERENCE_SETS[0])
     assert pack_stream(stream, by_taste) == packing.placed
 
 
@@ -316,7 +316,7 @@ def test_the_command_says_what_is_left_out_and_why(tmp_path: Path, capsys: pytes
     how = ("samples", "--orders", source, "-o", out, "--overwrite", "--workers", "1")
     assert run(*how, "--packer", "learned", "--lookahead", "3") == 0
     assert capsys.readouterr().out.splitlines() == [
-        f"order tall: 1 of 3 boxes is left out: item 2: {WHY[LEARNED]}",
+        f"order tall: 1 of 3 boxes is left out: item 2: {LEFT_OUT_REASONS[LEARNED]}",
         f"2 plans in {out}; 1 box of 1 order left out",
     ]
     assert run(*how, "--packer", "balanced", "--lookahead", "3") == 2

@@ -26,7 +26,7 @@ from petmjx.options.simulation import Simulation
 from petmjx.packers import beam_search as beam_module
 from petmjx.packers import pack as pack_module
 from petmjx.packers import physical_packer as physical_module
-from petmjx.packers.balanced_packer import TASTES, pack_balanced
+from petmjx.packers.balanced_packer import PREFERENCE_SETS, pack_balanced
 from petmjx.packers.beam_search import search
 from petmjx.packers.finalists import Evaluation, Finalist, choose, finalists, order_evaluation
 from petmjx.packers.left_out_items import FALLS, NO_PLACE
@@ -97,7 +97,7 @@ def test_large_orders_are_searched_in_larger_steps(monkeypatch: pytest.MonkeyPat
 
 
 def test_a_copy_goes_its_own_way() -> None:
-    packing = Packing(DRAWN.items, EXTENT, TASTES[0])
+    packing = Packing(DRAWN.items, EXTENT, PREFERENCE_SETS[0])
     for _ in range(10):
         packing.put(packing.next()[0])
     before, twin, other = list(packing.placed), packing.copy(), packing.copy()

@@ -43,16 +43,16 @@ MOST_VALUES: Final = 60
 
 MOST_NAMED: Final = 12
 
-MATTERS: Final = (
+AXES_CAPTION: Final = (
     "There is a share of worlds that stand for each value of an axis, over all values of the other axes. Range: "
     "difference of the largest and the smallest of these shares. Explained: part of the variance of “stands” that lies "
     "between the values of the axis (η², the squared correlation ratio). The row “plan” shows how much plans differ."
 )
-ROSE: Final = "Line: the median plan; band: half of the plans. A plan that survives no level counts as 0."
+DIRECTIONS_CAPTION: Final = "Line: the median plan; band: half of the plans. A plan that survives no level counts as 0."
 
 
-BY_LEG: Final = "Share that stands after a leg, of the worlds that reached it. Line: Wilson’s 95 % interval."
-WEAKEST: Final = "The leg in which most worlds of a plan failed first."
+LEGS_CAPTION: Final = "Share that stands after a leg, of the worlds that reached it. Line: Wilson’s 95 % interval."
+WEAKEST_LEG_CAPTION: Final = "The leg in which most worlds of a plan failed first."
 
 
 def sweep_answers(run: ReportRun) -> Markup:
@@ -191,7 +191,7 @@ def _importance_chart(matters: pd.DataFrame) -> Markup:
         Bar(row["axis"], row["explained"], f"{percent(row['explained'])} · {percent(row['spread'])}")
         for row in matters.to_dict("records")
     ]
-    return figure("Which axis matters most: explained · range", bars("Which axis matters most", rows), MATTERS)
+    return figure("Which axis matters most: explained · range", bars("Which axis matters most", rows), AXES_CAPTION)
 
 
 def _grid_roses(run: ReportRun) -> Iterator[tuple[str, str, pd.DataFrame, float]]:
@@ -241,7 +241,7 @@ def _rose_figure(title: str, unit: str, largest: pd.DataFrame, top: float) -> Ma
     reach = ROSE_RINGS * round_step(float(np.nanmax(quantiles["high"], initial=top / 10)) / ROSE_RINGS)
     picture = rose(title, directions, quantiles, reach, unit)
     n = count_text(int(largest["plan_id"].nunique()), "plan")
-    return figure(f"{title} by direction", picture, f"{ROSE} {n}; tested up to {top:g} {unit}.")
+    return figure(f"{title} by direction", picture, f"{DIRECTIONS_CAPTION} {n}; tested up to {top:g} {unit}.")
 
 
 # searches for the largest level survived
@@ -332,7 +332,7 @@ def _chain(summary: pd.DataFrame) -> Markup:
     overall, of_plans = summary[summary["scope"] == ALL_PLANS], arrivals(summary)
     legs = overall[overall["remedy"] == AS_IS]
     leg_rows = [(str(row["leg"]) or "whole way", row) for row in legs.to_dict("records")]
-    charts = [figure("By leg", intervals("By leg", [_share_row(name, row) for name, row in leg_rows]), BY_LEG)]
+    charts = [figure("By leg", intervals("By leg", [_share_row(name, row) for name, row in leg_rows]), LEGS_CAPTION)]
     if len(of_plans) > 1:
         plain = pd.Series("plain", index=of_plans.index)
         charts.append(
@@ -342,7 +342,7 @@ def _chain(summary: pd.DataFrame) -> Markup:
         rows = [
             Bar(str(leg), float(n), count_text(int(n), "plan"), Verdict.UNSTABLE.value) for leg, n in weakest.items()
         ]
-        charts += [figure("Weakest leg", bars("Weakest leg", rows), WEAKEST)] if rows else []
+        charts += [figure("Weakest leg", bars("Weakest leg", rows), WEAKEST_LEG_CAPTION)] if rows else []
     remedies = overall[(overall["remedy"] != AS_IS) & (overall["leg"] == WHOLE_WAY)]
     return joined_markup(
         element("div", *charts, class_="charts"),
