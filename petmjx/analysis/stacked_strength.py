@@ -47,7 +47,7 @@ def stacked_strengths(
             if np.isnan(strength_n[box]) and not sheets[box]:
                 missing[article] += 1
         factors, low, high = _factors(plan, losses, carrier)
-        borne = (strength_n * np.prod(each, axis=0) for each in (factors, low, high))
+        borne = (strength_n * np.prod(factor_set, axis=0) for factor_set in (factors, low, high))
         columns = {"press_strength_n": strength_n, **dict(zip(_FACTORS, factors, strict=True))}
         columns |= dict(zip(("strength_n", "strength_low_n", "strength_high_n"), borne, strict=True))
         columns["time_factor"] = np.full(plan.n_boxes, remaining_share(losses.time_loss))

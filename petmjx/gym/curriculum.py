@@ -101,9 +101,9 @@ def level_of(options: object, n: int, *others: str) -> FloatArray | None:
     try:
         return np.broadcast_to(np.asarray(options["level"], np.float64), (n,))
     except (TypeError, ValueError):
-        each = "" if n == 1 else f", or {n} of them"
+        for_many = "" if n == 1 else f", or {n} of them"
         raise InputError(
-            f"options: level must be a number from 0 to 1{each}, {shown_value(options['level'])}"
+            f"options: level must be a number from 0 to 1{for_many}, {shown_value(options['level'])}"
         ) from None
 
 

@@ -157,14 +157,14 @@ class _Run:
     """A run whose input has been checked and whose engine has been chosen.
 
     Attributes:
-        found: the loaded plans, the skipped entries of the input, and warnings about the input.
+        plan_set: the loaded plans, the skipped entries of the input, and warnings about the input.
         records: plan id → record of the plan.
         intervals_s: time spent on computing intervals of forces, s.
     """
 
     study: Study
     options: RunOptions
-    found: PlanSet
+    plan_set: PlanSet
     records: Mapping[str, PlanRecord]
     orders: OrderCheck | None
     engine: Engine
@@ -251,10 +251,10 @@ class _Run:
 
     def _note_input(self, writer: RunWriter) -> None:
         """Write skipped plans and warnings to ``run.json``."""
-        for skipped in self.found.skipped:
+        for skipped in self.plan_set.skipped:
             writer.skip(skipped)
-        writer.odd_plans += (str(odd) for odd in self.found.warnings if self.options.takes(odd.plan_id))
-        for note in (*self.found.conventions, *self.found.notes, *self.study.notes):
+        writer.odd_plans += (str(odd) for odd in self.plan_set.warnings if self.options.takes(odd.plan_id))
+        for note in (*self.plan_set.conventions, *self.plan_set.notes, *self.study.notes):
             writer.warn(note)
         if len(writer.recorded) and (missing := self.recording.missing(writer.parts)):
             of = count_text(missing, "world")
