@@ -251,15 +251,16 @@ class Rules:
         lin = jnp.sqrt((qacc[..., :3] ** 2).sum(-1))
         ang = jnp.sqrt((qacc[..., 3:] ** 2).sum(-1))
         violent = (sampled & ((lin > limits.lin_acc_m_s2) | (ang > limits.ang_acc_rad_s2))).any(-1) & (culprit < 0)
-        # Light boxes that land, and tipping boxes that hit something, reach up to 240 rad/s² for a few steps. So
-        # samples right after a placement are never signs of an explosion. A violent sample (accelerations above the
-        # thresholds) is an explosion only if the samples after it are violent, too.
+        # Light boxes that land, and tipping boxes that hit something, reach up to 240 rad/s² for a few steps. So a
+        # violent sample (accelerations above the thresholds) is an explosion only if the samples before it were
+        # violent, too, for the time that a box needs to land. Samples right after a placement are no evidence of an
+        # explosion, but they show where one box has landed and another lands later.
         landing = self.sim.quiet.landing_steps
         counts = sample & (state.step - state.last_placed_at >= landing)
         if self.carries:
             counts &= ~hand.carried_worlds(state)
-        since = jnp.where(violent, jnp.minimum(state.violent_since, state.step), NEVER)
-        violent_since = jnp.where(counts, since, state.violent_since)
+        since = jnp.where(counts & violent, jnp.minimum(state.violent_since, state.step), state.violent_since)
+        violent_since = jnp.where(sample & ~violent, NEVER, since)
         exploded = counts & violent & (state.step - since >= landing) & (not self.driven)
 
         new_sample = Sample(

@@ -267,15 +267,16 @@ def after_step(
         signs = culprit < 0 and wp.cast(wp.int32(worst >> HALF), float) > 1.0
         if signs:
             culprit = wp.int32(LAST_BOX - (worst & LAST_BOX))
-        # Light boxes that land, and tipping boxes that hit something, reach up to 240 rad/s² for a few steps. So
-        # samples right after a placement do not count. A violent sample is an explosion only if the following samples
-        # are violent, too.
-        if sample and step - landed >= model.landing_steps and at.carried == 0:
-            since = NEVER
-            if violent and culprit < 0:
-                since = wp.min(violent_since, step)
-            violent_since = since
-            exploded = since != NEVER and step - since >= model.landing_steps and not driven
+        # Light boxes that land, and tipping boxes that hit something, reach up to 240 rad/s² for a few steps. So a
+        # violent sample is an explosion only if the samples before it were violent, too, for the time that a box needs
+        # to land. Samples right after a placement are no evidence of an explosion, but they show where one box has
+        # landed and another lands later.
+        if sample:
+            if not violent or culprit >= 0:
+                violent_since = NEVER
+            elif step - landed >= model.landing_steps and at.carried == 0:
+                violent_since = wp.min(violent_since, step)
+                exploded = step - violent_since >= model.landing_steps and not driven
     if worlds.ends_when_gone[world] and counted and polled and not looks_at_poses:
         for box in range(at.thread, at.placed, at.threads):
             lost = lost or is_gone(model, worlds, state, world, box)
