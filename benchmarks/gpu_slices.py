@@ -10,10 +10,10 @@ import argparse
 import time
 from typing import Any
 
-from petmjx.engines.attempt_stream import score_worlds
 from petmjx.engines.engine_choice import make_engine
 from petmjx.engines.mjx.world_state import Status
 from petmjx.engines.protocol import Progress
+from petmjx.engines.simulation_loop import score_worlds
 from petmjx.engines.warp.time_slices import Rollout
 from petmjx.engines.warp.world_table import WorldTable
 from petmjx.engines.world_results import World

@@ -149,7 +149,7 @@ class MinimalEngine(Protocol):
     name: str
 
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
-        """Simulate each job once, with the solver ``sim.solver``. petmjx/engines/attempt_stream.py repeats a world if
+        """Simulate each job once, with the solver ``sim.solver``. petmjx/engines/simulation_loop.py repeats a world if
         needed."""
         ...
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
 
-from petmjx.engines.attempt_stream import score_worlds
 from petmjx.engines.open_world_protocol import OpenWorlds
 from petmjx.engines.protocol import Engine, Progress, says_at_hand
+from petmjx.engines.simulation_loop import score_worlds
 from petmjx.engines.verdict import Outcome
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job

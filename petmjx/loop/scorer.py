@@ -17,8 +17,8 @@ from petmjx.common.argument_checks import array_of, list_of
 from petmjx.common.checked_records import shown_value
 from petmjx.common.errors import InputError, PlanWarning
 from petmjx.common.units import FloatArray
-from petmjx.engines.attempt_stream import score_worlds
 from petmjx.engines.protocol import Engine
+from petmjx.engines.simulation_loop import score_worlds
 from petmjx.engines.world_results import World, WorldResult
 from petmjx.loop.engine_setup import OF_RUN, Closable, ready_engine
 from petmjx.loop.placement_results import PlacementResults

@@ -7,7 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-from petmjx.engines.attempt_stream import MOST_PENDING
+from petmjx.engines.simulation_loop import MOST_PENDING
 from petmjx.engines.verdict import Attempt, Flag, Outcome, Verdict, judge
 from petmjx.engines.world_results import World
 from petmjx.options.simulation import Thresholds

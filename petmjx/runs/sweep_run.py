@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from petmjx.engines.attempt_settings import ATTEMPTS
-from petmjx.engines.attempt_stream import FIRST_WORLDS, check_pool_for, score_worlds
 from petmjx.engines.job_stream import JobBounds
 from petmjx.engines.protocol import Engine, Progress
+from petmjx.engines.simulation_loop import FIRST_WORLDS, check_pool_for, score_worlds
 from petmjx.engines.subprocess.check_pool import CheckPool
 from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.engines.world_results import AnyWorld, WorldResult

@@ -17,8 +17,8 @@ from support.fake_stepper import assert_same
 from support.plans import make_plan, make_world, stack
 
 from petmjx.engines import attempt_settings
-from petmjx.engines.attempt_stream import score_worlds
 from petmjx.engines.attempt_threads import AttemptThreads
+from petmjx.engines.simulation_loop import score_worlds
 from petmjx.engines.subprocess.attempt_process import AttemptTask
 from petmjx.engines.verdict import Outcome
 from petmjx.engines.warp.cpu_engine import MjxWarpCpuEngine

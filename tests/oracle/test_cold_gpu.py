@@ -12,8 +12,8 @@ from support.plans import make_plan, make_world, stack
 
 import petmjx
 from petmjx.engines.attempt_settings import ATTEMPTS
-from petmjx.engines.attempt_stream import score_worlds
 from petmjx.engines.engine_choice import make_engine
+from petmjx.engines.simulation_loop import score_worlds
 from petmjx.options.simulation import Simulation
 
 LIGHT_UNDER_HEAVY = make_plan("light", stack(2, size_mm=(400, 300, 200), kg=(0.02, 300.0)))
@@ -30,7 +30,7 @@ from support.plans import make_plan, make_world, stack
 from petmjx.options.simulation import Simulation
 from petmjx.engines.attempt_settings import ATTEMPTS
 from petmjx.engines.engine_choice import make_engine
-from petmjx.engines.attempt_stream import score_worlds
+from petmjx.engines.simulation_loop import score_worlds
 from petmjx.engines.warp.cpu_engine import MjxWarpCpuEngine
 
 job = make_world(make_plan("light", stack(2, size_mm=(400, 300, 200), kg=(0.02, 300.0)))).job
@@ -41,12 +41,12 @@ print(outcome.n_steps, *outcome.boxes.pos.ravel())
 RUN = """
 import sys
 import petmjx
-from petmjx.engines import attempt_stream, attempt_settings
+from petmjx.engines import simulation_loop, attempt_settings
 
 engine, plans, out, first = sys.argv[1:]
 # each further attempt, as if all before had failed
 asked = (attempt_settings.ATTEMPTS[0], *attempt_settings.ATTEMPTS[int(first) - 1 :])
-attempt_stream.score_worlds.__kwdefaults__["attempts"] = asked
+simulation_loop.score_worlds.__kwdefaults__["attempts"] = asked
 attempt_settings.AttemptRecipe.is_for = lambda self, outcome, sim: self.number == int(first) and outcome.attempt !=
 int(first) petmjx.score(plans, engine=engine, out=out)
 """

@@ -18,11 +18,11 @@ from support.tiny_worlds import devices, engine, shared_engine
 
 import petmjx
 from petmjx.engines.attempt_settings import ATTEMPTS, AttemptRecipe
-from petmjx.engines.attempt_stream import score_worlds
 from petmjx.engines.contact_penetration import STIFF_INTERVAL_S, stiffened
 from petmjx.engines.mjx.timetable import build_timetable
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.protocol import Engine
+from petmjx.engines.simulation_loop import score_worlds
 from petmjx.engines.verdict import Flag, Verdict
 from petmjx.engines.warp.compiled_programs import constants, contact_constants
 from petmjx.engines.warp.cpu_engine import MjxWarpCpuEngine

@@ -12,7 +12,6 @@ import pytest
 from support.outcomes import make_outcome
 from support.plans import Box, make_plan, make_scene, make_world, stack
 
-from petmjx.engines.attempt_stream import score_worlds
 from petmjx.engines.contact_penetration import (
     contact_penetration_m,
     has_penetrated,
@@ -22,6 +21,7 @@ from petmjx.engines.contact_penetration import (
 )
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.outcome_checks import outcome_checks
+from petmjx.engines.simulation_loop import score_worlds
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.engines.world_results import World, WorldResult
 from petmjx.options.physics import PHYSICS

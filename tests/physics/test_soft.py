@@ -14,10 +14,10 @@ from support.plans import Box, make_plan
 import petmjx
 from petmjx.common.errors import InputError
 from petmjx.engines.attempt_settings import ATTEMPTS
-from petmjx.engines.attempt_stream import score_worlds
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.mujoco.soft_boxes import SoftWorld
 from petmjx.engines.protocol import Progress
+from petmjx.engines.simulation_loop import score_worlds
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.engines.world_results import World
 from petmjx.options.simulation import Simulation

@@ -12,8 +12,8 @@ import pytest
 from support.plans import Box, make_plan, make_scene, make_world
 
 from benchmarks.small_stacks import CHECKS, cases, judge, summary
-from petmjx.engines.attempt_stream import score_worlds
 from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.simulation_loop import score_worlds
 from petmjx.engines.verdict import Flag, Outcome, Verdict
 from petmjx.engines.world_results import WorldResult
 from petmjx.options.simulation import Simulation

@@ -15,10 +15,10 @@ from support.plans import make_plan, make_world, stack
 
 import petmjx
 from petmjx.common.errors import InputError
-from petmjx.engines import attempt_settings, attempt_stream, attempt_with_fallback
+from petmjx.engines import attempt_settings, attempt_with_fallback, simulation_loop
 from petmjx.engines.attempt_settings import ATTEMPTS
-from petmjx.engines.attempt_stream import score_worlds
 from petmjx.engines.protocol import Engine, Progress
+from petmjx.engines.simulation_loop import score_worlds
 from petmjx.engines.subprocess.check_pool import CheckPool, CheckTask
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.engines.world_results import WorldResult
@@ -196,7 +196,7 @@ def test_a_large_run_has_what_may_be_needed_beside_it_compiled_at_once(monkeypat
     kernel = Scripted("mjx-warp-cpu", never, Reason.SINKING)
     scored(Scripted("mjx-warp", never), Scripted("mujoco", never), monkeypatch, kernel=kernel)
     assert kernel.sims == []
-    monkeypatch.setattr(attempt_stream, "LARGE", WORLDS)
+    monkeypatch.setattr(simulation_loop, "LARGE", WORLDS)
     results, notes = scored(Scripted("mjx-warp", never), Scripted("mujoco", never), monkeypatch, kernel=kernel)
     assert kernel.sims == [ATTEMPTS[5].apply_to_sim(Simulation())]
     assert all(len(result.attempts) == 1 for result in results)
@@ -222,9 +222,9 @@ def test_an_interruption_loses_nothing_that_is_looked_at_beside_the_run(monkeypa
             if wait:
                 super()._take(process, wait=True, **until)
 
-    monkeypatch.setattr(attempt_stream, "LARGE", WORLDS)
+    monkeypatch.setattr(simulation_loop, "LARGE", WORLDS)
     monkeypatch.setattr(attempt_with_fallback, "MOST_TOGETHER", 1)
-    monkeypatch.setattr(attempt_stream.CheckPool, "here", lambda: Slow(1))
+    monkeypatch.setattr(simulation_loop.CheckPool, "here", lambda: Slow(1))
     worlds = [make_world(make_plan(f"p{k}", stack(1))) for k in range(WORLDS)]
     results = score_worlds(worlds, Simulation(physics="reference"), Scripted("mjx-warp", never))
     assert [next(results).world.plan.plan_id for _ in range(WORLDS - 1)] == ["p0", "p1"]
@@ -251,8 +251,8 @@ def test_looks_are_waited_for_whatever_an_engine_that_raised_had_at_hand(
             untils.append(until())
             return super().exchanged(*args, until=until, **how)
 
-    monkeypatch.setattr(attempt_stream, "LARGE", WORLDS)
-    monkeypatch.setattr(attempt_stream.CheckPool, "here", lambda: Watched(0))
+    monkeypatch.setattr(simulation_loop, "LARGE", WORLDS)
+    monkeypatch.setattr(simulation_loop.CheckPool, "here", lambda: Watched(0))
     results, _ = scored(Left("mjx-warp", in_run(1)), Scripted("mujoco", never), monkeypatch)
     assert len(results) == WORLDS
     assert len(untils) > WORLDS - 1

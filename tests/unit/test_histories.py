@@ -19,9 +19,9 @@ from support.programs import run_program
 
 import petmjx
 from petmjx.common.errors import InputError
-from petmjx.engines.attempt_stream import score_worlds
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.protocol import Progress
+from petmjx.engines.simulation_loop import score_worlds
 from petmjx.engines.verdict import Outcome, Reason, Verdict
 from petmjx.options.simulation import Check, Schedule, Simulation, Solver
 from petmjx.results import history_tables, run_writer

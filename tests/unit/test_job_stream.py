@@ -14,10 +14,10 @@ from support.failing_engine import FailingEngine, outcome_of, worlds_failing
 from support.job_streams import put
 from support.worlds import make_scene
 
-from petmjx.engines import attempt_stream
-from petmjx.engines.attempt_stream import score_worlds
+from petmjx.engines import simulation_loop
 from petmjx.engines.job_stream import JobStream
 from petmjx.engines.protocol import Progress, takes_stream
+from petmjx.engines.simulation_loop import score_worlds
 from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.engines.world_results import World
 from petmjx.options.simulation import Simulation
@@ -184,7 +184,7 @@ def test_an_engine_with_a_stream_has_all_worlds_in_one_run() -> None:
     assert engine.most_in_flight == 4
 
 
-@pytest.mark.parametrize(("options", "count"), [({}, attempt_stream.FIRST_WORLDS), ({"begin_with": 7}, 7)])
+@pytest.mark.parametrize(("options", "count"), [({}, simulation_loop.FIRST_WORLDS), ({"begin_with": 7}, 7)])
 def test_an_engine_knows_how_many_jobs_to_wait_for_at_first(options: dict[str, int], count: int) -> None:
     """The engine knows how many jobs it should wait for before it begins. If the engine did not know this, a GPU would
     begin with the first job, and compile programs for a single job."""
@@ -196,7 +196,7 @@ def test_an_engine_knows_how_many_jobs_to_wait_for_at_first(options: dict[str, i
 def test_the_source_pauses_while_many_wait_for_another_attempt(monkeypatch: pytest.MonkeyPatch) -> None:
     """The source of jobs pauses while many worlds wait for another attempt. If the source did not pause, memory would
     grow with the number of invalid worlds."""
-    monkeypatch.setattr(attempt_stream, "PENDING_BOXES", 2)
+    monkeypatch.setattr(simulation_loop, "PENDING_BOXES", 2)
     monkeypatch.setattr("petmjx.engines.attempt_with_fallback.MOST_TOGETHER", 1)
     engine, drawn = Streaming(), 0
 
@@ -276,7 +276,7 @@ def test_memory_that_runs_out_as_a_world_becomes_a_job_ends_the_run_after_the_ou
 
 @pytest.mark.parametrize(("name", "limit"), [("mujoco", "PENDING_BOXES"), ("mjx-warp", "PENDING_BOXES_GPU")])
 def test_few_boxes_are_pending_at_a_time(name: str, limit: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(attempt_stream, limit, 3)
+    monkeypatch.setattr(simulation_loop, limit, 3)
     engine = FailingEngine(name)
     assert len(list(score_worlds(worlds_failing(*[0] * 10), SIM, engine))) == 10
     assert all(len(jobs) <= 3 for _, jobs in engine.calls)

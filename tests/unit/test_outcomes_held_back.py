@@ -18,9 +18,9 @@ import petmjx
 import petmjx.results.tables_in_progress as tables_module
 from petmjx.common.errors import InputError
 from petmjx.engines import attempt_settings
-from petmjx.engines.attempt_stream import score_worlds
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.protocol import Engine, Progress, says_at_hand
+from petmjx.engines.simulation_loop import score_worlds
 from petmjx.engines.subprocess.attempt_process import AttemptAnswer, AttemptTask
 from petmjx.engines.verdict import Flag, Outcome, Verdict
 from petmjx.engines.world_results import World

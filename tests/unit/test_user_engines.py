@@ -11,12 +11,12 @@ from support.failing_engine import FailingEngine, worlds_failing
 
 import petmjx
 from petmjx.common.errors import InputError
-from petmjx.engines import attempt_stream
-from petmjx.engines.attempt_stream import score_worlds
+from petmjx.engines import simulation_loop
 from petmjx.engines.cost_model import Work
 from petmjx.engines.engine_choice import make_engine
 from petmjx.engines.engine_of_run import engine_for
 from petmjx.engines.protocol import PHYSICS, Capability, Engine, Progress, says_at_hand, takes_stream
+from petmjx.engines.simulation_loop import score_worlds
 from petmjx.engines.verdict import Outcome
 from petmjx.engines.world_prefetch import WorldPrefetch
 from petmjx.loop import candidate_trials
@@ -97,7 +97,7 @@ def test_a_second_ctrl_c_skips_no_cleaning(monkeypatch: pytest.MonkeyPatch) -> N
         raise KeyboardInterrupt
 
     monkeypatch.setattr(WorldPrefetch, "close", interrupted)
-    monkeypatch.setattr(attempt_stream._AttemptTasks, "close", lambda self: closed.append("besides"))
+    monkeypatch.setattr(simulation_loop._AttemptTasks, "close", lambda self: closed.append("besides"))
     with pytest.raises(KeyboardInterrupt):
         list(score_worlds(worlds_failing(0), Simulation(), FailingEngine()))
     assert sorted(closed) == ["besides", "source"]

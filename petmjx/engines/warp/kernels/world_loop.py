@@ -34,8 +34,8 @@ from petmjx.engines.warp.kernels.film import hold
 from petmjx.engines.warp.kernels.frame_recorder import keep_frame, no_room
 from petmjx.engines.warp.kernels.hand import carry
 from petmjx.engines.warp.kernels.landing import land
+from petmjx.engines.warp.kernels.newton_binding import in_pause, newton
 from petmjx.engines.warp.kernels.rules import NEVER, PLACES, RUNNING, after_step, place_next
-from petmjx.engines.warp.kernels.solve import in_pause, newton
 from petmjx.engines.warp.world_arrays import Counts, FrameBuffer, Model, Ref, State, Thread, Workspace, Worlds
 
 OVERFLOWED = wp.constant(Status.OVERFLOWED)

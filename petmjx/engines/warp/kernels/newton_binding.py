@@ -1,4 +1,5 @@
-"""The constraint solver as a Warp function. For the method see petmjx/engines/warp/solver/newton.py."""
+"""Declares the constraint solver, which is CUDA C++, as a Warp function. For the method see
+petmjx/engines/warp/solver/newton.py."""
 
 from __future__ import annotations
 

@@ -14,10 +14,10 @@ from support.plans import make_plan, make_world
 
 import petmjx.engines.outcome_checks as looked_at
 from petmjx.engines.attempt_settings import ATTEMPTS, CAREFUL_ITERATIONS, CAREFUL_TOLERANCE
-from petmjx.engines.attempt_stream import score_worlds
 from petmjx.engines.job_stream import JobStream
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.protocol import Capability, Engine, Progress, says_at_hand, takes_stream
+from petmjx.engines.simulation_loop import score_worlds
 from petmjx.engines.subprocess.check_pool import CheckPool
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.engines.world_results import World
