@@ -31,8 +31,8 @@ _MOST_ORDERS: Final = 100
 another order is drawn."""
 
 _MOST_KINDS: Final = 16
-"""Largest number of kinds of boxes (boxes with equal size and mass) that one search for a placeable box examines, for
-each episode."""
+"""Largest number of kinds of boxes (boxes with equal size and mass) that one call examines for each episode, in the
+search for a box with a legal action."""
 
 PICTURE: Final = (480, 480)
 """Width and height of a pallet's picture, in pixels."""

@@ -23,9 +23,10 @@ from petmjx.packers.learned_candidates import MIRRORS, OVERHANG_MM
 FEATURES: Final = ("turned", "x", "y", "z", "length_x", "length_y", "height", "mass", "support", "inside", "below")
 """Features of a candidate (a box at a place): whether the box is turned by 90°; its corner and its extents, mm; its
 mass, kg; and the supported share of its base. ``inside`` is the distance of the box's centre of mass from the edge of
-the hull of the box's contacts, mm. ``below`` is a distance for the boxes that would carry the candidate: for each of
-these boxes, the distance of its load from the edge of the hull of its own contacts is computed, and ``below`` is the
-smallest, mm. Both distances are positive inside a hull, negative outside, and at most 200 mm."""
+the hull of the box's contacts, mm. ``below`` is 200 mm if the candidate stands on the carrier. Otherwise, the distance
+of each pile box's load from the edge of the hull of that box's contacts is computed, with the candidate on the pile,
+and ``below`` is the smallest of these distances, mm. Both distances are positive inside a hull, negative outside, and
+at most 200 mm."""
 
 _PER_ASIDE: Final = 0.01
 """Cost of a millimetre of distance from the nearest edges of the carrier, as millimetres of height. Because distances

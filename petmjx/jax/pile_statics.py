@@ -3,8 +3,8 @@ whose docstring names the sources, but in single precision.
 
 A load is a vector (F, F·x, F·y) in kg and kg·m, where F acts at (x, y). A box presses on the boxes below it with a
 pressure that is a linear function of x and y. The pressure is linear in the load on the box. So for each pair of boxes,
-a 3 × 3 matrix turns the load on the upper box into the part of this load that reaches the lower box. Adding a box to
-the pile therefore needs only one product of matrices.
+a 3 × 3 matrix turns the load on the upper box into the part of this load that reaches the lower box. The matrices are
+stored, so adding a box to the pile needs only one product of matrices.
 """
 
 from __future__ import annotations
@@ -116,9 +116,10 @@ def margins_m(
 ) -> tuple[Float[Array, " placement"], Float[Array, " placement"], Bool[Array, " placement"]]:
     """Three arrays (q,), with a value for each of q boxes that might be put onto the pile. The first array has the
     distance by which the box's weight would act inside the hull of the box's contacts, m. The second array has the
-    smallest distance by which the load of any box below would act inside the hull of that box's contacts, m. The third
-    array tells whether the loads of all boxes below would act far enough inside. A distance above ``FAR_M`` is replaced
-    by ``FAR_M``."""
+    smallest distance by which the load of any box of the pile would act inside the hull of that box's contacts, m; it
+    is ``FAR_M`` if the new box stands on the carrier. The third array tells whether the load of each box of the pile
+    would act inside that box's hull by at least ``Statics.least``. A distance above ``FAR_M`` is replaced by
+    ``FAR_M``."""
     floats = ~contacts.bears.any(axis=1) & ~contacts.on_carrier
     inside = jnp.where(floats, -FAR_M, -planes[..., 0].max(axis=1))
     moments, inverse = _moments(contacts)

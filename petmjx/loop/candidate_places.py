@@ -34,7 +34,7 @@ _WORTH_COMPILING: Final = 256
 takes some seconds; the code is kept for later runs."""
 
 COMPILED: Final = "petmjx.loop.compiled_places"
-"""The module with the compiled code."""
+"""Name of the module whose compiled code lowers boxes."""
 
 _Lowered = tuple[NDArray[np.intp], FloatArray, FloatArray, NDArray[np.bool_]]
 

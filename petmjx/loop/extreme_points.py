@@ -114,7 +114,7 @@ class Points:
 
 
 def _piles_corner_points(low: FloatArray, high: FloatArray, number: NDArray[np.int64]) -> FloatArray:
-    """(7, m, 2) x and y of the seven points of one box on each of m pallets, mm.
+    """(7, m, 2) x and y of the seven extreme points that one box adds to each of m pallets, mm.
 
     Args:
         low, high: (m, k, 3) lowest and highest corners of the boxes on the pallets; ``number``: (m,) number of the box

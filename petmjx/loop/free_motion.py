@@ -140,8 +140,8 @@ def release(
         ground: "plane" for an infinite plane, the name of a carrier of a fixed size, or a TOML file of boards. A
             carrier does not move. The front-left corner of the carrier is at the origin, and its top at z = 0.
         physics: the name of a preset, a mapping that changes a preset, or a ``petmjx.Physics``.
-        engine: mujoco, mjx-warp, mjx-warp-cpu, mjx-jax or an engine object. ``auto`` means an available GPU for 1,000
-            worlds or more, else mujoco.
+        engine: mujoco, mjx-warp, mjx-warp-cpu, mjx-jax or an engine object. ``auto`` means ``mjx-warp`` for 1,000
+            worlds or more if there is a GPU, else ``mujoco``.
 
     Raises:
         InputError: an argument is unusable. The message names the argument.

@@ -27,7 +27,8 @@ from petmjx.world.history import History
 from petmjx.world.scene import IDENTITY_QUAT, Scene
 
 SHOWN_HEIGHT_M: Final = 1.2
-"""Pictures show the carrier and at least this height above it, m."""
+"""Height above the carrier up to which a picture shows the space, m. If the pile is higher, the picture shows the space
+up to the highest top."""
 
 
 def picture(scene: Scene, snapshot: Snapshot, sim: Simulation, size: tuple[int, int], view: str) -> NDArray[np.uint8]:

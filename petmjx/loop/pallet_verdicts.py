@@ -16,7 +16,7 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 
 AT_ONCE = 4096
-"""Largest number of worlds whose simulation is finished at the same time."""
+"""Largest number of open worlds that the engine simulates to their end in one call."""
 
 
 class SettledEngine(Engine):

@@ -231,12 +231,13 @@ class Pallets(Closable):
         self, *, size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any = None
     ) -> tuple[NDArray[np.bool_], FloatArray]:
         """For each of m candidates (a box at a place on a pallet), tell whether ``try_all`` would find the pallet
-        stable. If a pallet stands or falls beyond doubt with the candidate (docs/training.md), it is not simulated. So
-        ``stands`` takes a fraction of the time of ``try_all``. The pallets do not change.
+        stable. If it is beyond doubt that the pallet stands or falls with the candidate (docs/training.md), there is no
+        simulation. So ``stands`` takes a fraction of the time of ``try_all``. The pallets do not change.
 
         Returns:
-            (m,) whether the pallet stands with each candidate, and (m,) the pallet's margin of stability: 1 if the
-            pallet stands beyond doubt, -1 if it falls or the simulation is invalid.
+            (m,) whether the pallet stands with each candidate, and (m,) the pallet's margin of stability with the
+            candidate: 1 if the pallet stands beyond doubt, -1 if it falls or the simulation is invalid, else the margin
+            at rest.
 
         Raises:
             InputError: see ``try_all``.

@@ -57,8 +57,8 @@ box's own mass. Contacts are soft: a box sinks by about 0.003 mm × load / own m
 
 MOST_SLENDER: Final = 8.0
 """A new box stands beyond doubt only if its top is at most at this height above the carrier, as a multiple of the
-shortest horizontal side of the new box and of all boxes that carry it. The higher a pile is, the more soft contacts let
-it lean."""
+shortest horizontal side of the new box and of all boxes that carry it. Because contacts are soft, a high pile leans
+more than a low one."""
 
 HANGING_SHARE: Final = 0.05
 """The weight of a falling box must act outside the box's bearing (the hull of its contacts), at a distance of at least
@@ -210,8 +210,8 @@ class Bounds:
         return self._passed_down(pallets, np.nan_to_num(mass * np.concatenate([np.ones_like(mass), middle], axis=2)))
 
     def _passed_down(self, pallets: NDArray[np.int64], loads: FloatArray) -> FloatArray:
-        """(m, k, 3) the given loads of boxes, plus the parts that reach each box from the boxes above it. A box rests
-        only on boxes placed earlier."""
+        """(m, k, 3) the load on each box: its given load, plus the parts of the loads of higher boxes that reach it. A
+        box rests only on boxes placed earlier, so the loads are passed on from the last box to the first."""
         loads = loads.copy()
         for number in range(loads.shape[1] - 1, 0, -1):
             row = np.flatnonzero(loads[:, number, 0] > 0)
@@ -493,7 +493,7 @@ def _hull_edges(corners: FloatArray) -> FloatArray:
     the left of the edge. If a hull has fewer than e edges, the remaining edges are infinitely far away.
     """
     m = len(corners)
-    along = corners[:, None] - corners[:, :, None]  # vectors from the first to the second corner: (m, first, second, 2)
+    along = corners[:, None] - corners[:, :, None]  # (m, first, second, 2) from a first to a second corner
     length = np.linalg.norm(along, axis=-1)
     left = along[..., None, 0] * along[:, :, None, :, 1] - along[..., None, 1] * along[:, :, None, :, 0]
     is_edge = (left >= -ROUNDING_MM2).all(axis=-1) & (length > TOUCH_MM)

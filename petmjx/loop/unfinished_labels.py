@@ -152,7 +152,7 @@ def n_unfinished(folder: Path) -> int:
     set, or if it has no labels yet.
 
     Raises:
-        InputError: the list is damaged.
+        InputError: the folder's list of parts is damaged.
     """
     entries = _entries(folder)
     return 0 if entries is None else int(entries["labels"])
@@ -174,7 +174,7 @@ def _entries(folder: Path) -> dict[str, Any] | None:
     """The content of the list of parts in a folder; None if there is no list.
 
     Raises:
-        InputError: the list is damaged.
+        InputError: the list of parts is damaged.
     """
     file = folder / UNFINISHED
     if not os.path.exists(file):

@@ -50,7 +50,7 @@ class PackingValue(NamedTuple):
 
 
 class RankedPacking(NamedTuple):
-    """A full packing and its value."""
+    """A full packing, and its value (``worth``), by which packings are compared."""
 
     worth: PackingValue
     placed: tuple[PlacedBox, ...]
@@ -168,7 +168,7 @@ def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fil
             if boxes in seen_packings:
                 continue
             seen_packings.add(boxes)
-            if number == 0:  # the full packing that is known already has the best candidate as its next box
+            if number == 0:  # way.filled is known, and its next box is already the best candidate
                 filled: RankedPacking | None = way.filled
             else:
                 filled = _full_packing(fills, packing, first, _worst(best, width, packing.n_items))

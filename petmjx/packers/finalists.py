@@ -210,8 +210,8 @@ def order_evaluation(
 
 def decisive_evaluations(judged: Sequence[Evaluation], options: PhysicalOptions) -> Sequence[Evaluation]:
     """The evaluations among which ``choose`` chooses: the evaluations up to that of the first good packing. Packings
-    are sorted by the volume of their boxes, largest first, so no later packing has a larger volume. If the share of
-    standing worlds is maximised, all evaluations are used.
+    are sorted by the volume of their boxes, largest first, so no later packing has a larger volume. If
+    ``options.maximise`` is ``share``, ``choose`` chooses among all evaluations.
 
     Because later evaluations are ignored, the choice does not depend on how many packings were simulated.
     """

@@ -82,7 +82,8 @@ _NOWHERE_MM: Final = 2000.0
 
 
 def _places(highest: Heights, sums: Heights, wide: int, deep: int) -> tuple[FloatArray, FloatArray]:
-    """(c,) smallest cost of a place for a carton's base, mm, and (c,) share of places that are level.
+    """For each of c height maps, (c,) smallest cost of a place for a carton's base, mm, and (c,) share of places that
+    are level.
 
     The cost of a place is its height plus the cost of the air below the base. The base has ``wide`` × ``deep`` cells.
     """

@@ -107,7 +107,7 @@ class MirroredCandidates(Candidates):
         self._add_corners()
 
     def _add_corners(self) -> None:
-        """Add the corner points of the newest box in all mirror images."""
+        """Add the corner points of the newest box, in each mirror image of the pile."""
         points = corner_points(self._lows[:, : self._n], self._highs[:, : self._n])
         inside = (points < np.array(self.extent_mm)).all(axis=2)
         self._points = np.concatenate([self._points, points[inside]])

@@ -19,8 +19,8 @@ from petmjx.packers.learned_candidates import FourSidedStream
 from petmjx.packers.pile_balance import TOUCH_MM
 
 LATE: Final = ("z", "support", "rougher", "room_small", "room_large")
-"""Features that appear a second time, multiplied by the pile's mean height in m. With the second weight, the effect of
-a feature can depend on the height of the pile."""
+"""Features that appear a second time, multiplied by the pile's mean height in m. A feature and its multiple have
+separate weights, so the effect of the feature on the score can depend on the height of the pile."""
 
 NAMES: Final = (
     *("z", "grows", "below_top"),

@@ -53,8 +53,8 @@ LEAST_SURE: Final = 0.5
 largest probability, but only if this probability is ``LEAST_SURE`` or more."""
 
 MOST_TRIED: Final = 16
-"""If no candidate reaches ``SURE``, the packer gives up after it has computed the probabilities of this number of
-candidates."""
+"""Largest number of candidates, best first, whose probability to stand is computed in one step. If none of these
+candidates reaches ``SURE``, the packer looks at no further candidates (see ``LEAST_SURE``)."""
 
 SCORE_DECIMALS: Final = 6
 """Number of decimals to which scores are rounded, so that processors that round differently choose the same places."""
@@ -95,7 +95,7 @@ class Policy:
     head: Network
 
     def with_linear(self, weights: FloatArray) -> Policy:
-        """This policy with other linear weights in ``taste``."""
+        """This policy with other linear weights in the network ``taste``, which scores candidates."""
         return replace(self, taste=replace(self.taste, linear=weights))
 
     def seen(self, stream: FourSidedStream) -> tuple[Places, FloatArray] | None:

@@ -209,8 +209,8 @@ class Packing:
         return False
 
     def filled(self, first: NextCandidate | None = None, highest_mm: float = inf) -> FullPacking | None:
-        """Fill up a copy of this packing. Returns the full packing, or None if a top would be higher than
-        ``highest_mm``.
+        """Fill up a copy of this packing: place the best candidate repeatedly, until there is no candidate. Returns the
+        full packing, or None if a top would be higher than ``highest_mm``.
 
         Args:
             first: candidate that is placed first, one of those that the last call of ``next`` returned. If ``first`` is

@@ -70,7 +70,7 @@ def generate(
         loose_share: share of loose plans, for the packer ``baseline``; other packers make no loose plans. If
             ``loose_share`` is None, the share is 0 for a named packer, else ``DEFAULT_LOOSE_SHARE``.
         packer: a name in ``petmjx.packers.packer_registry.PACKERS``. All packers get the same orders. If ``packer`` is
-            None, ``baseline`` packs a mixed set.
+            None, ``baseline`` packs a mixed set of loose and strict plans.
         look_ahead: number of boxes that the packer ``learned`` sees at a time. If ``look_ahead`` is None, the packer
             sees 1 box.
         workers: number of processes, which does not affect the plans.
