@@ -27,8 +27,8 @@ feature is 0."""
 UPRIGHT: Final = "upright"
 PALLET: Final = "pallet"
 """Further features of a candidate: which size of the box is vertical (0: height, 1: width, 2: length), and the number
-of the pallet. Only environments in which an action may choose the vertical size or the pallet have the two further
-features."""
+of the pallet. An environment has the feature ``upright`` only if boxes may stand on other sides than the base, and the
+feature ``pallet`` only if an episode has several pallets."""
 
 SIDES: Final = np.array([(0, 1, 2), (1, 0, 2), (0, 2, 1), (2, 0, 1), (1, 2, 0), (2, 1, 0)])
 """(6, 3) the six orientations of a box. Each row tells which size is along x, y and z (0: length, 1: width, 2: height).

@@ -31,8 +31,8 @@ from petmjx.world.scene import IDENTITY_QUAT
 from petmjx.world.supports import TOUCH_M
 
 ROOM: Final = 2
-"""Factor by which buffers are larger than usual, because a jitted program cannot enlarge them. If a pallet needs even
-larger buffers, its result is invalid."""
+"""Factor by which the simulator's buffers are larger than its default buffers, because a jitted program cannot enlarge
+them. If a pallet needs even larger buffers, its result is invalid."""
 
 
 _EPSILON: Final = float(np.finfo(np.float32).eps)

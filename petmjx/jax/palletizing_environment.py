@@ -323,7 +323,8 @@ class Palletizing:
         return looked._replace(pallet=state.pallet, statics=state.statics)
 
     def _pile(self, state: State, most: int | None = None) -> Pile:
-        """The boxes on the pallet, in the first ``most`` rows."""
+        """The boxes on the pallet, as arrays of ``most`` rows, or, if ``most`` is None, of as many rows as the state
+        has."""
         present = jnp.arange(self._most_boxes) < state.placed
         return Pile(*(values[:most] for values in (state.size_mm, state.corner_mm, present)))
 

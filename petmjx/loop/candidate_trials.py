@@ -103,7 +103,8 @@ def errors_asked(error: Any, strength: Any, m: int) -> tuple[NDArray[np.int64], 
     errors, and (m,) their strengths.
 
     Raises:
-        InputError: the numbers are not m whole numbers of at least 0, or a strength is negative or not a number.
+        InputError: the numbers are not m whole numbers from 0 to ``MOST_ERRORS_DRAWN`` − 1, or a strength is negative
+            or not a number.
     """
     numbers = np.asarray(error)
     if (
@@ -111,7 +112,9 @@ def errors_asked(error: Any, strength: Any, m: int) -> tuple[NDArray[np.int64], 
         or numbers.dtype.kind not in "iu"
         or ((numbers < 0) | (numbers >= MOST_ERRORS_DRAWN)).any()
     ):
-        raise InputError(f"error must be {m} whole numbers of at least 0, {shown_value(error)}")
+        raise InputError(
+            f"error must be {m} whole numbers of at least 0 and below {MOST_ERRORS_DRAWN}, {shown_value(error)}"
+        )
     strengths = np.broadcast_to(np.asarray(strength, object), (m,)).tolist()
     return numbers.astype(np.int64), np.array([number_of(value, "error_strength", 0.0) for value in strengths])
 

@@ -121,12 +121,12 @@ def launch(kernel: Any, m: int, of_rows: list[Any], others: list[Any]) -> None:
 
 
 def table(values: NDArray[Any], kind: Any) -> Any:
-    """An array of Warp with the memory of a NumPy array. If the NumPy array is not contiguous, it is copied."""
+    """An array of Warp that shares the memory of a NumPy array. If the NumPy array is not contiguous, it is copied."""
     return wp.array(np.ascontiguousarray(values), dtype=kind, device="cpu", copy=False)
 
 
 def _points_table(points: NDArray[np.complex128]) -> Any:
-    """Points x + iy as an array of Warp, with the same memory."""
+    """Points x + iy as an array of Warp that shares their memory."""
     return wp.array(points.view(np.float64).reshape(*points.shape, 2), dtype=wp.vec2d, device="cpu", copy=False)
 
 

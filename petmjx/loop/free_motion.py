@@ -176,8 +176,8 @@ def release(
 
 
 def _poses(runner: Any, bodies: FreeBodies, sim: Simulation, restitution: FloatArray | None) -> FloatArray:
-    """(n, s, k, 7) poses of the boxes in all worlds, at all steps that are needed. Worlds with the same restitution are
-    simulated together.
+    """(n, s, k, 7) poses of the boxes in all worlds, at the s steps in ``bodies.steps``. Worlds with the same
+    restitution are simulated together.
 
     Args:
         restitution: (n, k, 1) restitution of each box. If ``restitution`` is None, the value in the options is used.

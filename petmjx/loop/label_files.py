@@ -54,7 +54,8 @@ _ROWS: Final = 10_000
 table. A part may also have fewer labels."""
 
 SECONDS_PER_PART: Final = 60.0
-"""Longest time after which the labels of finished episodes (orders packed to the end) are written as a part, s."""
+"""Time after which the labels of finished episodes (orders packed to the end) are written as a part even if they are
+fewer than ``_ROWS``, s."""
 
 _MOST_CARD_BYTES: Final = 1 << 20
 
@@ -248,7 +249,7 @@ def _remove_if_empty(folder: Path) -> None:
 
 def _groups(tables: Iterator[pa.Table], count: int) -> Iterator[pa.Table]:
     """Join the first ``count`` rows of small tables into tables of at least ``_ROWS`` rows (the last table may be
-    smaller). Slow machines write small parts."""
+    smaller). The small tables are parts, which have few rows if labels are made slowly (see ``SECONDS_PER_PART``)."""
     waiting: list[pa.Table] = []
     for table in tables:
         waiting.append(table.slice(0, count))

@@ -92,7 +92,7 @@ class PalletWorlds:
         return future.result()
 
     def _put(self, placements: Placements, at: NDArray[np.int64]) -> None:
-        """Put boxes into the worlds of pallets, including their errors.
+        """Put boxes into the worlds of their pallets, with the random errors with which the boxes were placed.
 
         Args:
             at: (m,) number of each box on its pallet.

@@ -144,7 +144,7 @@ def boxes_apart_mm(snapshots: Snapshots, thresholds: Thresholds) -> FloatArray:
 
 
 class Bounds:
-    """The data for decisions about n pallets, updated box by box.
+    """The data with which placements on n pallets are decided without a simulation, updated box by box.
 
     Args:
         stock: the boxes on the pallets.

@@ -91,7 +91,8 @@ class LabelParts:
                 file.unlink()
 
     def _check_parts(self) -> None:
-        """Check all parts, before hours are spent on making further labels. Raises InputError."""
+        """Check all parts, before hours are spent on making further labels. Raises InputError if a part is damaged,
+        missing or of another version."""
         parts, n_rows, next_episode = self._tables.parts, 0, 0
         for file in parts.files(TABLE):
             episodes = parts.read(file, ["episode"])["episode"]

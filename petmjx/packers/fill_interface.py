@@ -35,7 +35,7 @@ class Answer(IntEnum):
     """Answers to the question whether a pile keeps its balance with the next box.
 
     ``TIPS``: no. ``KEEPS``: yes. ``UNKNOWN``: the next box is so close to tipping that Python must decide. ``NEAR``: a
-    box below is so close to tipping that rounding might decide.
+    box below is so close to tipping that rounding errors might decide; the compiled code then ends with ``End.UNSURE``.
     """
 
     TIPS, KEEPS, UNKNOWN, NEAR = range(4)

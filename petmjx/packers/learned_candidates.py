@@ -42,7 +42,8 @@ sequence in which numbers are added."""
 
 
 class MirroredCandidates(Candidates):
-    """Corner points seen from all four corners of the target, as a table for ``Packing``.
+    """The table of candidates for ``Packing``, at the corner points of the pile as seen from all four corners of the
+    target.
 
     Unlike ``Candidates``, this table does not store candidates: the method ``candidates`` computes candidates on
     request.
@@ -68,7 +69,7 @@ class MirroredCandidates(Candidates):
         return twin
 
     def candidates(self, shapes: NDArray[np.intp]) -> tuple[NDArray[np.intp], FloatArray, FloatArray, FloatArray]:
-        """The c candidates for boxes of the given shapes.
+        """The c candidates for boxes of the given shapes (kinds of boxes in one orientation).
 
         Returns:
             (c,) numbers of the shapes; (c, 2) lowest corners (x, y), mm; (c,) heights of the bottoms, mm; (c,)

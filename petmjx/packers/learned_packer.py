@@ -127,7 +127,8 @@ class Policy:
         return surest if surest is not None and surest.chance >= LEAST_SURE else None
 
     def decide(self, stream: FourSidedStream) -> Decision | None:
-        """One step of the packer; None if there is no place for any box that the packer sees."""
+        """The packer's decision in one step; None if no rated candidate keeps the balance and stands with a probability
+        of at least ``LEAST_SURE``."""
         while (view := self.seen(stream)) is not None:
             places, rows = view
             chosen = self.take(stream, places, np.round(self.taste.scores(rows), SCORE_DECIMALS))
@@ -159,7 +160,8 @@ class Policy:
 
 
 def placing_of(stream: FourSidedStream, places: Places, row: int, rest: Rest | None = None) -> PlacementState:
-    """The state in which the box of a candidate is placed. Boxes have their own sizes, without free space."""
+    """The pile and the box of a candidate, at the moment when the box is placed. Boxes have their own sizes, without
+    free space."""
     low, high = stream.bare_boxes
     corner, size = places.corner_mm[row], places.size_mm[row] - stream.clearance
     return placement_state(stream.pile, low, high, stream.masses, corner, size, float(places.mass_kg[row]), rest)
