@@ -17,7 +17,7 @@ from petmjx.gym import map_kernel
 from petmjx.loop.compiled_places import launch, table
 
 KERNELS: Final = (map_kernel.raise_heights, map_kernel.put_loads)
-"""The kernels of this module (``petmjx.common.warp_setup.machine_code``)."""
+"""The kernels that ``petmjx.common.warp_setup.machine_code`` compiles when it loads this module."""
 
 
 def raise_heights(

@@ -66,8 +66,8 @@ class Host:
         return self._of_all(arguments, keeps=False)
 
     def _of_all(self, arguments: tuple[Any, ...], *, keeps: bool) -> list[NDArray[Any]]:
-        """Place the boxes of all rows in one call. Under ``jax.vmap``, arrays have additional leading axes. If an array
-        is the same for the whole batch, the length of its additional axis is 1."""
+        """Put the new boxes onto the pallets, for all states of a batch in one call. Under ``jax.vmap``, arrays have
+        additional leading axes. If an array is the same for the whole batch, the length of its additional axis is 1."""
         arrays = [(np.asarray(argument), beyond) for argument, beyond in zip(arguments, _BEYOND, strict=True)]
         shape = np.broadcast_shapes(*(values.shape[: values.ndim - beyond] for values, beyond in arrays))
         rows = []

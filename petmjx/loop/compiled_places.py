@@ -19,7 +19,7 @@ from petmjx.common.units import FloatArray
 from petmjx.loop import place_kernel
 
 KERNELS: Final = (place_kernel.add_points, place_kernel.lower_boxes)
-"""The kernels of this module (``petmjx.common.warp_setup.machine_code``)."""
+"""The kernels that ``petmjx.common.warp_setup.machine_code`` compiles when it loads this module."""
 
 _THREADS: Final = 4
 """Number of threads that lower boxes. Machine code does not need Python's lock, so the threads do not wait for it."""

@@ -12,8 +12,8 @@ from petmjx.common.units import FloatArray
 from petmjx.loop.box_tables import BoxTable
 
 _EDGE: float = 1e-6
-"""Tolerance as a share of a cell's side. A box that ends closer to the edge of a cell than this tolerance counts as
-ending at the edge."""
+"""Tolerance for rounding errors, as a share of a cell's side. A box that ends closer to the edge of a cell than this
+tolerance counts as ending at the edge."""
 
 
 def cells_of(extent_mm: tuple[float, float], cell_mm: Any) -> tuple[int, int]:

@@ -319,7 +319,7 @@ class _Schedule:
             self.n_made += 1
 
     def take_ended(self) -> list[list[Label]]:
-        """The labels of the episodes that are over, in order. Each episode is returned only once."""
+        """The labels of the episodes that are over, in order. The labels of an episode are returned only once."""
         with self._lock:
             self._end_first()
             taken, self._ended = self._ended, []

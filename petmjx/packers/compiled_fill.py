@@ -64,7 +64,8 @@ def _fill(tables: Tables) -> None: ...
 
 @functools.cache
 def _kernel() -> Any:
-    """The Warp kernel that fills up packings. The kernel uses no fused multiply-add, since NumPy uses none."""
+    """The Warp kernel that fills up packings. The kernel uses no fused multiply-add, since NumPy uses none and both
+    must round in the same way."""
 
     def fill(tables: Tables) -> None:
         _fill(tables)

@@ -24,8 +24,8 @@ from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM, Balance, Rest
 from petmjx.plans.order_generator import Item
 
 LEAST_SUPPORT: Final = 0.5
-"""Smallest supported share of a base. Whether a box is supported well enough is mainly decided by the static balance of
-the pile; the smallest share only limits overhangs in addition."""
+"""Smallest supported share of a base. The static balance of the pile mainly decides whether a box is supported well
+enough; ``LEAST_SUPPORT`` also limits the box's overhang."""
 
 
 @dataclass(frozen=True)

@@ -84,7 +84,8 @@ class Network:
 
 
 def likely(network: Network, features: FloatArray) -> FloatArray:
-    """(m,) probabilities that m boxes stand, from their (m, f) features. The network's scores are the log odds."""
+    """(m,) probabilities that m boxes stand, from their (m, f) features. The network's score is the natural logarithm
+    of the odds that the box stands."""
     logits = np.clip(network.scores(features), -30.0, 30.0)
     chances: FloatArray = 1.0 / (1.0 + np.exp(-logits))
     return chances
