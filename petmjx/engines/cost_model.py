@@ -30,8 +30,8 @@ STEP_SHARE = 0.072
 mean over 2,000 generated plans and 63 third-party plans of 16 to 241 boxes."""
 
 SOFT_STARTS = 2 * SOFT_START_STEPS
-"""Number of steps of the soft starts, which come before the first box of a placement. The steps of soft starts are not
-part of the schedule."""
+"""Number of steps of the soft start (both halves), which comes before the first box of a placement. The schedule does
+not include these steps."""
 
 QUIET_STEPS = 220
 """Steps until a pallet is quiet with the adaptive schedule, if boxes are not placed one by one. Static checks of 45 to
@@ -324,7 +324,7 @@ class ThreadCosts:
     """Measured costs of an engine on one CPU thread.
 
     Attributes:
-        rest_s: time of a step of a world at rest, s per box to the power ``REST_POWER``.
+        rest_s: time of a step of a world at rest, divided by (number of boxes) to the power ``REST_POWER``, s.
         overhead_s: additional time of any step, s.
         landing_s: additional time for one box to land, divided by the square of the number of standing boxes, s, if
             ``Work.coupling`` is 1.

@@ -329,8 +329,8 @@ class OpenWorlds(ABC):
 
         Each outcome is the result of one simulation, as in ``Engine.run``. Unlike in ``petmjx.score``, no world is
         simulated again with other settings (docs/rules.md, section 9). If a placement before a drive has failed without
-        a dropped box, the world gets the same time to come to rest as without a drive. The time to come to rest may be
-        some steps shorter than in ``Engine.run``.
+        a dropped box, the world gets the same time to come to rest as without a drive. The time that a world gets to
+        come to rest may be some steps shorter than in ``Engine.run``.
 
         Raises:
             ValueError: a world has no boxes.

@@ -176,8 +176,8 @@ class Engine(MinimalEngine, Protocol):
     other threads wait (``RunLock``).
 
     Attributes:
-        devices: number of GPUs that simulate at the same time. The largest number of worlds that the engine gets at
-            once is multiplied by ``devices``.
+        devices: number of GPUs that simulate at the same time. A run multiplies its limits on waiting jobs and waiting
+            worlds by ``devices``.
     """
 
     devices: int = 1

@@ -174,8 +174,8 @@ class MjxJaxEngine(Engine):
     ) -> Generator[tuple[list[int], Batch], None, None]:
         """The batches that have ended, with the indices of their jobs. If memory runs out, batches are halved.
 
-        Each batch runs in a separate thread. If batches are single worlds, this thread meanwhile loads the next worlds
-        and compiles their programs. If batches are larger, as on a GPU, this thread waits.
+        Each batch runs in a separate thread. If batches are single worlds, the caller's thread meanwhile loads the next
+        worlds and compiles their programs. If batches are larger, as on a GPU, the caller's thread waits.
         """
         most, stop = 1 if self._one_by_one else self.lanes, threading.Event()
         threads = cpu_threads() if self._one_by_one else 1

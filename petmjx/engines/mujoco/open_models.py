@@ -140,7 +140,8 @@ class _Template:
         self._spare.append(filled)
 
     def _fill(self, model: mujoco.MjModel, scene: Scene, order: NDArray[np.intp]) -> None:
-        """Write all values that depend on boxes and friction. MuJoCo computes the values that follow from them."""
+        """Write all values that depend on boxes and friction into the model. MuJoCo computes the model's other values
+        from these."""
         physics, body, geom = self._physics, self._first_body, self._first_geom
         model.opt.gravity[:] = (0.0, 0.0, -physics.gravity_m_s2)
         half = scene.half_size[order] + physics.skin_m
