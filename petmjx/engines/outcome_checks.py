@@ -36,7 +36,7 @@ unless the world has ``Flag.SINKING``."""
 
 LOWER_M: Final = 0.005
 """A box also counts as leaning if it lies lower than planned by more than this height, m. Soft contacts alone may lower
-a box by this distance, without a flag (``petmjx.engines.contact_tilt.BOUND_SHARE``)."""
+a box by this distance before they set ``Flag.SINKING`` (``petmjx.engines.contact_tilt.BOUND_SHARE``)."""
 
 MOST_TOGETHER: Final = 256
 """Largest number of outcomes that are checked together. Checking 256 outcomes takes 0.1 to 0.2 s. Checking outcomes one
@@ -100,8 +100,8 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation
 
     Distances at rest are computed for worlds that stand and were not shaken, because their carriers are still at their
     places. Distances while the plan is built are computed for plans whose boxes are placed in order and without errors.
-    In a chain, a world that still stands after a later leg (part of the journey) is left out. The world that is left
-    out keeps the distances and the flag of the previous leg.
+    In a chain, a world that still stands after its second or a later shaken leg (part of the journey) is left out. The
+    world that is left out keeps the distances and the flag of the leg before.
     """
     scenes, in_order = [job.scene for job in jobs], sim.check is not Check.STATIC
     valid = [
@@ -200,7 +200,7 @@ class _Joined:
 
     def add(self, scene: Scene, pos: FloatArray, placed: int | None = None, most_gap_m: float = TOUCH_M) -> int:
         """Add a scene with all of its boxes, or with only the first ``placed`` boxes. Returns the number of the scene
-        among all added scenes."""
+        among all scenes, in the order ``planned``, ``elsewhere``."""
         self.elsewhere.append((scene, pos, scene.n_boxes if placed is None else placed, most_gap_m))
         return len(self.planned) + len(self.elsewhere) - 1
 

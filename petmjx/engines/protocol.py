@@ -136,8 +136,8 @@ PHYSICS: Final[Mapping[str, Capability]] = {
     "mjx-warp": _WARP,
     "mjx-warp-cpu": _WARP,
 }
-"""Name of an engine → its capabilities. An engine in a worker process has the same capabilities. An engine with any
-other name is assumed to have all capabilities except soft boxes.
+"""Name of an engine → its capabilities, also if the engine runs in worker processes. An engine with any other name is
+assumed to have all capabilities except soft boxes.
 """
 
 

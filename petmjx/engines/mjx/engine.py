@@ -284,8 +284,9 @@ def batch_groups(jobs: Sequence[Job]) -> list[list[int]]:
     """Groups of jobs that may share a batch, as lists of the jobs' indices. Groups with the largest plans come first.
 
     All jobs of a group have the same kind of drive, and carriers with the same number of boards. Either all jobs begin
-    with a placement, or all begin from a settled state. Appearing boxes, compliant boxes and film each occur in all
-    worlds of a group or in none. Plans of a group are of similar size: 1 to 4 boxes, 5 to 8, 9 to 16, ….
+    with a placement, or all begin from a settled state. Boxes that appear at their places, compliant boxes, and film:
+    each of these three occurs in all worlds of a group or in none. Plans of a group are of similar size: 1 to 4 boxes,
+    5 to 8, 9 to 16, ….
     """
     indices_by_key: dict[tuple[int, int, str | None, bool, bool, bool, bool], list[int]] = {}
     for index, job in enumerate(jobs):

@@ -39,7 +39,8 @@ class ModelInstance(NamedTuple):
 
 
 def set_options(model: mujoco.MjModel, sim: Simulation) -> None:
-    """Set the options of a model that are not part of its physics."""
+    """Set the options of a model that ``Simulation.physics`` does not contain: the solver and its limits, and switches
+    of MuJoCo."""
     model.opt.solver = _SOLVER[sim.solver]
     if sim.solver_iterations is not None:
         model.opt.iterations = sim.solver_iterations
