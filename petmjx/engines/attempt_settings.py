@@ -248,9 +248,9 @@ class Engines:
         the engine of the run makes the attempt.
 
         Args:
-            few: whether few worlds need the attempt. A job with a drive (a motion of the carrier), or a job whose
-                settled state other worlds start from, stays on the engine of the run, since there may be many such
-                jobs.
+            few: whether few worlds need the attempt. If the engine of the run can make the attempt, and many worlds
+                need it, the engine of the run makes it. The same holds for a job with a drive (a motion of the
+                carrier), and for a job whose settled state is kept, since there may be many jobs of these kinds.
         """
         if self.primary.name not in (*ATTEMPT_ENGINES, ENGINE_WITH_ATTEMPT_THREADS):
             return None

@@ -205,8 +205,8 @@ _SUM_ERROR = 1e-9
 """Largest relative difference between two sums of the same numbers that are added in different orders."""
 
 _MOST_PAIRS = 1 << 17
-"""Number of pairs of boxes that are computed together. A matrix over these pairs takes 1 MB and fits in
-CPU caches."""
+"""Largest number of pairs of boxes that are computed together, unless a single world has more pairs. A matrix over
+these pairs takes 1 MB and fits in CPU caches."""
 
 ON_CARRIER_M = 0.001
 """A box stands on the carrier if its planned bottom is less than this height, m, above the carrier's top."""

@@ -210,7 +210,7 @@ class Work:
 
     @property
     def _falls(self) -> NDArray[np.bool_]:
-        """(n,) whether each plan has a box that tips over, which ends the world."""
+        """(n,) whether a box of each plan is expected to tip over, which ends the world."""
         has_shares = len(self.placed_share) > 0 and self.sim.early_stop
         return np.asarray(self.placed_share, dtype=float) < 1.0 if has_shares else np.zeros(len(self.boxes), dtype=bool)
 
@@ -366,7 +366,7 @@ class ThreadCosts:
 
     def seconds(self, work: Work, threads: int) -> float:
         """Expected time of a run whose worlds are divided among threads, s. The result is at least the time of the
-        longest world.
+        world that takes longest.
         """
         counts = (work.planned, work.displaced, work.carried)
         placing = [(count, self.placing_s(work, way)) for count, way in zip(counts, work.ways, strict=True) if count]

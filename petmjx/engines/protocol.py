@@ -230,7 +230,7 @@ class Engine(MinimalEngine, Protocol):
 
     def paths(self, bodies: FreeBodies, sim: Simulation) -> FloatArray:
         """Release all boxes of worlds at once, without the rules of placement, and record their motion. Contacts and
-        steps are the same as in all other worlds.
+        steps are computed as in all other worlds.
 
         Returns:
             (n, s, k, 7) positions (m) and quaternions of the k boxes of n worlds, after each of the s steps in

@@ -52,7 +52,8 @@ def check_pool_for(engine: Engine, worlds: int) -> CheckPool[Any] | None:
 
 
 def _is_gpu(engine: Engine) -> bool:
-    """Whether an engine simulates on a GPU in this process, and not in workers, which check outcomes themselves."""
+    """Whether an engine simulates on a GPU in this process. Workers with GPUs do not count, since they check outcomes
+    themselves."""
     return engine.name in ATTEMPT_ENGINES and Capability.CHECKS not in engine.capabilities
 
 

@@ -102,7 +102,8 @@ class Group:
         return cls(indices, round_up(max(job.scene.n_boxes for job in alike)), steps)
 
     def take(self, most: int) -> list[int]:
-        """The jobs of the next batch. Batches are of equal size, so that all can use one program."""
+        """The indices of the jobs of the next batch, at most ``most``. Batches are of equal size, so that all can use
+        one program."""
         count = math.ceil(len(self.indices) / math.ceil(len(self.indices) / most))
         some, self.indices = self.indices[:count], self.indices[count:]
         return some
