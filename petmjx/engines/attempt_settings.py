@@ -3,9 +3,10 @@
 docs/rules.md, section 9, lists the attempts, and tells which engine makes them. docs/batching.md, "Attempts beside a
 run", tells where they run.
 
-The first attempts are those of the PET-Physics paper. In the paper's reference implementation, the second attempt only
-repeats the first, deterministic simulation. In petmjx, a second attempt gives the solver up to ``CAREFUL_ITERATIONS``
-iterations and the tolerance ``CAREFUL_TOLERANCE``, which help if the solver stopped too early.
+Attempts 1 to 4 follow the PET-Physics paper: two attempts with Newton's method (attempt 1 with the solver of the run),
+then two attempts with conjugate gradients (CG). In the paper's reference implementation, the second attempt with a
+solver only repeats the first, deterministic simulation. In petmjx, attempts 2 and 4 give the solver up to
+``CAREFUL_ITERATIONS`` iterations and the tolerance ``CAREFUL_TOLERANCE``, which help if the solver stopped too early.
 
 C MuJoCo is the *fallback* of the MJX engines (``FALLBACKS``): it simulates the worlds that an MJX engine cannot
 simulate, and the worlds for which an MJX engine returned no outcome because of an error. ``mujoco`` itself and engines
@@ -33,11 +34,11 @@ from petmjx.options.simulation import MOST_ITERATIONS, Attempts, Simulation, Sol
 from petmjx.world.job import Excitation, Job, KeptState
 
 CAREFUL_ITERATIONS = 400
-"""Largest number of solver iterations per step in a second attempt: four times MuJoCo's default. With MuJoCo's default,
+"""Largest number of solver iterations per step in attempts 2 to 4: four times MuJoCo's default. With MuJoCo's default,
 CG stops so early that boxes of the physics preset ``pallet`` slide apart although they should stand."""
 
 CAREFUL_TOLERANCE = 1e-10
-"""Solver tolerance of a second attempt: a hundredth of MuJoCo's default. Engines that compute in single precision use a
+"""Solver tolerance of attempts 2 and 4: a hundredth of MuJoCo's default. Engines that compute in single precision use a
 larger tolerance."""
 
 NEAR = 0.5
@@ -73,9 +74,9 @@ class AttemptRecipe:
     """If True, all boxes are flex bodies from the beginning (petmjx/world/soft_boxes.py)."""
 
     doubles: bool = False
-    """Whether the attempt needs double precision. The reason is either that the world may be invalid because of single
-    precision, or that boxes sink into each other by less than single precision resolves, since the time constant of
-    contacts is a twentieth."""
+    """Whether the attempt needs double precision. There are two possible reasons. Single precision may have made the
+    world invalid. Or contacts are so stiff (``stiff`` is 0.05) that boxes sink into each other by less than single
+    precision resolves."""
 
     few: bool = False
     """Whether only few of many worlds need the attempt. Worlds with placement errors are an exception: if their plan
@@ -247,9 +248,9 @@ class Engines:
         the engine of the run makes the attempt.
 
         Args:
-            few: whether few worlds need the attempt. A job with a drive (a motion of the carrier), or a job whose
-                settled state other worlds start from, stays on the engine of the run, since there may be many such
-                jobs.
+            few: whether few worlds need the attempt. If the engine of the run can make the attempt, and many worlds
+                need it, the engine of the run makes it. The same holds for a job with a drive (a motion of the
+                carrier), and for a job whose settled state is kept, since there may be many jobs of these kinds.
         """
         if self.primary.name not in (*ATTEMPT_ENGINES, ENGINE_WITH_ATTEMPT_THREADS):
             return None

@@ -159,7 +159,8 @@ class AttemptRunner(Generic[AnyWorld]):
                 refused = isinstance(error, PetmjxError) or self.engines.fallback is None
                 if self.attempt.number == 1 and refused:
                     raise  # The user must change the worlds, or the engine, which has no fallback.
-                if not stream.taken:  # The engine would refuse the same jobs again.
+                if not stream.taken:
+                    # The engine would refuse the same jobs again, so all of them go to the fallback engine.
                     stream.take(sys.maxsize, least=1)
                 unanswered = list(stream.in_flight.values())
                 self._message = one_line(error)

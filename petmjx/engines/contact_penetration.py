@@ -105,8 +105,8 @@ def contact_penetration_m(scene: Scene, physics: Physics, top_force_n: FloatArra
         return of_boxes * top_n / mass / CONTACTS_PER_FACE, own_per_kg * (top_n + mass * gravity)
 
     def is_enough(top_n: FloatArray) -> bool:
-        # a contact's depth grows less than proportionally to A · f, so the sum of the depths for the two parts of A · f
-        # is an upper bound of the depth for the whole
+        # a contact's depth grows less than proportionally to A · f, so the sum of the depths for the two parts that
+        # ``pulls`` returns is an upper bound of the depth
         return bool(base + sum(depth_m(physics, part).sum() for part in pulls(top_n)) <= enough_m)
 
     if is_enough(top_force_n):
@@ -205,8 +205,8 @@ _SUM_ERROR = 1e-9
 """Largest relative difference between two sums of the same numbers that are added in different orders."""
 
 _MOST_PAIRS = 1 << 17
-"""Number of pairs of boxes that are computed together. A matrix over these pairs takes 1 MB and fits in
-CPU caches."""
+"""Largest number of pairs of boxes that are computed together, unless a single world has more pairs. A matrix over
+these pairs takes 1 MB and fits in CPU caches."""
 
 ON_CARRIER_M = 0.001
 """A box stands on the carrier if its planned bottom is less than this height, m, above the carrier's top."""
@@ -233,9 +233,9 @@ def note_penetration(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simu
 
 def penetration_excluded(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Simulation) -> list[bool]:
     """For each world, whether ``has_penetrated`` is certainly False, without computing it. ``has_penetrated`` is
-    certainly False if no box of the world descended too far, and the world failed for another reason than descent. For
-    all other worlds, ``has_penetrated`` must be computed. ``penetration_excluded`` computes all worlds together, which
-    is fast. The function is valid only for elliptic friction cones."""
+    certainly False if no box of the world descended too far, and the reason of the verdict is not a descent
+    (``_failed_otherwise``). For all other worlds, ``has_penetrated`` must be computed. ``penetration_excluded``
+    computes all worlds together, which is fast. The function is valid only for elliptic friction cones."""
     if not outcomes:
         return []
     enough_m = (1 - _SUM_ERROR) * BOUND_SHARE * sim.thresholds.shift_m
@@ -254,8 +254,8 @@ def penetration_excluded(outcomes: Sequence[Outcome], scenes: Sequence[Scene], s
 
 
 def _failed_otherwise(outcome: Outcome, limit_m: float) -> bool:
-    """Whether a world failed for another reason than a shift, or because a box shifted in a direction other than
-    down."""
+    """Whether the verdict of a world does not come from a descent of boxes: the reason of the verdict is not a shift,
+    or a box shifted too far in another direction than down."""
     if outcome.reason is not Reason.SHIFT:
         return True
     shift = outcome.boxes.shift_m[: outcome.n_placed]

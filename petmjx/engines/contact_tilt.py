@@ -178,7 +178,7 @@ def contact_tilt_suspects(
         beyond = bool((edges < -BEYOND_M).any())
         reach = (SURE if beyond else most_safety) * tipping
         least = BEYOND_M
-        if not (beyond or has_errors):  # ``ROCKING_M`` holds for boxes at their planned places
+        if not (beyond or has_errors):  # ``ROCKING_M`` is only for boxes at their planned places
             reach, least = np.maximum(reach, ROCKING_M), 0.0
         return bool(((edges > least) & (edges <= reach)).any())
 

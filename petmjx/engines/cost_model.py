@@ -30,8 +30,8 @@ STEP_SHARE = 0.072
 mean over 2,000 generated plans and 63 third-party plans of 16 to 241 boxes."""
 
 SOFT_STARTS = 2 * SOFT_START_STEPS
-"""Number of steps of the soft starts, which come before the first box of a placement. The steps of soft starts are not
-part of the schedule."""
+"""Number of steps of the soft start (both halves), which comes before the first box of a placement. The schedule does
+not include these steps."""
 
 QUIET_STEPS = 220
 """Steps until a pallet is quiet with the adaptive schedule, if boxes are not placed one by one. Static checks of 45 to
@@ -45,9 +45,9 @@ cheap steps, in which all boxes are at rest. In the remaining steps, boxes move 
 JAX_POWER, WARP_POWER = 2.0, 1.0
 """Over whole runs, the cost of a step grows with the number of boxes to the power ``JAX_POWER`` on ``mjx-jax``, and to
 the power ``WARP_POWER`` on ``mjx-warp``, where steps at rest are cheap and plans with more boxes are at rest in a
-larger share of their steps. While n boxes are placed one by one, the cost on ``mjx-warp`` is the mean of k to this
-power over k = 1…n: about 1 / (power + 1) of the full cost. On ``mjx-jax``, all boxes are in the model from the
-beginning, so every step has the full cost."""
+larger share of their steps. While n boxes are placed one by one, the cost of a step on ``mjx-warp`` is the mean of the
+costs with 1, 2, …, n boxes: about 1 / (``WARP_POWER`` + 1) of the cost with n boxes. On ``mjx-jax``, all boxes are in
+the model from the beginning, so every step has the full cost."""
 
 SHAKEN_FACTOR = 2.5
 """Cost of a step of a drive on a device, relative to a step of the same pallet with the fixed schedule. Measured on an
@@ -137,7 +137,8 @@ fewer than ``FALL_STEPS`` steps is never long. So worlds of few boxes that fall 
 
 
 def rest_steps(sim: Simulation, rest_s: float) -> int:
-    """Expected number of steps after a profile until the pallet is quiet. ``rest_s``: the time to come to rest, s."""
+    """Expected number of steps after a profile until the pallet is quiet. ``rest_s``: the longest time to come to rest,
+    s."""
     most = seconds_to_steps(rest_s, sim.physics.timestep_s)
     return min(most, QUIET_STEPS) if sim.schedule is Schedule.ADAPTIVE else most
 
@@ -209,7 +210,7 @@ class Work:
 
     @property
     def _falls(self) -> NDArray[np.bool_]:
-        """(n,) whether each plan has a box that tips over, which ends the world."""
+        """(n,) whether a box of each plan is expected to tip over, which ends the world."""
         has_shares = len(self.placed_share) > 0 and self.sim.early_stop
         return np.asarray(self.placed_share, dtype=float) < 1.0 if has_shares else np.zeros(len(self.boxes), dtype=bool)
 
@@ -324,7 +325,7 @@ class ThreadCosts:
     """Measured costs of an engine on one CPU thread.
 
     Attributes:
-        rest_s: time of a step of a world at rest, s per box to the power ``REST_POWER``.
+        rest_s: time of a step of a world at rest, divided by (number of boxes) to the power ``REST_POWER``, s.
         overhead_s: additional time of any step, s.
         landing_s: additional time for one box to land, divided by the square of the number of standing boxes, s, if
             ``Work.coupling`` is 1.
@@ -365,7 +366,7 @@ class ThreadCosts:
 
     def seconds(self, work: Work, threads: int) -> float:
         """Expected time of a run whose worlds are divided among threads, s. The result is at least the time of the
-        longest world.
+        world that takes longest.
         """
         counts = (work.planned, work.displaced, work.carried)
         placing = [(count, self.placing_s(work, way)) for count, way in zip(counts, work.ways, strict=True) if count]
@@ -417,7 +418,8 @@ class Costs:
         kernel_load_s: time to start ``mjx-warp-cpu`` if an earlier run has compiled the kernel, s.
         jax_step_s: time of a step of one world of n boxes on ``mjx-jax`` on a CPU, divided by n², s. On two cores, a
             world of 40 boxes takes 57 steps per second.
-        gpu_step_s: time of a step of ``full_worlds`` worlds on a device, s per box to the power ``WARP_POWER``.
+        gpu_step_s: time of a step of ``full_worlds`` worlds on a device, divided by (number of boxes) to the power
+            ``WARP_POWER``, s.
         full_worlds: number of worlds that fill the device.
         tail_worlds: number of worlds that a full device would simulate in the time in which the last worlds of a run
             leave it nearly idle.

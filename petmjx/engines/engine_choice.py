@@ -103,7 +103,8 @@ def make_engine(
     Args:
         threads: number of CPU threads of ``mujoco`` or ``mjx-warp-cpu``; None: all threads.
         lanes: number of worlds that ``mjx-jax`` or ``mjx-warp`` simulates at once; None: the engine's own choice.
-        world_timeout_s: longest wall-clock time of an attempt at a world, ``mujoco`` only, s; None: no limit.
+        world_timeout_s: longest wall-clock time of an attempt at a world, ``mujoco`` only, s; None: the limit follows
+            from the expected time of the world.
 
     Raises:
         InputError: no engine has this name, or the engine does not have one of these options.

@@ -77,7 +77,7 @@ def resolve_engine(
             )
         return UserEngine(requested_engine, options.threads), Choice(requested_engine.name, "given")
     if options.asked_workers is not None:
-        from petmjx.engines.remote.worker_startup import resolve_workers  # for runs with workers only
+        from petmjx.engines.remote.worker_startup import resolve_workers  # imported only for runs with workers
 
         return resolve_workers(options, work, costs or MEASURED, startup)
     threads = options.threads or cpu_threads()

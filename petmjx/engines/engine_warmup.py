@@ -28,7 +28,7 @@ def engine_warmup(options: RunOptions, plans: object, sim: Simulation) -> Iterat
     started workers for ``resolve_engine``. Starting libraries and workers is mostly waiting, so plans are read
     meanwhile."""
     if options.asked_workers is not None and isinstance(options.engine, str):
-        from petmjx.engines.remote.worker_startup import WorkerStartup  # for runs with workers only
+        from petmjx.engines.remote.worker_startup import WorkerStartup  # imported only for runs with workers
 
         startup = WorkerStartup(options, worth_gpus=bytes_of_plans(plans) >= WORTH_A_GPU)
         try:

@@ -258,7 +258,8 @@ class JobStream(Generic[Tag]):
         return self._most_boxes is not None and self._boxes >= self._most_boxes
 
     def _ready(self, least: int, wait: bool) -> bool:
-        """Whether ``least`` jobs are ready, or the source brings no more jobs for now."""
+        """Whether jobs can be taken: ``least`` jobs are ready, the stream is full, or the source brings no more jobs
+        for now. ``wait``: whether the call waits until jobs can be taken."""
         while self.ready < least and self._comes and not self._is_full:
             if not wait:
                 return False

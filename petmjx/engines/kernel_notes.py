@@ -1,5 +1,5 @@
-"""Notes in Warp's cache on which kernels of mjx-warp are compiled. Only Warp can tell whether a kernel is in its cache,
-and Warp needs a second or two to start. A note can be read without Warp."""
+"""Notes in Warp's cache that tell which kernels of mjx-warp are compiled. Only Warp can tell whether a kernel is in its
+cache, and Warp needs a second or two to start. A note can be read without Warp."""
 
 from __future__ import annotations
 

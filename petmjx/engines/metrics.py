@@ -42,17 +42,18 @@ than ``RISING_M_S2``, a force exceeds the weight on the top by at most a twentie
 GONE_TILT: Final = 1.25
 GONE_DESCENT: Final = 1.5
 """A trial simulation that asks only whether the pallet stands ends as soon as a box is *gone*. A box is gone if it is
-tilted by ``GONE_TILT`` times the tilt threshold, or has descended by ``GONE_DESCENT`` times the shift threshold. A box
-that starts at rest cannot rise again by itself. Whether a box is gone is checked at the same steps as whether the
-pallet is quiet."""
+tilted by ``GONE_TILT`` times the tilt threshold, or has descended by ``GONE_DESCENT`` times the shift threshold. Boxes
+start at rest, so a box that has descended so far does not rise again by itself. Whether a box is gone is checked at the
+same steps as whether the pallet is quiet."""
 
 
 CONFIRM_S: Final = 1.0
-"""A simulation that only has to confirm a fall (``Job.confirms``) ends at a sample at least this time after the first
-sign of failure, s, if the culprit is still over a threshold. In addition, two further boxes must have been placed since
-the sign, or all boxes must have been placed, the last one at least ``CONFIRM_S`` seconds ago. Further placements are
-awaited, because a board may tip until the next box brings it back. The early end saves time: in stiff contacts, a pile
-that slides takes fifteen iterations of the solver per step, and would slide for thousands of steps more."""
+"""Shortest time from the first sign of failure to the end of a simulation that only has to confirm a fall
+(``Job.confirms``), s. The simulation ends at a sample at which the culprit is still over a threshold. In addition, two
+further boxes must have been placed since the sign, or all boxes must have been placed, the last one at least
+``CONFIRM_S`` seconds ago. Further placements are awaited, because a board may tip until the next box brings it back.
+The early end saves time: in stiff contacts, a pile that slides takes fifteen iterations of the solver per step, and
+would slide for thousands of steps more."""
 
 
 class SampleAt(StrEnum):

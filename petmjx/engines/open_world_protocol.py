@@ -19,8 +19,8 @@ from petmjx.world.job import Drive
 from petmjx.world.scene import OF_BOXES, Scene
 
 MOST_BOXES: Final = 96
-"""Default number of boxes for which an open world reserves memory. On mjx-warp, it is the largest number of boxes of a
-small world."""
+"""Default number of boxes for which an open world reserves memory. The value is also the largest number of boxes that a
+small world on mjx-warp has."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,7 +230,7 @@ class OpenWorlds(ABC):
         """Put boxes into worlds. Each scene has the boxes that its world already has, followed by the new boxes.
 
         Raises:
-            ValueError: a world has ended, or its scene has no new boxes.
+            ValueError: one of these worlds has ended, or its scene has no new boxes.
         """
         _check_worlds(worlds, len(self))
         _check_as_many(worlds, scenes, "scenes")
@@ -245,7 +245,7 @@ class OpenWorlds(ABC):
         """Put one box into each of these worlds. Only the extents, places and masses of the boxes are given.
 
         Raises:
-            ValueError: a world has ended.
+            ValueError: one of these worlds has ended.
         """
         _check_worlds(worlds, len(self))
         _check_as_many(worlds, boxes, "boxes")
@@ -265,7 +265,7 @@ class OpenWorlds(ABC):
                 show how it would have continued.
 
         Raises:
-            ValueError: a world has ended.
+            ValueError: one of these worlds has ended.
         """
         _check_worlds(worlds, len(self), distinct=False)
         _check_as_many(worlds, boxes, "boxes")
@@ -280,7 +280,7 @@ class OpenWorlds(ABC):
         instead of appearing, for example).
 
         Raises:
-            ValueError: a world has ended.
+            ValueError: one of these worlds has ended.
         """
         _check_worlds(worlds, len(self), distinct=False)
         _check_as_many(worlds, scenes, "scenes")
@@ -329,8 +329,8 @@ class OpenWorlds(ABC):
 
         Each outcome is the result of one simulation, as in ``Engine.run``. Unlike in ``petmjx.score``, no world is
         simulated again with other settings (docs/rules.md, section 9). If a placement before a drive has failed without
-        a dropped box, the world gets the same time to come to rest as without a drive. The time to come to rest may be
-        some steps shorter than in ``Engine.run``.
+        a dropped box, the world gets the same time to come to rest as without a drive. The time that a world gets to
+        come to rest may be some steps shorter than in ``Engine.run``.
 
         Raises:
             ValueError: a world has no boxes.

@@ -36,7 +36,7 @@ unless the world has ``Flag.SINKING``."""
 
 LOWER_M: Final = 0.005
 """A box also counts as leaning if it lies lower than planned by more than this height, m. Soft contacts alone may lower
-a box by this distance, without a flag (``petmjx.engines.contact_tilt.BOUND_SHARE``)."""
+a box by this distance before they set ``Flag.SINKING`` (``petmjx.engines.contact_tilt.BOUND_SHARE``)."""
 
 MOST_TOGETHER: Final = 256
 """Largest number of outcomes that are checked together. Checking 256 outcomes takes 0.1 to 0.2 s. Checking outcomes one
@@ -100,8 +100,8 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation
 
     Distances at rest are computed for worlds that stand and were not shaken, because their carriers are still at their
     places. Distances while the plan is built are computed for plans whose boxes are placed in order and without errors.
-    In a chain, a world that still stands after a later leg (part of the journey) is left out. The world that is left
-    out keeps the distances and the flag of the previous leg.
+    In a chain, a world that still stands after its second or a later shaken leg (part of the journey) is left out. The
+    world that is left out keeps the distances and the flag of the leg before.
     """
     scenes, in_order = [job.scene for job in jobs], sim.check is not Check.STATIC
     valid = [
@@ -168,9 +168,9 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation
 
 def edges_again(scene: Scene, outcome: Outcome) -> Iterator[KnifeEdge]:
     """Yield again all distances of loads from edges that ``note_edges`` examined. The result includes two kinds of
-    distances that have no column: those of the boxes' own weights and, while the plan is built, the distance of the
-    load that is nearest to an edge on either side. (The column ``build_edge_m`` has the smallest signed distance
-    instead.)"""
+    distances that are in no column of the results. First: distances at which only the own weight of each box is the
+    load. Second: of all loads while the plan is built, the distance of the load that is nearest to an edge, inside or
+    beyond the edge. (The column ``build_edge_m`` has the smallest signed distance instead.)"""
     in_order, at_rest = not np.isnan(outcome.build_edge_m), not np.isnan(outcome.rest_edge_m)
     joined = _Joined([(scene, outcome.n_placed, in_order)])
     if at_rest:
@@ -200,13 +200,14 @@ class _Joined:
 
     def add(self, scene: Scene, pos: FloatArray, placed: int | None = None, most_gap_m: float = TOUCH_M) -> int:
         """Add a scene with all of its boxes, or with only the first ``placed`` boxes. Returns the number of the scene
-        among all added scenes."""
+        among all scenes, in the order ``planned``, ``elsewhere``."""
         self.elsewhere.append((scene, pos, scene.n_boxes if placed is None else placed, most_gap_m))
         return len(self.planned) + len(self.elsewhere) - 1
 
     def edges(self) -> tuple[Bearing, FloatArray, Edges, list[LeastBuildingEdge]]:
-        """Four results: the bearing of all scenes; the loads of their boxes (see ``Bearing.loads``); the distances of
-        these loads from edges; and the smallest distances from edges while the planned scenes are built."""
+        """Four results: the supports of all boxes of all scenes; the loads of the boxes (see ``Bearing.loads``); the
+        distances of these loads from edges; and the smallest distances from edges while the planned scenes are
+        built."""
         scenes, placed, are_built = zip(*self.planned, strict=True)
         moved, pos, placed_moved, gaps_m = zip(*self.elsewhere, strict=True) if self.elsewhere else ((),) * 4
         bearing = bearings_of(scenes, moved, pos, gaps_m)
@@ -216,12 +217,12 @@ class _Joined:
 
 
 def _least_edge(edge_m: FloatArray, place: int | None, first: int) -> tuple[float, int]:
-    """The smallest distance of a load from an edge in one scene, m, and the number of its box. NaN and -1 if the scene
-    has no distance.
+    """The smallest distance of a load from an edge in one scene, m, and the number of its box. The result is NaN and -1
+    if all distances of the scene are unknown (NaN).
 
     Args:
         edge_m: distances of the boxes of all scenes, scene after scene, m.
-        place: index of the smallest distance of this scene; None if the scene has no distance.
+        place: index of the smallest distance of this scene; None if all its distances are unknown.
         first: index of the first box of this scene.
     """
     return (np.nan, -1) if place is None else (float(edge_m[place]), place - first)

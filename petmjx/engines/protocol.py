@@ -136,8 +136,8 @@ PHYSICS: Final[Mapping[str, Capability]] = {
     "mjx-warp": _WARP,
     "mjx-warp-cpu": _WARP,
 }
-"""Name of an engine → its capabilities. An engine in a worker process has the same capabilities. An engine with any
-other name is assumed to have all capabilities except soft boxes.
+"""Name of an engine → its capabilities, also if the engine runs in worker processes. An engine with any other name is
+assumed to have all capabilities except soft boxes.
 """
 
 
@@ -176,8 +176,8 @@ class Engine(MinimalEngine, Protocol):
     other threads wait (``RunLock``).
 
     Attributes:
-        devices: number of GPUs that simulate at the same time. The largest number of worlds that the engine gets at
-            once is multiplied by ``devices``.
+        devices: number of GPUs that simulate at the same time. A run multiplies its limits on waiting jobs and waiting
+            worlds by ``devices``.
     """
 
     devices: int = 1
@@ -230,7 +230,7 @@ class Engine(MinimalEngine, Protocol):
 
     def paths(self, bodies: FreeBodies, sim: Simulation) -> FloatArray:
         """Release all boxes of worlds at once, without the rules of placement, and record their motion. Contacts and
-        steps are the same as in all other worlds.
+        steps are computed as in all other worlds.
 
         Returns:
             (n, s, k, 7) positions (m) and quaternions of the k boxes of n worlds, after each of the s steps in

@@ -52,7 +52,8 @@ def check_pool_for(engine: Engine, worlds: int) -> CheckPool[Any] | None:
 
 
 def _is_gpu(engine: Engine) -> bool:
-    """Whether an engine simulates on a GPU in this process, and not in workers, which check outcomes themselves."""
+    """Whether an engine simulates on a GPU in this process. Workers with GPUs do not count, since they check outcomes
+    themselves."""
     return engine.name in ATTEMPT_ENGINES and Capability.CHECKS not in engine.capabilities
 
 
@@ -205,8 +206,8 @@ class _AttemptRun(Generic[AnyWorld]):
         return len(self.retry_queue) + len(self.for_fallback) < self.most_pending
 
     def _put_world(self, world: AnyWorld, *, bounded: bool) -> bool:
-        """Put the job of a new world into the stream, or keep the world for the fallback engine. Returns False if the
-        stream is closed. ``bounded``: whether the call waits while the stream is full."""
+        """Put the job of a new world into the stream, or into ``for_fallback`` if the fallback engine must simulate the
+        world. Returns False if the stream is closed. ``bounded``: whether the call waits while the stream is full."""
         pending: Pending[AnyWorld] = (world, None, ())
         primary = self.engines.primary
         if self.first_runner.engine_for(world) is not primary:
@@ -389,9 +390,9 @@ class _AttemptTasks(Generic[AnyWorld]):
     def _answered(
         self, runner: AttemptRunner[AnyWorld], pending: Pending[AnyWorld], engine: str, answer: AttemptAnswer
     ) -> Iterator[AttemptResult[AnyWorld] | None]:
-        """The world with the outcome of a task. If the task returned no outcome, a new task simulates the
-        world on the fallback engine. If this task returns no outcome either, the fallback engine simulates the world in
-        the run's own process."""
+        """The world of a task (an attempt in another process or thread), with the outcome of the task. If the task
+        returned no outcome, a new task simulates the world on the fallback engine. If this task returns no outcome
+        either, the fallback engine simulates the world in the run's own process."""
         fallback = self.engines.fallback
         if answer.outcome is not None:
             self.engines.progress.world_steps += answer.outcome.n_steps

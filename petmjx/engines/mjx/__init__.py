@@ -12,7 +12,7 @@ Array shapes are annotations, which tests check at every call. The axes:
   of geoms that may touch, with four contacts each;
 * ``profile`` and ``step``: rows of the table of profiles, and steps of a profile or of the clock;
 * ``n_boxes``: one entry for each number of boxes, from 0 on;
-* ``row`` and ``word``: rows that are read back from a table, and the numbers in each row;
+* ``row`` and ``word``: rows that the host reads from a table on the device, and the 32-bit words of each row;
 * ``queue``: queues of worlds that wait for a thread block; all worlds in a queue have the same size;
-* ``batch`` and ``k``: any axis of the caller; the function treats all entries alike.
+* ``batch`` and ``k``: an axis whose meaning the caller chooses, since the function treats all entries alike.
 """

@@ -25,7 +25,7 @@ def shift(
 
 
 def middles(pose: Float[Array, "world box 7"], middle: Float[Array, "world box 3"]) -> Float[Array, "world box 3"]:
-    """Centres of boxes, m, from the poses of their frames. ``middle``: the centre in the box's frame."""
+    """Centres of boxes, m, from the poses of their frames. ``middle``: the box's centre in the box's frame, m."""
     w, axis = pose[..., 3:4], pose[..., 4:]
     twice = 2 * jnp.cross(axis, middle) / (pose[..., 3:] ** 2).sum(-1, keepdims=True)
     return pose[..., :3] + (middle + w * twice + jnp.cross(axis, twice))

@@ -18,7 +18,7 @@ from petmjx.world.supports import TOUCH_M
 def laws(
     worlds: Worlds, model: Any, inverse_mass: Float[Array, "world body"], physics: Physics
 ) -> dict[str, Float[Array, "world ..."]]:
-    """Model fields: solref and solimp of all declared pairs.
+    """Model fields ``pair_solref`` and ``pair_solimp``: the contact laws of all pairs of geoms that the model declares.
 
     Args:
         inverse_mass: inverse masses, 1/kg; 0 for a held carrier.

@@ -102,7 +102,8 @@ class Group:
         return cls(indices, round_up(max(job.scene.n_boxes for job in alike)), steps)
 
     def take(self, most: int) -> list[int]:
-        """The jobs of the next batch. Batches are of equal size, so that all can use one program."""
+        """The indices of the jobs of the next batch, at most ``most``. Batches are of equal size, so that all can use
+        one program."""
         count = math.ceil(len(self.indices) / math.ceil(len(self.indices) / most))
         some, self.indices = self.indices[:count], self.indices[count:]
         return some
@@ -174,8 +175,8 @@ class MjxJaxEngine(Engine):
     ) -> Generator[tuple[list[int], Batch], None, None]:
         """The batches that have ended, with the indices of their jobs. If memory runs out, batches are halved.
 
-        Each batch runs in a separate thread. If batches are single worlds, this thread meanwhile loads the next worlds
-        and compiles their programs. If batches are larger, as on a GPU, this thread waits.
+        Each batch runs in a separate thread. If batches are single worlds, the caller's thread meanwhile loads the next
+        worlds and compiles their programs. If batches are larger, as on a GPU, the caller's thread waits.
         """
         most, stop = 1 if self._one_by_one else self.lanes, threading.Event()
         threads = cpu_threads() if self._one_by_one else 1
@@ -284,8 +285,9 @@ def batch_groups(jobs: Sequence[Job]) -> list[list[int]]:
     """Groups of jobs that may share a batch, as lists of the jobs' indices. Groups with the largest plans come first.
 
     All jobs of a group have the same kind of drive, and carriers with the same number of boards. Either all jobs begin
-    with a placement, or all begin from a settled state. Appearing boxes, compliant boxes and film each occur in all
-    worlds of a group or in none. Plans of a group are of similar size: 1 to 4 boxes, 5 to 8, 9 to 16, ….
+    with a placement, or all begin from a settled state. Boxes that appear at their places, compliant boxes, and film:
+    each of these three occurs in all worlds of a group or in none. Plans of a group are of similar size: 1 to 4 boxes,
+    5 to 8, 9 to 16, ….
     """
     indices_by_key: dict[tuple[int, int, str | None, bool, bool, bool, bool], list[int]] = {}
     for index, job in enumerate(jobs):

@@ -198,7 +198,7 @@ def _cut(
     """The part of a polygon on the positive side of a line: the points x with across · x + offset > 0.
 
     ``corners``: the corners of the polygon. ``kept``: whether each row of ``corners`` is valid; the valid rows come
-    first. The result is a pair of such arrays."""
+    first. Returns the corners of the part, and whether each row of them is valid."""
     k = len(corners)
     count = kept.sum()
     following = jnp.where(jnp.arange(k) + 1 < count, jnp.arange(k) + 1, 0)

@@ -42,7 +42,7 @@ def _put_unplaced(paused: Mapping[int, int], host: State, fresh: State) -> None:
     Args:
         paused: row → number of placed boxes, for placements that had paused.
         host: the states.
-        fresh: states before the first step, in which no such box is placed.
+        fresh: states before the first step of these worlds, from which the columns are copied.
     """
     pairs: tuple[tuple[Any, Any], ...] = ((host, fresh), (host.metrics, fresh.metrics))
     for record, new in pairs:

@@ -118,8 +118,8 @@ def tables(
 
 @functools.lru_cache(MOST_KEPT)
 def _state_shapes(rows: int, width: int) -> State:
-    """A ``State`` that holds the shape and type of each array instead of the array. The last results are kept, since
-    computing one takes 5 ms."""
+    """A ``State`` that holds the shape and type of each array instead of the array. The last ``MOST_KEPT`` results are
+    kept, since computing a result takes 5 ms."""
 
     def shape(*axes: int, kind: Any = np.float32) -> Any:
         return jax.ShapeDtypeStruct((rows, *axes), kind)  # type: ignore[no-untyped-call]  # JAX has no types for it

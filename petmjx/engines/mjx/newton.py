@@ -303,9 +303,10 @@ def _couplings(sides: NDArray[np.integer], bodies: int) -> tuple[NDArray[np.int6
     """Two tables from which the Hessian is put together, block by block.
 
     Returns:
-        (coupling, k): the pairs of geoms of each pair of moving bodies; rows are padded with the number of all pairs.
+        (coupling, k): one row for each two moving bodies that may touch (a coupling), with the numbers of their pairs
+            of geoms. Rows are padded with a number beyond the last pair.
         (body, body): for two bodies, the index of the Hessian's block in this list: all bodies' own blocks, all
-        couplings, all couplings transposed, and a block of zeros.
+            couplings, all couplings transposed, and a block of zeros.
     """
     pairs_by_bodies: dict[tuple[int, int], list[int]] = {}
     for pair, (one, two) in enumerate(sides.tolist()):

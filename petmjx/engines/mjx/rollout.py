@@ -165,8 +165,8 @@ class BatchRollout:
     def _presses(self, before: State, worlds: Worlds, rising: Float[Array, " world"]) -> Bool[Array, " world"]:
         """(world,) whether the largest forces on tops include the forces of the step that follows the state ``before``,
         although no sample is due. While a drive acts, the forces of every step are included. Without a drive, two
-        conditions must hold: a box is fast, and either a box rises or a check whether the pallet is quiet is due.
-        ``rising``: the largest upward acceleration, m/s²."""
+        conditions must hold: a box is fast; and either a box accelerates upwards by more than ``RISING_M_S2``, or a
+        check whether the pallet is quiet is due. ``rising``: the largest upward acceleration, m/s²."""
         rules, step = self.rules, before.step + 1
         if not rules.sim.waits_for_rest:
             return jnp.zeros_like(before.running)

@@ -52,7 +52,7 @@ class Rules:
     carries: bool = False
 
     def parked_pose(self) -> Float[Array, "box 7"]:
-        """Poses of boxes that are not in play (not placed, or in a world that has ended)."""
+        """Poses to which boxes are moved that are not in play (not placed, or in a world that has ended)."""
         quat = jnp.broadcast_to(jnp.array(IDENTITY_QUAT), (self.capacity, 4))
         return jnp.concatenate([parked_positions(self.capacity), quat], axis=-1)
 

@@ -145,8 +145,8 @@ def run_metrics(
     ended: Bool[Array, " world"],
     thresholds: Thresholds,
 ) -> RunMetrics:
-    """The metrics of placed boxes that need the whole run, computed from the last poses. Only worlds that reached their
-    end have forces at rest."""
+    """The metrics that need the whole run, for placed boxes: computed from their last poses and from ``metrics``. Only
+    worlds that reached their end have forces at rest."""
     m = metrics
     shift = motion.shift(motion.middles(qpos, worlds.middle), worlds.target, thresholds.shift_floor_m, worlds.sinks)
     rested = (m.rest_samples > 0) & ended

@@ -1,5 +1,5 @@
-"""Makes rows of tables from scenes. Similar scenes are written into their rows together: one scene after another, this
-would take longer than a GPU's simulation of small worlds."""
+"""Makes rows of tables from scenes. Similar scenes are written into their rows together. Writing one scene after
+another would take longer than simulating small worlds on a GPU."""
 
 from __future__ import annotations
 

@@ -15,8 +15,8 @@ from petmjx.world.contact_laws import ENOUGH_M_S2, MOST_ROUNDS, RELAXATION, STIC
 
 
 class SlipLaw:
-    """The law of sliding contacts, for elliptic cones. The constraint rows of open contacts are zeros and stay
-    zeros."""
+    """The law of sliding contacts, for elliptic cones. The law does not change contacts that are open (do not touch):
+    their constraint rows stay zeros."""
 
     def __init__(self, physics: Physics, solver: BlockSolver) -> None:
         self._slack = slack_m_s2(physics)

@@ -28,8 +28,8 @@ def stay_mask(
     """Whether each box counts as staying at its place. A box counts as staying if it was near its place during the
     whole last complete period of measurement, and in the present period until now. For some time after a placement, no
     box counts as staying, for the same reason as in ``trembling_mask``. ``moved``: distances by which boxes moved in
-    the last steps of a world, m; 0 at a look. The larger of this distance and ``tremble_away`` must be below the limit
-    of ``_most_away``."""
+    the last ``still_steps`` steps, m, if the world is at its end; 0 if the caller only checks whether the pallet is
+    quiet (a look). The larger of this distance and ``tremble_away`` must be below the limit of ``_most_away``."""
     stayed = (state.trembles != 0) & (state.tremble_looks > 2 * sim.quiet.tremble_looks)[:, None]
     return stayed & (jnp.maximum(state.tremble_away, moved) < _most_away(state.tremble_path, sim))
 

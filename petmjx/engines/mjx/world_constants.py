@@ -50,9 +50,9 @@ class Worlds(NamedTuple):
     Ends: ``settles``: the placement ends in a settled state, because a drive starts from this state, or because the
     state is kept. ``ends_when_lost``: a box that is tilted too far at a check is lost at once, like a box that has
     dropped (``petmjx.world.job.Job.has_errors``). ``confirm_steps``: a fall is confirmed this number of steps after the
-    first sign of failure (``petmjx.engines.metrics.CONFIRM_S``); ``NEVER`` if the world does more than confirm a
-    fall. ``pauses``: when its boxes are at rest, the world waits for further boxes
-    (petmjx/engines/open_world_protocol.py). ``ends_when_gone``: the world is a trial, which ends when a box is gone.
+    first sign of failure (``petmjx.engines.metrics.CONFIRM_S``); ``NEVER`` if the world does more than confirm a fall.
+    ``pauses``: when its boxes are at rest, the world waits for further boxes (petmjx/engines/open_world_protocol.py).
+    ``ends_when_gone``: the world is a trial, which ends when a box is gone (``petmjx.engines.metrics.GONE_TILT``).
     ``most_steps`` is the number of steps after which the world leaves a GPU (petmjx/engines/warp/continued_worlds.py).
 
     Placing: ``start`` is the release pose of a box whose ``support`` is at its planned place. If the support has sunk
@@ -61,8 +61,9 @@ class Worlds(NamedTuple):
     ``way_offset`` from ``start``. The path of a carried box has ``way_steps`` steps; for a box that falls,
     ``way_steps`` is 0. At the end of the path, boxes are set down, unless they are released to fall
     (petmjx/world/approach_paths.py). ``hand_force``, N, and ``hand_speed``, m/s, are a hand's limits. ``way_aside``, m,
-    is how far a box may start to the side, towards the low and the high end of x and y. ``wrap_press`` and
-    ``wrap_hold``, N, are the forces of film (petmjx/world/film.py).
+    is the largest distance by which the start of a path may be moved aside: towards low and towards high coordinates
+    (axis 2), along x and along y (axis 3). ``wrap_press`` and ``wrap_hold``, N, are the forces of film
+    (petmjx/world/film.py).
     """
 
     n_boxes: Int[Array, " world"]

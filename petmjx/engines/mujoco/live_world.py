@@ -129,7 +129,7 @@ class LiveWorld:
         self._take(ModelInstance(model, mujoco.MjData(model)))
 
     def _take(self, instance: ModelInstance) -> None:
-        """Continue with this model and its data. The bodies must be in the order ``order``."""
+        """Use this model and its data from now on. The bodies must be in the order ``order``."""
         self.model, self.data = instance
         self.capacity = len(self.order)
         self._row = np.argsort(self.order)

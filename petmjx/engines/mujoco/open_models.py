@@ -39,7 +39,8 @@ class ModelInstance(NamedTuple):
 
 
 def set_options(model: mujoco.MjModel, sim: Simulation) -> None:
-    """Set the options of a model that are not part of its physics."""
+    """Set the options of a model that ``Simulation.physics`` does not contain: the solver and its limits, and switches
+    of MuJoCo."""
     model.opt.solver = _SOLVER[sim.solver]
     if sim.solver_iterations is not None:
         model.opt.iterations = sim.solver_iterations
@@ -140,7 +141,8 @@ class _Template:
         self._spare.append(filled)
 
     def _fill(self, model: mujoco.MjModel, scene: Scene, order: NDArray[np.intp]) -> None:
-        """Write all values that depend on boxes and friction. MuJoCo computes the values that follow from them."""
+        """Write all values that depend on boxes and friction into the model. MuJoCo computes the model's other values
+        from these."""
         physics, body, geom = self._physics, self._first_body, self._first_geom
         model.opt.gravity[:] = (0.0, 0.0, -physics.gravity_m_s2)
         half = scene.half_size[order] + physics.skin_m

@@ -74,7 +74,7 @@ class OracleMetrics:
         return self._max_top_force_n
 
     def _work_off(self) -> None:
-        """Compute the forces of all collected steps."""
+        """Compute the forces on tops in all steps collected so far, and include them in the largest forces."""
         if self._pressed:
             steps, self._pressed = self._pressed, []
             self.add_forces(largest_top_forces(steps, len(self._max_top_force_n)))

@@ -206,8 +206,8 @@ class SoftWorld(LiveWorld):
         self.n_placed += 1
 
     def _top_of_supports(self, box: int) -> float:
-        """How much higher than planned the surface below a box is now, m: the highest point of the box's supports
-        within the areas that overlap the box."""
+        """How much higher than planned the surface below a box is now, m. The surface is at the highest point of the
+        box's supports within the areas that overlap the box."""
         scene = self.scene
         low, high = scene.target - scene.half_size, scene.target + scene.half_size
         if self._sim.physics.falls_into_place:

@@ -60,8 +60,9 @@ class Trembling:
         ``which``, no box counts as staying shortly after a placement.
 
         Args:
-            moved_m: (n,) distances by which the boxes moved in the last ``still_steps`` steps, m, if the rule for the
-                end is applied; 0 at a look. The larger of this distance and ``away_m`` counts.
+            moved_m: (n,) distances by which the boxes moved in the last ``still_steps`` steps, m, if the world is at
+                its end; zeros if the caller only checks whether the pallet is quiet (a look). The larger of this
+                distance and ``away_m`` counts.
         """
         if len(self.boxes) != len(moved_m):
             return np.zeros(len(moved_m), bool)

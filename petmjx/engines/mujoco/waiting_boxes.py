@@ -23,15 +23,16 @@ _NAME = "waiting"
 _MASS_KG = 1.0
 _PARKING_M = 100.0
 _STOP_STIFFNESS = 99.0
-"""Constraint weight of the stop, divided by the body's mass: impedance / (1 − impedance) with solimp 0.99."""
+"""Weight in the solver of the constraint with which the stop holds the small body, divided by the mass of this body:
+impedance / (1 − impedance) with solimp 0.99."""
 _FLOOR_STIFFNESS = 396.0
 """Sum of the constraint weights of the four pyramidal contacts of a box with the floor (solimp 0.99, friction 1),
 divided by the box's mass."""
 
 
 def add_waiting(spec: mujoco.MjSpec, physics: Physics) -> None:
-    """Add the body that represents the waiting boxes. The constraint of the body's stop comes before the constraints of
-    all boxes in the model."""
+    """Add the body that represents the waiting boxes, and its stop (the lower limit of its sliding joint). In the
+    model, the constraint of the stop comes before the constraints of all boxes."""
     body = spec.worldbody.add_body(name=_NAME, pos=[0.0, 0.0, -_PARKING_M])
     body.mass = _MASS_KG
     body.inertia = np.ones(3)

@@ -289,8 +289,8 @@ class WorldRun:
         quiet = self._look_for_quiet() and self._waits.adapts
         enough = self._sim.waits_for_rest or self._step - self._waits.since >= self._sim.quiet.landing_steps
         if self._waits.in_drive and self._step > self._end - 2 * self._rest_steps:
-            # The drive ends at its planned end: a rest window that began now would end only after the beginning of the
-            # rest window at this planned end.
+            # It is too late for an early end of the drive: a rest window that began now would overlap the rest window
+            # before the planned end.
             self._waiting = False
         elif (quiet and enough) or self._step >= self._waits.deadline(self._sign):
             self.paused = self._pauses and self._live.n_placed == self._scene.n_boxes
@@ -347,7 +347,8 @@ class WorldRun:
         return self._sign_step if self._metrics.has_failed else None
 
     def _set_end(self, step: int) -> None:
-        """Set the last step, and the step from which on boxes must not move."""
+        """Set the last step of the world, and the step after which boxes must not move if the world is to end at
+        rest."""
         self._end = step
         self._still_from = max(step - min(self._rest_steps, self._sim.quiet.still_steps), self._step)
         self._keep_still_pose()
