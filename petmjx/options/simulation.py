@@ -25,9 +25,9 @@ from petmjx.options.wrap import Wrap
 # numbers would become infinite, a run would not end, or tables would be too long to be useful.
 LONGEST_INTERVAL_S: Final = 40.0
 LONGEST_S: Final = 600.0
-"""Largest value of options that are times, s. ``LONGEST_INTERVAL_S`` limits ``interval_s`` and ``longest_wait_s``. With
-``LONGEST_INTERVAL_S`` as the limit, the number of steps of a simulation fits into 32 bits, even with the shortest
-timestep and 512 boxes."""
+"""Largest values of options that are times, s: ``LONGEST_INTERVAL_S`` for ``interval_s`` and ``longest_wait_s``, which
+are spent once per box, and ``LONGEST_S`` for the other times. With ``LONGEST_INTERVAL_S``, the number of steps of a
+simulation fits into 32 bits, even with the shortest timestep and 512 boxes."""
 MOST_STEPS: Final = 100_000
 MOST_ITERATIONS: Final = 1_000_000_000
 """Largest ``iteration_limit``. Attempts with a smaller timestep do not have a larger limit either, since counts of

@@ -148,8 +148,8 @@ def way_steps(
 
 
 def progress(step: int, steps: int) -> float:
-    """Share of a path that is covered after ``step`` of its ``steps`` steps: 3t² − 2t³ with t = step / steps. The speed
-    is 0 at both ends of the path."""
+    """Share of a path that a box has covered at step number ``step``, if the whole path takes ``steps`` steps: 3t² −
+    2t³ with t = step / steps. The speed is 0 at both ends of the path."""
     share = min(max(step / steps, 0.0), 1.0)
     return share * share * (3.0 - 2.0 * share)
 

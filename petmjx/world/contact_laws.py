@@ -144,8 +144,9 @@ LEAST_M_S2: Final = ENOUGH_M_S2 / 10
 changes are within the solver's tolerance."""
 
 MOST_LEFT: Final = 0.6
-"""Largest part of the change of a slip excess that is assumed to remain after an iteration. If a larger part seems to
-remain, other contacts have changed the slip excess."""
+"""Upper limit of the estimate of how much of the change of a slip excess still remains to be made after an iteration
+(``next_share``), as a share of the change before the iteration. If a larger share remains, other contacts have changed
+the slip excess."""
 
 
 def slack_m_s2(physics: Physics) -> float:

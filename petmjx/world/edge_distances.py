@@ -325,8 +325,8 @@ def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArr
 
 
 def _shared_parts(bearing: Bearing, keys: IntArray, parts: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Divide weights among supports, down to the carrier. Returns (k,) keys and (k, 3) parts of boxes' weights: the
-    part that each box with several supports carries, and the parts that the boxes below it carry.
+    """Divide weights among supports, down to the carrier. Returns (k,) keys and (k, 3) parts of weights: the parts that
+    boxes with several supports carry, and the parts that the boxes below them carry.
 
     A key is a number that names a part: (number of the box that carries the part) · n + (number of the box to whose
     weight the part belongs), for n boxes.
@@ -510,12 +510,12 @@ def balanced_after(bearing: Bearing, built: BuildingLoads, step: int) -> tuple[I
 
 
 def _least(built: BuildingLoads) -> LeastBuildingEdge:
-    """The smallest distance of a load from an edge in one scene."""
+    """The smallest distance of any load of one scene from an edge of the loaded box's supports."""
     return _least_of_scenes(built, np.zeros(len(built.box), np.intp), np.array([0, 0]))[0]
 
 
 def _least_of_scenes(built: BuildingLoads, scene: IntArray, first: IntArray) -> list[LeastBuildingEdge]:
-    """The smallest distance of a load from an edge in each scene.
+    """For each scene, the smallest distance of any of its loads from an edge of the loaded box's supports.
 
     Args:
         built: the loads of all scenes.
