@@ -69,8 +69,8 @@ boxes on 2,048 pallets took 155 ms with one thread, 118 ms with two, 141 ms with
 CPU of a machine with an H200 GPU."""
 
 _FEW: Final = 2
-"""Largest number of pieces that the calling thread processes alone. With two pieces or fewer, other threads would start
-too late to help."""
+"""Largest number of calls that ``on_threads`` makes on the calling thread alone. For one or two calls, other threads
+would start too late to help."""
 
 Piece = TypeVar("Piece")
 Result = TypeVar("Result")

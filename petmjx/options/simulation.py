@@ -2,8 +2,8 @@
 
 petmjx/options/run_options.py has the options for how and where a run is computed. Defaults, units, checks and
 descriptions are defined only here. The arguments of ``petmjx.score`` and ``petmjx.sweep``, the options of the command
-line and the ``[simulation]`` table of sweep files are generated from these records. ``run.json`` stores the values of
-the options.
+line and the ``[simulation]`` table of sweep files are generated from the records in the two modules. ``run.json``
+stores the values of the options.
 """
 
 from __future__ import annotations
@@ -165,7 +165,8 @@ class Quiet(CheckedRecord):
 
     @property
     def tremble_looks(self) -> int:
-        """How often the simulation checks, within ``tremble_steps`` steps, whether the pallet is quiet; rounded up."""
+        """Number of times that the simulation checks within ``tremble_steps`` steps whether the pallet is quiet,
+        rounded up."""
         return -(-self.tremble_steps // self.poll_steps)
 
 

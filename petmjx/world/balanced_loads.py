@@ -28,7 +28,7 @@ from petmjx.world.pushing_forces import IntArray
 from petmjx.world.supports import Bearing
 
 FAR_M: Final = 0.1
-"""The programme moves no load further inside the edges than this distance, m."""
+"""The linear programme moves no load further inside the edges than this distance, m."""
 
 BEYOND_M: Final = 1e-6
 """Distance beyond an edge, m, that a load must exceed in the programme's result to count as beyond the edge. The

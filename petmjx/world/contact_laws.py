@@ -106,9 +106,9 @@ def cone_factor(physics: Physics, one: FloatArray | float, two: FloatArray | flo
 SLACK_M_S2: Final = 5.0
 """Part of the slip excess of a sliding contact (see the module's docstring) that is not corrected, m/s². A slip of 1
 cm/s has a slip excess of 5 m/s² if the time constant of friction is 4 ms. Boxes at rest slip more slowly, so pallets at
-rest are bit-identical with and without the correction. While the contact is soft, a slip excess of ``SLACK_M_S2`` that
-is not corrected raises the contact by less than a hundredth of a millimetre. Stiff contacts (``is_stiff``) are not soft
-at any depth, so their whole slip excess is corrected."""
+rest are bit-identical with and without the correction. At small depths, where contacts are soft, a slip excess of
+``SLACK_M_S2`` that is not corrected raises the box by less than a hundredth of a millimetre. Stiff contacts
+(``is_stiff``) are not soft at any depth, so their whole slip excess is corrected."""
 
 STICKS_M_S: Final = 0.01
 """Slip speed up to which a contact has its static friction, m/s. At twice this speed and above, the contact has its

@@ -230,7 +230,8 @@ _NO_EDGE: Final = LeastBuildingEdge(np.nan, -1, -1, np.nan, -1, -1)
 
 
 def building_edges(bearing: Bearing, placed: Sequence[int]) -> list[LeastBuildingEdge]:
-    """The smallest distance of a load from an edge in each scene, while boxes are placed one by one.
+    """For each scene, the smallest distance of any load from an edge of the loaded box's supports, while boxes are
+    placed one by one.
 
     Args:
         bearing: the contacts between boxes and their supports, of one or several scenes.
@@ -333,8 +334,8 @@ def _shared_parts(bearing: Bearing, keys: IntArray, parts: FloatArray) -> tuple[
 
     Args:
         bearing: the contacts between boxes and their supports.
-        keys, parts: the keys of the boxes with several supports on which whole weights act, and these weights. A whole
-            weight is the weight of the box itself, or one that single supports pass down to it.
+        keys, parts: the parts from which the division starts, and their keys: for each box with several supports, its
+            own weight, and the weights that boxes with a single support pass down to it undivided.
     """
     n = len(bearing.boxes.mass)
     between = np.flatnonzero(bearing.lower != CARRIER)

@@ -289,8 +289,8 @@ def _add_shapes(
 def _set_inertia(body: mujoco.MjsBody, scene: Scene, physics: Physics, number: int) -> None:
     """Set the mass and the moments of inertia of a body.
 
-    For a solid box without a skin, MuJoCo computes the moments, as in the reference implementation. MuJoCo's moments
-    differ from those of petmjx in the last digits.
+    For a solid box whose geom is not larger than the box (``Physics.skin_m`` is 0), MuJoCo computes the moments, as in
+    the reference implementation. MuJoCo's moments differ from those of petmjx in the last digits.
     """
     mass = scene.carrier.mass if number == CARRIER else float(scene.mass[number])
     carrier = scene.carrier
