@@ -57,6 +57,6 @@ def lowering_rate_1_s(timestep_s: float) -> float:
 
 
 def stuck_steps(timestep_s: float) -> int:
-    """Largest number of steps for which the hand holds a box at the end of its path, and largest number of steps that
-    the hand then takes to set the box down."""
+    """The hand holds a box at the end of its path for at most this number of steps, and then takes at most this number
+    of steps to set the box down."""
     return int(MOST_STUCK_S / timestep_s)

@@ -162,8 +162,8 @@ def _cone_projection(point: FloatArray) -> tuple[FloatArray, FloatArray]:
 def on_edges(
     load: FloatArray, owner: IntArray, low: FloatArray, high: FloatArray, hulls: HullTable, hull: IntArray
 ) -> FloatArray:
-    """(c, 3) force at each contact, and the force's first moments along x and y (force × coordinate). Each load acts on
-    or beyond an edge of the convex hull of the contacts that carry the load.
+    """(c, 3) force at each contact, and the force's first moments along x and y (force × coordinate). Each load must
+    act on or beyond an edge of the convex hull of the contacts that carry the load.
 
     Only the two outermost corners on the nearest edge carry the load, as if the box began to tip over.
 
