@@ -158,8 +158,8 @@ def no_collection(*, lasting: bool = False) -> Iterator[None]:
 
     Args:
         lasting: whether most of the objects that the body makes last until the process ends, as those of imported
-            libraries do. In the command ``petmjx``, later collections then do not scan the objects that exist at the
-            end of the body.
+            libraries do. If so, and if the process runs nothing but the command ``petmjx``, later collections do not
+            scan the objects that exist at the end of the body.
     """
     enabled = gc.isenabled()
     gc.disable()

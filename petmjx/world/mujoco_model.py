@@ -210,7 +210,8 @@ def _declare_pairs(
 
 @lru_cache(maxsize=256)
 def _partners(scene: Scene, physics: Physics, held: bool = False) -> dict[int, list[_Partner]]:
-    """The geoms of each body and of the floor. ``held`` is True if the carrier is clamped."""
+    """The geoms of each body and of the floor, by the number of the box, ``CARRIER`` or ``FLOOR``. ``held`` is True if
+    the carrier is clamped."""
     partners = {FLOOR: [_Partner(FLOOR_NAME, scene.floor_friction, 0.0)], CARRIER: []}
     shapes = scene.shapes
     faces = _faces(scene, held)

@@ -152,7 +152,7 @@ before the edges touch: at a gap of up to 0.7 × the skins of both boxes. A skin
 enlarges a box (docs/rules.md, section 1)."""
 
 _KNOWN_TO_M: Final = 1e-6
-"""Tolerance of ``CLEAR_M``, m. The tolerance is a hundredth of the depth of contacts at rest."""
+"""Tolerance of the gap ``CLEAR_M``, m. The tolerance is a hundredth of the depth of contacts at rest."""
 
 _MOST_ROUNDS: Final = 500
 """Largest number of rounds of Hildreth's method (see ``make_room``). A row of 12 boxes needs 200 rounds. If boxes still
