@@ -275,7 +275,7 @@ def by_entry(key: str) -> Discriminator:
 
 
 def shown_value(value: object) -> str:
-    """The end of a message with "got" and the value, in one line of limited length."""
+    """The end of an error message: "got" and the wrong value, in one line of limited length."""
     try:
         text = repr(value)
     except (ValueError, RecursionError):

@@ -17,4 +17,4 @@ class PlanWarning(UserWarning):
 
 
 class EngineUnavailable(PetmjxError):
-    """An engine cannot run on this machine. The text gives the reason."""
+    """An engine cannot run on this machine. The error's text gives the reason."""

@@ -15,8 +15,8 @@ import numpy as np
 from petmjx.common.units import FloatArray
 
 _NAME: Final = "scipy.optimize._highspy._core"
-"""The name of the module in SciPy since 1.15. The module can be loaded only once in a process. So it is loaded under
-this name, and a later ``import scipy.optimize`` finds the loaded module."""
+"""The name that SciPy, since version 1.15, gives to its module with HiGHS. The module can be loaded only once in a
+process. So petmjx loads the module under this name, and a later ``import scipy.optimize`` finds the loaded module."""
 
 _USED: Final = ("HighsLp", "HighsModelStatus", "HighsOptions", "HighsStatus", "HighsVarType", "MatrixFormat", "_Highs")
 """Names in SciPy's module that petmjx uses."""

@@ -108,7 +108,7 @@ def jax_devices(platform: str | None = None) -> list[Any]:
         platform: one of JAX's platforms, such as "cuda". If ``platform`` is None, JAX chooses the platform.
 
     Raises:
-        RuntimeError: JAX has no such devices.
+        RuntimeError: JAX has no device of this platform.
     """
     import jax
 

@@ -69,8 +69,8 @@ boxes on 2,048 pallets took 155 ms with one thread, 118 ms with two, 141 ms with
 CPU of a machine with an H200 GPU."""
 
 _FEW: Final = 2
-"""Largest number of pieces that the calling thread processes alone. With two pieces or fewer, other threads would start
-too late to help."""
+"""Largest number of calls that ``on_threads`` makes on the calling thread alone. For one or two calls, other threads
+would start too late to help."""
 
 Piece = TypeVar("Piece")
 Result = TypeVar("Result")
@@ -158,8 +158,8 @@ def no_collection(*, lasting: bool = False) -> Iterator[None]:
 
     Args:
         lasting: whether most of the objects that the body makes last until the process ends, as those of imported
-            libraries do. In the command ``petmjx``, later collections then do not scan the objects that exist at the
-            end of the body.
+            libraries do. If so, and if the process runs nothing but the command ``petmjx``, later collections do not
+            scan the objects that exist at the end of the body.
     """
     enabled = gc.isenabled()
     gc.disable()

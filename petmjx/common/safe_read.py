@@ -82,7 +82,8 @@ class _Pipes:
 
 
 _pipes: _Pipes | None = None
-"""The pipes of the command line. A process runs at most one command line, and all threads share this variable."""
+"""The pipes that are named on the command line that this process runs. If ``_pipes`` is None, no command line runs. A
+process runs at most one command line, and all threads share this variable."""
 
 
 @contextmanager

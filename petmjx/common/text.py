@@ -81,8 +81,8 @@ def box_label(box: int, article: str) -> str:
 
 
 def blanked(text: str) -> str:
-    """Spaces and line ends, as many as the text has characters. In their place, messages about the text around them
-    still name the right line and column."""
+    """The text with a space in place of each character, except line ends. If a part of a file's text is replaced by its
+    blanked form, messages about the rest still name the right line and column."""
     return re.sub(r"[^\n]", " ", text)
 
 

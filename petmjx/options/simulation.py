@@ -2,8 +2,8 @@
 
 petmjx/options/run_options.py has the options for how and where a run is computed. Defaults, units, checks and
 descriptions are defined only here. The arguments of ``petmjx.score`` and ``petmjx.sweep``, the options of the command
-line and the ``[simulation]`` table of sweep files are generated from these records. ``run.json`` stores the values of
-the options.
+line and the ``[simulation]`` table of sweep files are generated from the records in the two modules. ``run.json``
+stores the values of the options.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from petmjx.options.wrap import Wrap
 # numbers would become infinite, a run would not end, or tables would be too long to be useful.
 LONGEST_INTERVAL_S: Final = 40.0
 LONGEST_S: Final = 600.0
-"""Largest value of options that are times, s. ``LONGEST_INTERVAL_S`` limits ``interval_s`` and ``longest_wait_s``. With
-``LONGEST_INTERVAL_S`` as the limit, the number of steps of a simulation fits into 32 bits, even with the shortest
-timestep and 512 boxes."""
+"""Largest values of options that are times, s: ``LONGEST_INTERVAL_S`` for ``interval_s`` and ``longest_wait_s``, which
+are spent once per box, and ``LONGEST_S`` for the other times. With ``LONGEST_INTERVAL_S``, the number of steps of a
+simulation fits into 32 bits, even with the shortest timestep and 512 boxes."""
 MOST_STEPS: Final = 100_000
 MOST_ITERATIONS: Final = 1_000_000_000
 """Largest ``iteration_limit``. Attempts with a smaller timestep do not have a larger limit either, since counts of
@@ -165,7 +165,8 @@ class Quiet(CheckedRecord):
 
     @property
     def tremble_looks(self) -> int:
-        """How often the simulation checks, within ``tremble_steps`` steps, whether the pallet is quiet; rounded up."""
+        """Number of times that the simulation checks within ``tremble_steps`` steps whether the pallet is quiet,
+        rounded up."""
         return -(-self.tremble_steps // self.poll_steps)
 
 

@@ -148,8 +148,8 @@ def way_steps(
 
 
 def progress(step: int, steps: int) -> float:
-    """Share of a path that is covered after ``step`` of its ``steps`` steps: 3t² − 2t³ with t = step / steps. The speed
-    is 0 at both ends of the path."""
+    """Share of a path that a box has covered at step number ``step``, if the whole path takes ``steps`` steps: 3t² −
+    2t³ with t = step / steps. The speed is 0 at both ends of the path."""
     share = min(max(step / steps, 0.0), 1.0)
     return share * share * (3.0 - 2.0 * share)
 
@@ -214,8 +214,8 @@ def _overlap(
 
 
 def _approaches(beside: NDArray[np.bool_], approaches: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-    """(…, n, 2) horizontal directions in which boxes move to their places, and (…, n, 2) a unit vector along x or y for
-    each box.
+    """(…, n, 2) horizontal directions in which boxes move to their places, and (…, n, 2) the forward directions that
+    the boxes would have on tines: a unit vector along x or y for each box.
 
     A box starts beside its place, at the horizontal distance (length of its direction) × (option ``placing.side_mm``).
     If the plan gives no direction, a box moves along x towards the side that has a neighbour, provided that the

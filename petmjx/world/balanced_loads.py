@@ -28,7 +28,7 @@ from petmjx.world.pushing_forces import IntArray
 from petmjx.world.supports import Bearing
 
 FAR_M: Final = 0.1
-"""The programme moves no load further inside the edges than this distance, m."""
+"""The linear programme moves no load further inside the edges than this distance, m."""
 
 BEYOND_M: Final = 1e-6
 """Distance beyond an edge, m, that a load must exceed in the programme's result to count as beyond the edge. The
@@ -121,7 +121,7 @@ def _solved_loads(
     - the forces at the four corners of each contact in ``contacts``,
     - the distance by which each load is beyond an edge,
     - for each box with several supports, moments that no support balances,
-    - the smallest distance of any load inside its edges.
+    - the distance inside the edges of the load that is nearest to an edge.
     """
     middle = load[changed, 1:].sum(axis=0) / load[changed, 0].sum()
     mean = load[changed, 0].mean()

@@ -3,14 +3,15 @@
 A load F on top of a box of stiffness k compresses the box by F/k. In this model, half of the compression is at the top
 face, and half at the bottom face. So a box sinks by m·g/2k under its own weight. A face is a bed of springs (Winkler
 1867, "Die Lehre von der Elasticität und Festigkeit") with a stiffness of 2k/A per area, where A is the area of the
-face. If two faces press on one another, their beds of springs are in series. The contact has the stiffness of the area
-that the two faces share in the plan. So a box sinks deeper if less of its base is supported, and a narrow box presses
-deeper into its support.
+face. If two faces press on one another, their beds of springs are in series. The stiffness of the contact is
+proportional to the area in which the two faces overlap, seen from above, at the boxes' planned places. So a box sinks
+deeper if less of its base is supported, and a narrow box presses deeper into its support.
 
 At rest, MuJoCo's contact of impedance d and time constant τ is the spring f = x / (τ²·ζ²·(1 − d)·A), where A is the sum
 of the inverse masses (petmjx/world/contact_laws.py). By this formula, each stiffness f / x corresponds to an impedance
 d. If a stiffness corresponds to an impedance below ``LEAST_IMPEDANCE``, the contact gets the impedance
-``LEAST_IMPEDANCE`` and a longer time constant. No box can be stiffer than the contacts of ``Physics``.
+``LEAST_IMPEDANCE`` and a longer time constant. No impedance is larger than the largest one in ``Physics.solimp``, which
+limits the stiffness of boxes.
 """
 
 from __future__ import annotations
@@ -50,9 +51,10 @@ at most 0.28 × the width away from the middle of the area."""
 OUTWARD: Final = 0.6
 """Factor by which the pressure on a face moves outward if only a small share of the face is pressed. If the pressed
 share of a face is below ``EDGE_SHARE``, the pressure moves towards the deepest edge, by this factor × (``EDGE_SHARE`` /
-share − 1) × the distance to that edge. If a quarter of the face is pressed, the pressure reaches the edge. For the
-force F, the stiffness k and the width L of the common area, the angle between the two faces is then 12 F / (k·L), rad.
-At this angle, of the nine points at which Simpson's rule evaluates the pressure, only those at one edge carry load."""
+share − 1) × the distance to that edge. If a quarter of the face is pressed, the pressure reaches the edge. The angle
+between the two faces is then 12 F / (k·L), rad, for a contact with the force F, whose common area has the width L, and
+whose stiffness is k if the whole common area is pressed. At this angle, of the nine points at which Simpson's rule
+evaluates the pressure, only those at one edge carry load."""
 
 FACE_COSINE: Final = 0.5
 """Two faces press on one another if the cosine of the angle between one face's normal and the other face's reversed
@@ -82,8 +84,9 @@ def compliances(stiffness_n_m: FloatArray, half_size: FloatArray) -> FloatArray:
 
 
 def shared_area_m2(one: Face, two: Face) -> float:
-    """Area over which two shapes press on one another in the plan, m². If neither shape is above the other, the area is
-    that of the smaller shape."""
+    """Area in which two shapes overlap, seen from above, at their planned places, m². If they overlap by less than
+    ``LEAST_SHARE`` of the smaller shape, the area is this share. If neither shape is above the other, the area is that
+    of the smaller shape."""
     (ax, ay, az), (bx, by, bz) = one.middle, two.middle
     (al, aw, ah), (bl, bw, bh) = one.half, two.half
     smaller = 4.0 * min(al * aw, bl * bw)

@@ -106,9 +106,9 @@ def cone_factor(physics: Physics, one: FloatArray | float, two: FloatArray | flo
 SLACK_M_S2: Final = 5.0
 """Part of the slip excess of a sliding contact (see the module's docstring) that is not corrected, m/s². A slip of 1
 cm/s has a slip excess of 5 m/s² if the time constant of friction is 4 ms. Boxes at rest slip more slowly, so pallets at
-rest are bit-identical with and without the correction. While the contact is soft, a slip excess of ``SLACK_M_S2`` that
-is not corrected raises the contact by less than a hundredth of a millimetre. Stiff contacts (``is_stiff``) are not soft
-at any depth, so their whole slip excess is corrected."""
+rest are bit-identical with and without the correction. At small depths, where contacts are soft, a slip excess of
+``SLACK_M_S2`` that is not corrected raises the box by less than a hundredth of a millimetre. Stiff contacts
+(``is_stiff``) are not soft at any depth, so their whole slip excess is corrected."""
 
 STICKS_M_S: Final = 0.01
 """Slip speed up to which a contact has its static friction, m/s. At twice this speed and above, the contact has its
@@ -144,8 +144,9 @@ LEAST_M_S2: Final = ENOUGH_M_S2 / 10
 changes are within the solver's tolerance."""
 
 MOST_LEFT: Final = 0.6
-"""Largest part of the change of a slip excess that is assumed to remain after an iteration. If a larger part seems to
-remain, other contacts have changed the slip excess."""
+"""Upper limit of the estimate of how much of the change of a slip excess still remains to be made after an iteration
+(``next_share``), as a share of the change before the iteration. If a larger share remains, other contacts have changed
+the slip excess."""
 
 
 def slack_m_s2(physics: Physics) -> float:

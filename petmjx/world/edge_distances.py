@@ -230,7 +230,8 @@ _NO_EDGE: Final = LeastBuildingEdge(np.nan, -1, -1, np.nan, -1, -1)
 
 
 def building_edges(bearing: Bearing, placed: Sequence[int]) -> list[LeastBuildingEdge]:
-    """The smallest distance of a load from an edge in each scene, while boxes are placed one by one.
+    """For each scene, the smallest distance of any load from an edge of the loaded box's supports, while boxes are
+    placed one by one.
 
     Args:
         bearing: the contacts between boxes and their supports, of one or several scenes.
@@ -325,16 +326,16 @@ def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArr
 
 
 def _shared_parts(bearing: Bearing, keys: IntArray, parts: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Divide weights among supports, down to the carrier. Returns (k,) keys and (k, 3) parts of boxes' weights: the
-    part that each box with several supports carries, and the parts that the boxes below it carry.
+    """Divide weights among supports, down to the carrier. Returns (k,) keys and (k, 3) parts of weights: the parts that
+    boxes with several supports carry, and the parts that the boxes below them carry.
 
     A key is a number that names a part: (number of the box that carries the part) · n + (number of the box to whose
     weight the part belongs), for n boxes.
 
     Args:
         bearing: the contacts between boxes and their supports.
-        keys, parts: the keys of the boxes with several supports on which whole weights act, and these weights. A whole
-            weight is the weight of the box itself, or one that single supports pass down to it.
+        keys, parts: the parts from which the division starts, and their keys: for each box with several supports, its
+            own weight, and the weights that boxes with a single support pass down to it undivided.
     """
     n = len(bearing.boxes.mass)
     between = np.flatnonzero(bearing.lower != CARRIER)
@@ -510,12 +511,12 @@ def balanced_after(bearing: Bearing, built: BuildingLoads, step: int) -> tuple[I
 
 
 def _least(built: BuildingLoads) -> LeastBuildingEdge:
-    """The smallest distance of a load from an edge in one scene."""
+    """The smallest distance of any load of one scene from an edge of the loaded box's supports."""
     return _least_of_scenes(built, np.zeros(len(built.box), np.intp), np.array([0, 0]))[0]
 
 
 def _least_of_scenes(built: BuildingLoads, scene: IntArray, first: IntArray) -> list[LeastBuildingEdge]:
-    """The smallest distance of a load from an edge in each scene.
+    """For each scene, the smallest distance of any of its loads from an edge of the loaded box's supports.
 
     Args:
         built: the loads of all scenes.

@@ -23,7 +23,8 @@ from petmjx.plans.plan import Plan
 from petmjx.world.carrier_boards import carrier_surfaces
 
 MOST_SURFACES: Final = 16
-"""Number of rows of a world's table on a GPU, and so the largest number of surfaces, including surface 0."""
+"""Number of rows, one per surface, of a world's tables of friction and landings on a GPU, and so the largest number of
+surfaces, including surface 0."""
 
 LARGER: Final = -1.0
 """Marks an entry of a friction table without a coefficient. A contact with this entry has the larger coefficient of the
@@ -58,9 +59,9 @@ def scaled_pairs(
 
 
 def filled_up(table: FloatArray | None, entry: tuple[int, ...] = ()) -> FloatArray:
-    """(``MOST_SURFACES``, ``MOST_SURFACES``, …) a world's table of friction, of kinetic friction, or of landings
-    (restitution and landing time). All entries that ``table`` lacks are ``FROM_PHYSICS``, which means "no value" and
-    equals ``LARGER``.
+    """(``MOST_SURFACES``, ``MOST_SURFACES``, …) a world's table with an entry for each pair of surfaces: friction,
+    kinetic friction, or landings (restitution and landing time). Entries that ``table`` lacks are ``FROM_PHYSICS``,
+    which means "no value" and equals ``LARGER``.
 
     Args:
         table: (k, k, …) the table. If ``table`` is None, no entry has a value.

@@ -19,7 +19,8 @@ from petmjx.plans.plan import Plan
 from petmjx.world.scene import OF_BOXES, Scene, build_scene, half_size_and_target
 
 FIRST_COLUMNS: Final = 16
-"""Number of boxes for which a table has columns when it is made."""
+"""Number of columns, one per box, that an array of the boxes of worlds has when it is made. The array is widened when a
+world gets more boxes (``widened_table``)."""
 
 
 class OpenScenes:
@@ -34,8 +35,8 @@ class OpenScenes:
         n = len(scenes)
         self._blank, self._carrier = blank, scenes[0].carrier
         self._scenes: NDArray[np.object_] = np.empty(n, object)
-        """The scene of each world, as of the last request for this scene. Boxes that were added after the last request
-        are only in the arrays."""
+        """The scene of each world as it was when it was last requested (``__getitem__``). Boxes that were added later
+        are only in the arrays ``_half_size``, ``_target`` and ``_mass`` until the next request."""
         self._count = np.zeros(n, np.int64)
         self._half_size, self._target = (np.full((n, FIRST_COLUMNS, 3), np.nan) for _ in range(2))
         self._mass: FloatArray = np.full((n, FIRST_COLUMNS), np.nan)

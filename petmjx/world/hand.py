@@ -1,8 +1,8 @@
 """The hand that carries a box to its place: its spring, how it sets the box down, and when it releases the box.
 
 The hand is a spring and a damper that pull the box towards a point. The point moves smoothly along the box's path
-(petmjx.world.approach_paths). docs/rules.md, section 4, has all rules. The option record ``petmjx.options.placing``
-limits the hand's force and speed.
+(petmjx.world.approach_paths). docs/rules.md, section 4, has all rules. The options in
+``petmjx.options.placing.Placing`` limit the hand's force and speed.
 """
 
 from __future__ import annotations
@@ -57,6 +57,6 @@ def lowering_rate_1_s(timestep_s: float) -> float:
 
 
 def stuck_steps(timestep_s: float) -> int:
-    """Largest number of steps for which the hand holds a box at the end of its path, and largest number of steps that
-    the hand then takes to set the box down."""
+    """The hand holds a box at the end of its path for at most this number of steps, and then takes at most this number
+    of steps to set the box down."""
     return int(MOST_STUCK_S / timestep_s)

@@ -81,9 +81,9 @@ def pieces_of_sheets(
 def with_pallets(
     plan: Plan, half_size: FloatArray, mass_center: FloatArray | None
 ) -> tuple[tuple[Pieces, ...], FloatArray | None, FloatArray | None]:
-    """The boards of the pallets in a plan, and (n, 3) centres of mass and (n, 3) inertia boxes of all its boxes.
-
-    The three results are the fields ``pieces``, ``mass_center`` and ``inertia_box`` of ``Scene``.
+    """Three fields of ``Scene`` for a plan: ``pieces``, the boards of the pallets among the boxes; ``mass_center``,
+    (n, 3) centres of mass of all boxes, m; and ``inertia_box``, (n, 3) half extents of solid boxes with the same
+    inertia, m.
 
     Args:
         half_size: (n, 3) half extents of the boxes, m. Boards are scaled to the size of their pallet.

@@ -50,8 +50,9 @@ class Drive:
     rest_s: float = 1.0
     """Time that the boxes have to come to rest after the last sample of the excitation, s."""
     allowed_sway_m: float = 0.0
-    """Smallest sway, m, with which a culprit (the box that failed first) that tilts too far counts as lost. While the
-    culprit has swayed less, the pallet may still pass the test that the profile stands for."""
+    """If the culprit (the box that failed first) tilts too far, it counts as lost only once it has swayed by at least
+    this distance, m. While the culprit has swayed less, the pallet may still pass the test from which the profile
+    comes."""
 
     def unit(self, total_mass: float) -> float:
         """Factor that converts the excitation's samples to N (forces) or to m/s² (accelerations; the factor is 1).
@@ -97,12 +98,12 @@ class KeptState:
 class Job:
     """One world to simulate.
 
-    With early stop, a world with errors ends not only when a box has dropped, but also when a box is *lost*: tilted by
-    more than the threshold. The verdict depends on the largest tilt, so the verdict is known once a box is lost.
-    Simulating further after a box is lost would be the most expensive part of the simulation. A large shift does not
-    end a world, since it may be temporary: a board that tips when one box is placed on it may become level again when
-    the next box is placed. A world with a drive ends when the culprit (the box that failed first) is lost, since only
-    then is it known how the culprit failed.
+    With early stop, a world in which places of boxes have errors (``has_errors``) ends not only when a box has dropped,
+    but also when a box is *lost*: tilted by more than the threshold. The verdict depends on the largest tilt, so the
+    verdict is known once a box is lost. Simulating further after a box is lost would be the most expensive part of the
+    simulation. A large shift does not end a world, since it may be temporary: a board that tips when one box is placed
+    on it may become level again when the next box is placed. A world with a drive ends when the culprit (the box that
+    failed first) is lost, since only then is it known how the culprit failed.
 
     Attributes:
         scene: the world.
@@ -115,10 +116,10 @@ class Job:
             jobs whose worlds are equal up to the pause (``petmjx.engines.warp.equal_beginnings``). The outcome has no
             state if the world ended earlier. A placement can pause only on engines with ``Capability.PAUSES``, in
             worlds without a drive in which each box is placed as soon as the other boxes are at rest.
-        poses: (n, 7) middles, m, and orientations (w, x, y, z) of the boxes when the drive begins. At the poses
-            ``poses``, the boxes are at rest. So a drive can continue from the poses that another drive left, on any
-            engine. The carrier is where the placement left it, since engines clamp the carrier in acceleration
-            profiles. If ``poses`` is None, the boxes, too, are where the placement left them.
+        poses: (n, 7) middles, m, and orientations (w, x, y, z) with which the boxes, at rest, begin the drive. With
+            ``poses``, a drive can continue where another drive left the boxes, on any engine. The carrier is where the
+            placement left it, since engines clamp the carrier in acceleration profiles. If ``poses`` is None, the
+            boxes, too, are where the placement left them.
         keep_state: whether the outcome must have the state in which the placement has settled. A job with
             ``keep_state`` and no drive may end once the placement has settled, without the time to come to rest.
         record: what to record as the world's history; recording changes no other result.

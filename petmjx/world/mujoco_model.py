@@ -210,7 +210,8 @@ def _declare_pairs(
 
 @lru_cache(maxsize=256)
 def _partners(scene: Scene, physics: Physics, held: bool = False) -> dict[int, list[_Partner]]:
-    """The geoms of each body and of the floor. ``held`` is True if the carrier is clamped."""
+    """The geoms of each body and of the floor, by the number of the box, ``CARRIER`` or ``FLOOR``. ``held`` is True if
+    the carrier is clamped."""
     partners = {FLOOR: [_Partner(FLOOR_NAME, scene.floor_friction, 0.0)], CARRIER: []}
     shapes = scene.shapes
     faces = _faces(scene, held)
@@ -289,8 +290,8 @@ def _add_shapes(
 def _set_inertia(body: mujoco.MjsBody, scene: Scene, physics: Physics, number: int) -> None:
     """Set the mass and the moments of inertia of a body.
 
-    For a solid box without a skin, MuJoCo computes the moments, as in the reference implementation. MuJoCo's moments
-    differ from those of petmjx in the last digits.
+    For a solid box whose geom is not larger than the box (``Physics.skin_m`` is 0), MuJoCo computes the moments, as in
+    the reference implementation. MuJoCo's moments differ from those of petmjx in the last digits.
     """
     mass = scene.carrier.mass if number == CARRIER else float(scene.mass[number])
     carrier = scene.carrier

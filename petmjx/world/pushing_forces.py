@@ -49,8 +49,8 @@ Newton's method ends when errors are below ``_EXACT``. The method also ends if e
 longer shrink to half in a step, because very near an edge, rounding prevents better results."""
 
 _RIDGE: Final = 1e-13
-"""This number × (1 + the trace of the matrix) is added to the diagonal of the matrix of second derivatives. Without the
-added term, the matrix would be singular if only one corner carries load."""
+"""In Newton's method, this number × (1 + trace) is added to the diagonal of the matrix of second derivatives. Without
+the added term, the matrix would be singular if only one corner carries load."""
 
 
 def pulls(force: FloatArray, low: FloatArray, high: FloatArray, load: FloatArray) -> NDArray[np.bool_]:
@@ -162,8 +162,8 @@ def _cone_projection(point: FloatArray) -> tuple[FloatArray, FloatArray]:
 def on_edges(
     load: FloatArray, owner: IntArray, low: FloatArray, high: FloatArray, hulls: HullTable, hull: IntArray
 ) -> FloatArray:
-    """(c, 3) force at each contact, and the force's first moments along x and y (force × coordinate). Each load acts on
-    or beyond an edge of the convex hull of the contacts that carry the load.
+    """(c, 3) force at each contact, and the force's first moments along x and y (force × coordinate). Each load must
+    act on or beyond an edge of the convex hull of the contacts that carry the load.
 
     Only the two outermost corners on the nearest edge carry the load, as if the box began to tip over.
 

@@ -20,7 +20,7 @@ _STRAIGHT_M: Final = 1e-12
 
 
 class HullTable(NamedTuple):
-    """The edges of s hulls. Hulls with fewer than e edges are filled up with edges that are infinitely far away.
+    """The edges of s convex hulls. Hulls with fewer than e edges are filled up with edges that are infinitely far away.
 
     Attributes:
         normal: (s, e, 2) inward normals of the edges.

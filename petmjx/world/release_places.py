@@ -76,8 +76,8 @@ def release_of(scene: Scene, sim: Simulation) -> Release:
 def releases_of(scenes: Sequence[Scene], sim: Simulation) -> Release:
     """The places at which the boxes of scenes are released. The places of a scene do not depend on the other scenes.
 
-    The arrays of all scenes have equal shapes (petmjx.world.scene_arrays). A scene with compliant boxes is the only one
-    in ``scenes``, because its arrays cannot be stacked.
+    The arrays of all scenes must have equal shapes (petmjx.world.scene_arrays). A scene with compliant boxes must be
+    the only one in ``scenes``, because its arrays cannot be stacked.
     """
     start, physics = stacked_values(scenes, "start_pos"), sim.physics
     m, n = start.shape[:2]
@@ -152,7 +152,7 @@ before the edges touch: at a gap of up to 0.7 × the skins of both boxes. A skin
 enlarges a box (docs/rules.md, section 1)."""
 
 _KNOWN_TO_M: Final = 1e-6
-"""Tolerance of ``CLEAR_M``, m. The tolerance is a hundredth of the depth of contacts at rest."""
+"""Tolerance of the gap ``CLEAR_M``, m. The tolerance is a hundredth of the depth of contacts at rest."""
 
 _MOST_ROUNDS: Final = 500
 """Largest number of rounds of Hildreth's method (see ``make_room``). A row of 12 boxes needs 200 rounds. If boxes still
@@ -170,14 +170,13 @@ def make_room(
     reach_m: float,
 ) -> FloatArray:
     """(m, n, 2) horizontal places of the boxes of m worlds, m, at which no box overlaps a box beside it. The places are
-    as near as possible to the given places:
+    as near as possible to the given places: the sum of the squares of all translations is as small as possible.
 
-    the sum of the squares of all translations is as small as possible. Two boxes are kept apart along one axis. This
-    axis is, of the horizontal axes of the two boxes, the one along which the boxes overlap least. The gap between the
-    two boxes must be at least ``CLEAR_M``, or the planned gap if that is smaller; a planned overlap is a negative gap.
-    So each pair gives one linear inequality for the translations. Hildreth's method (Hildreth 1957, "A quadratic
-    programming procedure", Naval Research Logistics Quarterly 4, 79-85) finds the smallest translations, pair by pair.
-    The places in a world do not depend on other worlds.
+    Two boxes are kept apart along one axis: of the horizontal axes of the two boxes, the one along which the boxes
+    overlap least. The gap between the two boxes must be at least ``CLEAR_M``, or the planned gap if that is smaller; a
+    planned overlap is a negative gap. So each pair gives one linear inequality for the translations. Hildreth's method
+    (Hildreth 1957, "A quadratic programming procedure", Naval Research Logistics Quarterly 4, 79-85) finds the smallest
+    translations, pair by pair. The places in a world do not depend on other worlds.
 
     Args:
         place: (m, n, 2) given horizontal places of the boxes' middles, m.

@@ -286,7 +286,7 @@ def plain_scenes(
     counts: Sequence[int],
     sim: Simulation,
 ) -> Iterator[Scene]:
-    """The scene of each plan, for plans with ``has_plain_scene``.
+    """The scene of each plan, for plans for which ``has_plain_scene`` is True.
 
     Args:
         size, corner: (n, 3) extents and corners of the boxes of all plans, plan after plan, mm.

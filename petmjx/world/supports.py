@@ -209,7 +209,7 @@ class Bearing:
         """(k, 3) the part of the upper box's load that each contact carries if supports share loads like equal springs.
 
         Args:
-            contact: (k,) numbers of the contacts. The upper box of each contact has several supports.
+            contact: (k,) numbers of contacts whose upper boxes have several supports.
             load: (k, 3) load of the upper box of each contact.
         """
         number = np.searchsorted(self.together, contact)
@@ -402,8 +402,8 @@ class Bearing:
 
     @cached_property
     def borne_together(self) -> list[IntArray]:
-        """For each group of ``levels``, the numbers of the contacts below those upper boxes of the group that have
-        several supports. Contacts with the carrier are included."""
+        """For each group of ``levels``, numbers of contacts. The upper boxes of these contacts have several supports,
+        and are upper boxes of the group. Their contacts with the carrier are included."""
         groups = []
         upper = self.upper[self.together]
         for between in self.levels:

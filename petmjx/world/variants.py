@@ -246,8 +246,8 @@ below B. So if A and B overlap seen from above, B is set down on A. If the top o
 standing beside B."""
 
 MOST_SPREADS: Final = 5.0
-"""Largest distance of a random error from its mean that is considered, in standard deviations. One normal error in 2
-million is larger."""
+"""``_farthest_m`` assumes that no random error differs from its mean by more than this number of standard deviations.
+One normal error in 2 million does."""
 
 _SAME_HEIGHT_M = 1e-9
 
@@ -476,7 +476,7 @@ def _set_down(scene: Scene, half_size: FloatArray, start_pos: FloatArray, yaw: F
     centre_z = planned_bottom + half_z
     bears: NDArray[np.bool_] = np.any(below, axis=0)
     left: NDArray[np.bool_] = np.any(bears, axis=1)
-    while left.any():  # each pass sets down every box below which all boxes are in place
+    while left.any():  # each pass sets down the boxes whose lower boxes are all set down
         boxes = np.flatnonzero(left & ~np.any(bears & left, axis=1))
         left[boxes] = False
         actual_top = np.where(below[:, boxes], (centre_z + half_z)[:, None], -math.inf).max(axis=2)

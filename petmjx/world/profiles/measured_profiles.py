@@ -34,8 +34,8 @@ MAX_CSV_BYTES = 1 << 20
 MAX_PARQUET_BYTES = 64 << 20
 
 MAX_PUSH_S = 100 * MAX_PROFILE_S
-"""Largest sum of the durations of all windows of a profile, s. Every window is added to the samples separately, so this
-limit also limits the work."""
+"""Largest sum of the durations of all windows of a profile, s. Every window is added to the samples separately, so the
+limit also bounds the computing time."""
 
 Seconds = Annotated[StrictFloat, Field(ge=0), within(0, MAX_PROFILE_S)]
 LongerThanNothing = Annotated[StrictFloat, Field(gt=0), within(0, MAX_PROFILE_S)]

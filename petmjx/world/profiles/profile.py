@@ -24,7 +24,7 @@ class Strength(StrEnum):
     LEVEL = "level"
     """The axis ``level``: its values multiply a profile with a peak of 1 g, so they are levels in g."""
     ANGLE = "angle"
-    """No axis changes the strength of a tilt, which passes through all angles up to its largest angle anyway."""
+    """A tilt has no axis for its strength, since it passes through all angles up to its largest angle anyway."""
 
 
 class Profile(Protocol):

@@ -22,8 +22,8 @@ PsdTable = tuple[tuple[float, float], ...]
 def psd_integral(table: PsdTable, up_to_hz: FloatArray) -> FloatArray:
     """(n,) integral of the PSD from its lowest frequency to each frequency in ``up_to_hz``, g².
 
-    Between rows, the PSD is a straight line in a log–log plot, as in test standards: G = G₁ (f/f₁)^m. The integral of
-    the power law is computed in closed form for each segment. Outside the table, the PSD is 0.
+    Between rows, the PSD is a straight line in a log–log plot, as in test standards: G = G₁ (f/f₁)^m, with the slope m.
+    The integral of the power law is computed in closed form for each segment. Outside the table, the PSD is 0.
     """
     total = np.zeros_like(up_to_hz)
     for (f1, g1), (f2, g2) in itertools.pairwise(table):
