@@ -64,7 +64,7 @@ class CriterionInputs:
 
     @cached_property
     def share(self) -> FloatArray:
-        """(n,) share of each box's base that is borne."""
+        """(n,) share of each box's base that lies on boxes or the carrier."""
         return support_share(self.contacts)
 
     @cached_property
@@ -90,8 +90,8 @@ NOT_ASKED: Final = -1
 
 _ROUNDING: Final = {"mm": ON_EDGE_MM, "1": -NO_SLACK}
 """Unit of a slack → rounding error of the slack, in this unit. A negative slack that differs from 0 by less than this
-error counts as 0. For the unit 1, the error is that of force balance. (Slacks that are shares of an area have the same
-unit, but a smaller rounding error, 1e-16.)"""
+error counts as 0. For slacks without a unit ("1"), the error is that of the criterion force balance. (Slacks that are
+shares of an area have no unit either, but a smaller rounding error, 1e-16.)"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +101,7 @@ class Answers:
 
     Attributes:
         n_supports: (n,) number of areas on which the box lies (``PlanContacts.n_supports``).
-        share: (n,) share of each box's base that is borne.
+        share: (n,) share of each box's base that lies on boxes or the carrier.
         corners: (n,) number of bottom corners of each box that lie on a support.
         slack: (n, c) the slack of each criterion for each box; NaN if it cannot be computed.
         stable: (n, c) ``YES``, ``NO`` or ``NOT_ASKED``. Force balance is not evaluated for boxes after the first box
@@ -151,7 +151,8 @@ def _stable(slack: FloatArray, criterion: Criterion) -> NDArray[np.int8]:
 
 
 def support_share(contacts: PlanContacts) -> FloatArray:
-    """(n,) share of each box's base that is borne (borne area / base area); 0 for a box that lies on nothing.
+    """(n,) share of each box's base that lies on boxes or the carrier (borne area / base area); 0 for a box that lies
+    on nothing.
 
     If the bodies below a box overlap each other, as in invalid plans, the area that they have in common is counted only
     once.
@@ -310,8 +311,9 @@ def load_points(contacts: PlanContacts) -> dict[str, float]:
 
 
 def load_points_slack(contacts: PlanContacts) -> FloatArray:
-    """(n,) points of the whole load minus ``LEAST_POINTS``. Only the last box of a plan gets the slack of the load,
-    because an unfinished load has no score. All earlier boxes get the largest possible slack."""
+    """(n,) slack of the criterion that gives points to a load (``load_points``): the sum of the points minus
+    ``LEAST_POINTS``. Only the last box of a plan gets the slack of the load, because an unfinished load has no points.
+    All earlier boxes get the largest possible slack."""
     slack = np.full(contacts.n_boxes, sum(MOST_POINTS.values()) - LEAST_POINTS)
     slack[-1] = sum(load_points(contacts).values()) - LEAST_POINTS
     return slack

@@ -160,8 +160,8 @@ def bearing_of(contacts: PlanContacts) -> Bearing:
 
 
 def _pulls(contacts: PlanContacts, built: BuildingLoads) -> bool:
-    """Whether even beddings would make a support pull after any placement. If a support would pull, the loads of even
-    beddings differ from ``built``, the loads for supports that can only push."""
+    """Whether an even bedding (a pressure that is linear in x and y) would make any support pull after any placement.
+    If so, the loads of the even bedding differ from ``built``, the loads for supports that can only push."""
     linear = _loads_on_boxes(contacts, even_bedding).cumsum(axis=1)[built.box, built.step]
     pushed = built.load * (1.0, MM_PER_M, MM_PER_M)
     return not np.allclose(linear, pushed, rtol=_SAME, atol=_SAME * np.abs(pushed).max(initial=0.0))

@@ -103,7 +103,7 @@ def files_by_kind(overwrite: bool, inputs: Iterable[Path], **paths: Path | None)
         paths: kind of a file, which is also the suffix of its name → path; None if the user has not requested the file.
 
     Raises:
-        InputError: a name has another suffix, or a file already exists or cannot be written.
+        InputError: the suffix of a name is not the file's kind, or a file already exists or cannot be written.
     """
     files = {kind: path for kind, path in paths.items() if path is not None}
     for kind, path in files.items():

@@ -64,8 +64,8 @@ _STDOUT: Final = frozenset(("/dev/stdout", "/dev/fd/1", "/proc/self/fd/1"))
 
 @contextmanager
 def lines_beside_data(words: Sequence[str]) -> Iterator[None]:
-    """Context of a command. If a word of the command line names standard output as a file, all lines and tables are
-    printed on standard error, so that standard output has nothing but the file's content."""
+    """Context in which a command runs. If a word of the command line names standard output as a file, all lines and
+    tables are printed on standard error, so that standard output has nothing but the file's content."""
     if _STDOUT.isdisjoint(word.rpartition("=")[2] for word in words):
         yield
         return

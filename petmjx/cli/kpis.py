@@ -55,7 +55,7 @@ def kpis(
     overwrite: opt.Overwrite = False,
     as_json: opt.JsonOption = False,
 ) -> None:
-    """Rate plans as BED-BPP does, by BED-BPP's KPIs for each plan, the means of the KPIs, and the leaderboard's score.
+    """Rate plans as BED-BPP does: compute BED-BPP's KPIs of each plan, their means, and the leaderboard's score.
 
     A run of petmjx tells which plans stand. BED-BPP's own rule puts all boxes in place at once, and calls a plan
     unstable if a box moves by more than 10 mm along z. BED-BPP's own rule gives kpi_6, and needs a run with --check

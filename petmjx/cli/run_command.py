@@ -85,7 +85,7 @@ def stoppable() -> Iterator[None]:
         yield
     finally:
         # after a signal, the handlers stay in place: the process is about to end, and further signals must not disturb
-        # that
+        # its end
         if last_s == -math.inf:
             for number, handler in before.items():
                 signal.signal(number, handler)

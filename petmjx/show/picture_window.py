@@ -32,7 +32,7 @@ class PictureWindow:
         backend = matplotlib.get_backend()
         registry: Any = backend_registry  # Matplotlib's registry has no type annotations
         if backend.lower() not in registry.list_builtin(BackendFilter.INTERACTIVE):
-            raise InputError(f"render_mode: human needs a window, and Matplotlib's backend {backend} has none here")
+            raise InputError(f"render_mode: human needs a window, but Matplotlib's backend {backend} has no windows")
         self._pyplot: Any = pyplot
         self._pause_s = pause_s
         self._figure = pyplot.figure(title, frameon=False)

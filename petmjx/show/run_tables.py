@@ -101,8 +101,8 @@ def _confidence_tables(results: RunResults, summary: pd.DataFrame) -> Iterator[R
 
 
 def _why_they_fail(summary: pd.DataFrame) -> Iterator[RenderableType]:
-    """Lines with the names of two kinds of plans. Plans of the first kind fail in most cases because a box cannot be
-    placed. For plans of the second kind, the share of standing worlds depends on how boxes are placed."""
+    """Lines with the names of two kinds of plans. The first kind are plans whose worlds fail mostly because a box
+    cannot be placed. For plans of the second kind, the share of standing worlds depends on how boxes are placed."""
     missed = summary["n_not_placed"] > summary["n_fell"]
     if missed.any():
         plan_names = _plan_id_list(summary.loc[missed, "plan_id"].tolist())

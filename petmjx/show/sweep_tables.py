@@ -229,7 +229,8 @@ def legs_table(legs: pd.DataFrame) -> FittedTable:
 
 
 def remedies_table(remedies: pd.DataFrame) -> FittedTable:
-    """A table with one row per remedy, over all plans. The remedy with the largest gain comes first."""
+    """A table with one row per remedy, over all plans. The remedy that raises the share of arriving worlds most comes
+    first."""
 
     def points(name: str) -> Cell:
         return number_of(name, "+.1f", factor=100.0)
@@ -333,10 +334,10 @@ def laboratory_table(summary: pd.DataFrame) -> FittedTable:
 
 
 def levels_passed_table(levels: pd.DataFrame) -> FittedTable:
-    """A table about EUMOS's test at each level of a grid, with one row for each plan and level: the values that a
-    laboratory reports. Each value is the worst among all worlds of the level, for example among all directions.
+    """A table with one row for each plan and level of a sweep: the values that a laboratory reports after EUMOS's test
+    at this level. Each value is the worst among all worlds of the level, for example among all directions.
 
-    If the grid has levels at which laboratories test, only the laboratories' levels are shown.
+    If the sweep has levels at which laboratories test, only the laboratories' levels are shown.
 
     Args:
         levels: rows of the summary, one for each plan and level, with the column ``level_g``.

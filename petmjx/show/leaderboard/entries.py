@@ -75,7 +75,7 @@ def packer_sources(paths: Mapping[str, Any] | Sequence[Any]) -> dict[str, Path]:
     check_names(names)
     for number, (name, path) in enumerate(pairs):
         if name in names[:number]:
-            raise InputError(f"{printable_name(name)}: two packers have this name; give others, as NAME=PATH")
+            raise InputError(f"{printable_name(name)}: two packers have this name; name one differently, as NAME=PATH")
         if not path.exists():
             raise InputError(f"{printable(str(path))}: no such file or folder")
     return dict(pairs)

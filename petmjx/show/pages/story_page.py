@@ -2,7 +2,7 @@
 all boxes.
 
 The module sets ``Story.page``, the function with which notebooks show a story as a page. ``petmjx.tell`` is imported
-from this module, so ``Story.page`` is set for each of its stories.
+from this module. So ``Story.page`` is set before ``petmjx.tell`` makes a story.
 """
 
 from __future__ import annotations

@@ -92,7 +92,7 @@ SIZES: Final = (
 
 
 def distributions(run: ReportRun) -> Markup:
-    """Histograms of all metrics; then charts of the share that stands, and of each metric, against the size of
+    """Histograms of all metrics; then charts of the share of standing worlds, and of each metric, against the size of
     plans."""
     worlds = run.worlds
     if worlds.empty:

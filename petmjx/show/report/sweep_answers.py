@@ -210,9 +210,9 @@ def _grid_roses(run: ReportRun) -> Iterator[tuple[str, str, pd.DataFrame, float]
 
 
 def largest_survived(worlds: pd.DataFrame, column: str) -> pd.DataFrame:
-    """The largest level that each plan survives in each direction. If no world failed, it is the largest tested level.
-    Otherwise, it is the largest tested level below the smallest level at which a world failed, or 0 if a world failed
-    at the smallest tested level.
+    """The largest level that each plan survives in each direction. If no world failed, this level is the largest tested
+    level. Otherwise, it is the largest tested level below the smallest level at which a world failed, or 0 if a world
+    failed at the smallest tested level.
 
     Args:
         worlds: the worlds of one profile.
