@@ -12,10 +12,10 @@ save time without changing the result:
 
 - A box with all four corners on the carrier is in balance for any load on its top, because the carrier can always
   balance the load with vertical forces. Such a box is treated as part of the carrier, so it belongs to no structure.
-- Friction, horizontal forces and heights are considered only if vertical forces alone do not balance the boxes.
-  Friction can help, for example a box that would tip if it stood alone: another box that lies across it and its
-  neighbour holds it by friction. If friction is considered, the slack is the larger one of the slack without friction
-  and the slack with friction.
+- Friction, horizontal forces and heights are considered only if vertical forces alone do not balance the boxes. For
+  example, friction can hold a box that would tip if it stood alone: a second box, which lies across this box and its
+  neighbour, holds this box by friction. If friction is considered, the slack is the larger one of the slack without
+  friction and the slack with friction.
 - For a structure of one box, a closed form (``_slack_alone``) gives the slack without a linear programme.
 
 With ``lean``, boxes that touch side by side may press on each other, and boxes may press on walls, by default without
@@ -365,8 +365,8 @@ def friction_slack(
     change the sign of the slack.
 
     Args:
-        structure: (n,) whether each box belongs to the structure. The corners under these boxes must carry the required
-            share.
+        structure: (n,) whether each box belongs to the structure. Each contact corner under these boxes must carry at
+            least the slack times its share of an even load (``even_share``).
         newest: number of the box placed last. Later boxes are ignored.
         sides: the places at which boxes may lean on each other or on walls. If ``sides`` is None, boxes may not lean.
     """

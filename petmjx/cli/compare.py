@@ -64,7 +64,7 @@ def compare(
     if len(runs) != 2:
         raise InputError(f"compare takes two runs, got {len(runs)}; --packers takes more")
     if out is not None:
-        raise InputError("--out needs --packers; for two runs without it, --json prints the comparison")
+        raise InputError("--out needs --packers; without --packers, --json prints the comparison of two runs")
     if orders is not None:
         raise InputError("--orders needs --packers")
     if files:

@@ -51,7 +51,8 @@ def criteria(
         typer.Option(
             "--only",
             metavar="NAME",
-            help="Evaluate this criterion, such as support_75. May be given several times. [default: all]",
+            help="Evaluate this criterion, such as support_75. May be given several times. "
+            "[default: all but strength, tolerable_acceleration and load_points]",
             rich_help_panel=CRITERIA_PANEL,
         ),
     ] = None,
@@ -66,10 +67,10 @@ def criteria(
 ) -> None:
     """Evaluate closed-form criteria of static stability, and compare them with a simulation.
 
-    The criteria are support of the base, corners, centre of gravity, load-bearable polygons, stacking tree, mechanical
-    equilibrium and force balance. Each criterion is evaluated for each box when it is placed. With --run, the criteria
-    are compared with the verdicts of a run, and for each criterion the threshold that agrees best with the simulation
-    is determined.
+    By default, the criteria are support of the base, corners, centre of gravity, load-bearable polygons, stacking tree,
+    mechanical equilibrium and force balance. Each criterion is evaluated for each box at the moment of its placement.
+    With --run, the criteria are compared with the verdicts of a run, and the command determines the threshold of each
+    criterion that agrees best with the simulation.
     """
     from petmjx.analysis.criteria_run import criteria as ask
     from petmjx.results.to_json import to_json

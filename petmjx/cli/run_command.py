@@ -136,9 +136,9 @@ def run_watched(run: Callable[..., RunResults], options: Mapping[str, Any]) -> R
 
 @contextmanager
 def folder_of_run(options: Mapping[str, Any]) -> Iterator[Path]:
-    """Context with the folder of a run. If the user named no folder, a new folder is made, whose name is the current
-    time. If the run writes nothing, the new folder is deleted at the end. If its parent folder is then empty, the
-    parent folder is deleted, too.
+    """Context that yields the folder of a run. If the user named no folder, a new folder is made, whose name is the
+    current time. If the run writes nothing, the new folder is deleted at the end. If its parent folder is then empty,
+    the parent folder is deleted, too.
 
     Raises:
         InputError: the folder cannot be made, or a run is to be resumed and the user named no folder.

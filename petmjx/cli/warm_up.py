@@ -28,9 +28,9 @@ def warm_up(
     """Compile all kernels now, so that no run waits for them: after an installation, or when an image for containers
     is built.
 
-    The kernels for GPUs are for boxes that are placed exactly, and for boxes that a simulated hand places. On a GPU,
-    runs with stretch film or with compressible boxes need other kernels, and compile them themselves. On a CPU, one
-    kernel serves all runs.
+    For GPUs, the command compiles two kinds of kernels: for boxes that are placed exactly, and for boxes that a
+    simulated hand places. On a GPU, runs with stretch film or with compressible boxes need other kernels, and compile
+    them themselves. On a CPU, one kernel serves all runs.
 
     Compiled kernels are kept in ~/.cache/petmjx, or in the folder that PETMJX_CACHE_DIR names.
     """

@@ -39,7 +39,7 @@ def file_infos(paths: Sequence[Path], options: Mapping[str, Any]) -> tuple[list[
         InputError: a path does not exist, or an option is invalid.
     """
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PlanWarning)  # the records contain the warnings
+        warnings.simplefilter("ignore", PlanWarning)  # the record of each file lists its warnings
         plan_set = load_plans(list(paths), **options)
     sources = dict.fromkeys(
         [*(plan.source for plan in plan_set), *(skipped.source for skipped in plan_set.skipped), *plan_set.readings]
@@ -71,7 +71,7 @@ def _orders_line(path: Path, options: Mapping[str, Any]) -> tuple[str, str]:
         line = str(error).removeprefix(f"{printable(str(path))}: ")
         return line if line.startswith(TWO_WAYS) and not has_named_places(path) else "", ""
     if not sizes or has_named_places(path):
-        of_plans = not errors or OF_PLAN in str(errors[0])  # the reader of plans has named the fault
+        of_plans = not errors or OF_PLAN in str(errors[0])  # then the record has an error of the reader of plans
         return "", "" if sizes or of_plans else str(errors[0])
     plain = f"read as BED-BPP's orders; {count_text(len(sizes), 'order')}, {count_text(sum(sizes), 'box', 'boxes')}"
     line = str(notes[0].message).removeprefix(f"{printable(str(path))}: ") if notes else plain

@@ -22,8 +22,8 @@ Cell = Callable[[Any], str | Text]
 """A function that makes a cell of a table from a row."""
 
 FEW_ROWS: Final = 40
-"""Largest number of rows of a table with one row per world, search, plan or box. If there are more worlds or searches,
-the table is not shown; tables of loads show only their first rows."""
+"""Largest number of rows of a table in which each row is about one world, search, plan or box. If there are more
+worlds, searches or plans, the table is not shown. Tables of loads show their first rows instead."""
 
 
 @dataclass(frozen=True)

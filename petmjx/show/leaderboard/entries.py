@@ -117,9 +117,7 @@ def repaired_names(names: Sequence[str], paths: Mapping[str, Path]) -> dict[str,
             raise InputError(f"repairs: there is no packer {printable_name(name)}; there are {', '.join(paths)}")
         entry = f"{name}{REPAIRED}"
         if entry in paths:
-            raise InputError(
-                f"{printable_name(entry)}: a packer has this name, which the repaired plans of {name} need"
-            )
+            raise InputError(f"{printable_name(entry)}: rename this packer; the repaired plans of {name} get this name")
         entries[entry] = name
     return entries
 

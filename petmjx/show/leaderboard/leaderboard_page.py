@@ -69,7 +69,7 @@ class StoryEntry:
 
 @dataclass(frozen=True, eq=False)
 class Board:
-    """The content of the page.
+    """The content of the leaderboard's page, ``index.html``.
 
     Attributes:
         entries: the rated entries.
@@ -150,7 +150,7 @@ def _toml(value: Any) -> str:
 
 
 def board_page(board: Board) -> str:
-    """The HTML text of the page."""
+    """The leaderboard's page as HTML text."""
     first = board.rating.iloc[0]
     orders = count_text(int(first["n_orders"]), "order")
     sections: list[tuple[str, Content]] = [

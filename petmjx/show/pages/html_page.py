@@ -43,7 +43,7 @@ def escaped_html(value: object) -> str:
 
 def filled_template(template: str, **parts: str) -> str:
     """The text of a file in ``petmjx/show/pages/static``, in which names such as ``$title`` are replaced by ``parts``.
-    Parts are markup, so plain text must be escaped before."""
+    Parts are markup, so the caller must have escaped plain text in them."""
     return Template(static_text(template)).substitute(parts)
 
 

@@ -142,7 +142,7 @@ class Painter:
 
     def _shaking(self, poses: Poses) -> None:
         """Draw an arrow above the load that shows the shaking of the carrier. The arrow's length is proportional to the
-        strength."""
+        carrier's acceleration or to the force on it."""
         level = shaking_g(self.story, poses)
         if np.linalg.norm(level) > LEAST_LEVEL_G:
             start, longest = _above(self.story)

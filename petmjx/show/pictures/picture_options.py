@@ -83,8 +83,8 @@ def size_of(text: str) -> tuple[int, int]:
 
 
 def _checked_by(read: Callable[[str], Any]) -> BeforeValidator:
-    """A validator that accepts text if ``read`` accepts the text. An error of ``read`` becomes the error of the
-    field."""
+    """A validator that accepts text if ``read`` accepts the text. If ``read`` raises an error, the field has this
+    error."""
 
     def check(value: Any) -> Any:
         if value is None:

@@ -354,7 +354,8 @@ def _chain(summary: pd.DataFrame) -> Markup:
 def _share_histogram(
     title: str, label: str, shares: pd.Series, classes: pd.Series, order: Sequence[str], note: str = ""
 ) -> Markup:
-    """A histogram of the shares of plans. ``classes`` and ``order`` are as in ``histogram``."""
+    """A histogram of plans by their share of worlds that stand or arrive. ``classes`` and ``order`` are as in
+    ``histogram``."""
     frame = Frame(title, Scale(0, 1), Scale(0, 1), label, "plans")
     frame.x_ticks = [(value, f"{100 * value:.0f} %") for value in (0, 0.25, 0.5, 0.75, 1)]
     histogram(frame, shares.astype("float64"), classes, order)
