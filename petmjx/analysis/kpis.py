@@ -160,7 +160,7 @@ def direct_support(corner_mm: FloatArray, size_mm: FloatArray, extent_mm: tuple[
 
 class _Cells(NamedTuple):
     """The division of the target into cells along one axis: the number of cells, and for each box the first cell under
-    the box and the first cell behind it."""
+    the box and the first cell beyond the box."""
 
     number: int
     first: NDArray[np.int64]

@@ -1,8 +1,8 @@
 """Criteria of static stability that pass loads down from box to box. docs/criteria.md explains the criteria.
 
 The criteria determine whether the resultant of a box's weight and of the loads on the box acts over the box's supports.
-Each box is checked when it is placed, and all boxes below it are checked again. Each criterion has another rule for how
-a box distributes its weight and the load on it over its supports:
+Each box is checked when it is placed, and all boxes below it are checked again. The criteria differ in the rule by
+which a box distributes its weight and the load on its top over its supports:
 
 - **lever rule** (the stacking tree): forces at the middles of the contact areas. Source: Zhao, Zhu, Xu, Huang, Xu
   (2022), "Learning practically feasible policies for online 3D bin packing", Science China Information Sciences 65,

@@ -50,8 +50,8 @@ def with_engine_of(run: RunResults, options: Mapping[str, Any], folder: Path) ->
     Args:
         run: a run of another packer that was made with the same options on this machine.
         options: options of ``petmjx.score``. An engine that the options name is kept. If the options name no engine,
-            options that the engine of the run does not have (``threads`` or ``lanes``) are left out: ``auto``, too,
-            ignores options that the engine which it chooses does not have.
+            options that the engine of the run does not have (``threads`` or ``lanes``) are left out. The engine
+            ``auto`` also ignores the options that the chosen engine does not have.
         folder: folder of the packer's run. A run that is already in the folder, and that the options do not replace,
             goes on with its own engine.
     """

@@ -30,8 +30,8 @@ _STRENGTH: Final = ("press_strength_n", *_FACTORS, "strength_n", "time_factor", 
 def stacked_strengths(
     plans: Iterable[Plan], articles: Articles, losses: Stacking, carrier: Carrier | OwnCarrier
 ) -> tuple[pd.DataFrame, Counter[str]]:
-    """Return a table with the strength of each box, without sheets, and the number of boxes of each article that has no
-    known strength."""
+    """Return a table with the strength of each box that is not a sheet, and, for each article without a known strength,
+    the number of its boxes."""
     parts: list[pd.DataFrame] = []
     missing: Counter[str] = Counter()
     for plan in plans:

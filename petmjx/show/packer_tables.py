@@ -184,7 +184,7 @@ def _decided_lines(decided: pd.DataFrame, max_rows: int) -> Iterator[RenderableT
 
 
 def _left_out(comparison: PackerComparison) -> list[TableColumn]:
-    """A list with the column of the number of boxes left out. The list is empty if no run was compared with orders."""
+    """A list with one column: the number of boxes left out. The list is empty if no run was compared with orders."""
     if comparison.packers["left_out"].isna().all():
         return []
     return [TableColumn("left\nout", number_of("left_out", ".2f"), spare=3)]

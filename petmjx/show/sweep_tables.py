@@ -57,7 +57,7 @@ _DEFORMATIONS: Final = (
     TableColumn("permanent\n≤ 5 %", percent_of("eumos_permanent_share")),
     TableColumn("foot, cm\n≤ 4", number_of("eumos_foot_permanent_m", ".1f", factor=100.0)),
 )
-"""The elastic and the permanent deformation of a load as shares, and the deformation of the load's foot."""
+"""The elastic and the permanent deformation of a load as shares of its height, and the deformation of its foot."""
 
 
 def sweep_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:

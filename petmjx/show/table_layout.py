@@ -51,8 +51,8 @@ class TableColumn:
 
 
 def name_column(header: str, column: str, least: int) -> TableColumn:
-    """A table column with the names in a column of rows. Names that are too long are shortened in the middle, to not
-    fewer than ``least`` characters."""
+    """A table column that shows the names in the rows' column ``column``. Names that are too long are shortened in the
+    middle, to not fewer than ``least`` characters."""
     return TableColumn(header, text_of(column), "left", least, middle=True)
 
 

@@ -25,7 +25,7 @@ MOST_LINES: Final = 12
 MOST_PANELS: Final = 8
 
 MOST_PLANS: Final = 60
-"""Largest number of plans in one panel of shares."""
+"""Largest number of plans in a figure with one row per plan."""
 
 _DASHES: Final = ("-", (0, (4, 2)), (0, (1, 1.5)), (0, (4, 1.5, 1, 1.5)))
 

@@ -110,9 +110,7 @@ def leaderboard(
     if baselines and source is None:
         raise InputError(f"{option('--baselines')} needs {option('--orders')}: petmjx's packers pack them")
     if baselines and (clash := next((name for name in paths if name in PACKERS), None)):
-        raise InputError(
-            f"{clash}: {option('--baselines')} has a packer of this name; give yours another, as NAME=PATH"
-        )
+        raise InputError(f"{clash}: {option('--baselines')} has a packer of this name; rename yours, as NAME=PATH")
     keeps_orders = source is not None and not _is_same(source, folder / ORDERS)
     repaired = repaired_names(list_of(repairs, "repairs", str, "names of packers"), paths)
     packed = [*(PACKERS if baselines else ()), *paths, *repaired]
@@ -187,8 +185,8 @@ def _rated_board(
 
 
 def _options_of(of_simulation: Mapping[str, Any], entries: Sequence[Entry]) -> Simulation:
-    """The simulation options of the board: those of the call. If the call gives no options, the board has the options
-    of the runs, or the defaults if runs have different options."""
+    """The simulation options of the board: those with which ``leaderboard`` was called. Without such options, the board
+    has the options of the runs, or the defaults if runs have different options."""
     settings = [entry.run.info.get("config", {}).get("simulation") for entry in entries]
     if of_simulation or not isinstance(settings[0], Mapping) or any(setting != settings[0] for setting in settings):
         return Simulation(**of_simulation)

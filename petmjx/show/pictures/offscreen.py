@@ -167,7 +167,8 @@ def _same_pyopengl_platform() -> Iterator[None]:
 
 
 def _studio(size: tuple[int, int], line_px: float) -> Any:
-    """A MuJoCo model without bodies. The model only has what the renderer needs: sizes, and a white sky."""
+    """A MuJoCo model without bodies. The model only has what the renderer needs: the size of pictures, the width of
+    lines, the number of samples per pixel, and a white sky."""
     spec = mujoco.MjSpec()
     spec.visual.global_.offwidth, spec.visual.global_.offheight = size
     spec.visual.global_.linewidth = line_px

@@ -88,7 +88,7 @@ def _forces(rr: Any, history: History, poses: Poses, scale: float) -> Any:
 
 
 def _curves(story: Story, poses: Poses) -> dict[str, float]:
-    """The present values of the curves over time: name → largest value over all placed boxes."""
+    """The values of the curves at one time: name of the curve → largest value over all placed boxes."""
     forces = np.nan_to_num(story.history.top_force_n[poses.frame, : poses.n_placed])
     return {
         "largest_shift_mm": float(shift_mm(story, poses).max(initial=0.0)),

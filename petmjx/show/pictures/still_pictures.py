@@ -1,4 +1,4 @@
-"""Single pictures of a story, and the style that all pictures of one call share."""
+"""Single pictures of a story, and the style that all pictures of one call of ``petmjx.draw`` share."""
 
 from __future__ import annotations
 

@@ -21,8 +21,8 @@ from petmjx.world.job import FORCE
 LOST_M: Final = 1000.0
 
 _ROUNDED_S: Final = 0.01
-"""Time after the end of the story that may still be requested, s. Times a little after the end are allowed, because
-times are printed with two decimals."""
+"""A picture may be requested for a time that is up to this much after the end of the story, s, because times are
+printed with two decimals."""
 
 
 @dataclass(frozen=True, eq=False)

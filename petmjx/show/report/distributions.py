@@ -150,8 +150,9 @@ def _against(size: Quantity, metric: Quantity, worlds: pd.DataFrame, limits: Thr
 
 
 def _share(size: Quantity, worlds: pd.DataFrame, one_each: bool) -> Markup:
-    """A chart of the share of worlds that stand against a size of plans. Worlds are divided into groups of about equal
-    size. If every plan has one world (``one_each``), shares have Wilson's interval."""
+    """A chart of the share of worlds that stand, against a size of plans (such as the number of boxes). Worlds are
+    divided into groups with about equal numbers of worlds. If every plan has one world (``one_each``), shares have
+    Wilson's interval."""
     judged = worlds[(worlds["verdict"] != Verdict.INVALID.value) & size.of(worlds).notna()]
     x = size.of(judged).to_numpy(np.float64)
     stands = (judged["verdict"] == Verdict.STABLE.value).to_numpy()
