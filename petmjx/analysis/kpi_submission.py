@@ -77,8 +77,8 @@ def parse_name(text: str, today: Callable[[], datetime.date] = datetime.date.tod
     for field, part in (("surname", surname), ("algorithm", algorithm)):
         if not _PART.fullmatch(part):
             raise InputError(
-                f"leaderboard name {printable_name(text)}: the {field} must be letters and digits, with single - + . "
-                "between them, "
+                f"leaderboard name {printable_name(text)}: the {field} must consist of letters and digits, "
+                "with at most one of - + . between two of them, "
                 f"got {printable_name(part) or 'nothing'}"
             )
     match = _TASK.fullmatch(task)

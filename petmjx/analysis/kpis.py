@@ -384,7 +384,7 @@ def _odd_boxes(
 
 
 def _unknown(frame: pd.DataFrame, stability: Stability) -> list[str]:
-    """Lines for the user about plans of which it is unknown whether they stand, although the runs give this for other
+    """Lines for the user about plans for which no run tells whether they stand, although the runs tell it for other
     plans."""
     notes = []
     for column, known in (("kpi_6", stability.their_rule), ("stable", stability.stable)):

@@ -61,12 +61,13 @@ class Hulls:
         return inside
 
     def reach(self, hull: IntArray, middle: FloatArray, point: FloatArray) -> FloatArray:
-        """(p,) distance of each of p points from a start inside the polygon of a box, as a share of the distance from
-        the start to the polygon's edge in the same direction: 0 at the start, 1 on the edge, more than 1 outside.
+        """(p,) distance of each of p points from another point, ``middle``, inside the polygon of a box, as a share of
+        the distance from ``middle`` to the polygon's edge in the same direction: 0 at ``middle``, 1 on the edge, more
+        than 1 outside.
 
         Args:
             hull: (p,) for each point, the index of the box whose polygon is used.
-            middle: (p, 2) x and y of the starts, mm.
+            middle: (p, 2) x and y of the points inside the polygons, mm.
             point: (p, 2) x and y of the points, mm.
         """
         start = self.vertex[hull]
