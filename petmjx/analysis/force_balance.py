@@ -101,9 +101,9 @@ def largest_slack(forces: Entries, share: FloatArray, row_sums: FloatArray, limi
     Args:
         forces: (r, f) contribution of each of f forces to each of r equations of balance (rows).
         share: (f,) value that each force must have per unit of slack.
-        row_sums: (r,) value that each row must have.
-        limits: (q, f) the matrix in ``limits @ g ≤ 0``. If ``limits`` is None, only the condition on ``forces`` must
-            hold.
+        row_sums: (r,) right-hand side of each equation of balance.
+        limits: (q, f) the factors of the f numbers g in each of the q conditions ``limits @ g ≤ 0``. If ``limits`` is
+            None, only the condition on ``forces`` must hold.
 
     Returns:
         The slack s; −inf if no s fulfils the conditions, not even an arbitrarily negative s.
@@ -114,7 +114,7 @@ def largest_slack(forces: Entries, share: FloatArray, row_sums: FloatArray, limi
     rows, n_forces = len(row_sums), len(share)
     by_slack = np.zeros(rows)
     np.add.at(by_slack, forces.row, forces.value * share[forces.column])
-    # The slack s is the last column.
+    # The slack s is the last unknown, so the last column has its factors.
     parts = [forces, Entries(by_slack, np.arange(rows), np.full(rows, n_forces))]
     n_limits = 0
     if limits is not None:
@@ -138,7 +138,7 @@ def least_and_most(sums: FloatArray, forces: Entries, row_sums: FloatArray) -> F
     Args:
         sums: (m, f) factor of each force in each sum.
         forces: (r, f) contribution of each of f forces to each of r equations of balance (rows).
-        row_sums: (r,) value that each row must have.
+        row_sums: (r,) right-hand side of each equation of balance.
 
     Returns:
         (m, 2) smallest and largest value of each sum; None if no possible forces exist.

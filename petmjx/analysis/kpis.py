@@ -116,7 +116,7 @@ HEIGHT_TOLERANCE_MM: Final = 5.0
 
 
 class Support(NamedTuple):
-    """The boxes on which n boxes lie directly, and the supported shares, according to BED-BPP's method.
+    """The boxes on which n boxes lie directly, and the supported shares of their bases, according to BED-BPP's method.
 
     Attributes:
         share: (n,) supported share of each box's base; 1 for a box on the target.

@@ -213,7 +213,7 @@ def _area_moments(low: FloatArray, high: FloatArray) -> FloatArray:
 
 
 def _sums(values: FloatArray, owner: IntArray, n: int) -> FloatArray:
-    """(n, …) for each of n owners, such as boxes, the sum of those values that belong to it."""
+    """(n, …) the sum of the values of each of n owners, such as boxes. ``owner`` has the owner of each value."""
     sums = np.zeros((n, *values.shape[1:]))
     np.add.at(sums, owner, values)
     return sums

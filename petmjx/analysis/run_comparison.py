@@ -72,7 +72,7 @@ class Comparison:
         confusion: (3, 3) numbers of worlds, by their verdict in run a (rows) and in run b (columns).
         flips: one row for each world with different verdicts in the two runs. For each run, a row has the verdict, its
             reason, the first box that failed (``culprit``), and the amounts by which the world exceeds the thresholds
-            of shift, tilt and acceleration. The amount is negative if the world is below the threshold; the column
+            of shift, tilt and acceleration. An amount is negative if the world is below the threshold; the column
             ``margin`` of the table ``worlds`` has the opposite sign.
         worlds, boxes: differences of the metrics of worlds and of boxes, one row for each metric and group of worlds.
             Columns: ``metric``, ``unit``, ``group``, ``n``; ``mean`` of b - a (null for ``SIGNLESS`` metrics);

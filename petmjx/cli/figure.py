@@ -39,7 +39,9 @@ def figure_files(pdf: Path | None, svg: Path | None, png: Path | None, overwrite
 
 
 def figure(
-    run: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a sweep, or of a score with --confidence.")],
+    run: Annotated[
+        Path, typer.Argument(metavar="DIR", help="Folder of a sweep, or of a score with --confidence or --chain.")
+    ],
     pdf: Pdf = None,
     svg: Svg = None,
     png: Png = None,
@@ -50,7 +52,7 @@ def figure(
     For a search for the largest level that plans survive, the figure shows the share of plans that survive each level,
     by direction. For other sweeps, the figure shows the share of simulations in which plans stand, with its 95 %
     interval, for each value that is varied. For a score with --confidence, the figure shows for each plan the share of
-    simulations in which the plan stands.
+    simulations in which the plan stands; for a score with --chain, the share in which the plan arrives.
 
     The commands "compare --packers" and "criteria" have the same options, and draw figures of their own results.
     """

@@ -63,7 +63,7 @@ def info(
             print(printable(line))
     if write_as is not None:
         if len(readings) != 1:
-            summary = "no file needs guesses" if not readings else f"{len(readings)} files need guesses"
+            summary = "no file is of another tool" if not readings else f"{len(readings)} files are of other tools"
             raise InputError(f"--write-as: {summary}; name one file of another tool")
         ((source, reading),) = readings.items()
         with atomic_write(write_as) as hidden:

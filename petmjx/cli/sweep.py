@@ -25,7 +25,7 @@ def sweep(
     as_json: opt.JsonOption = False,
     **options: Any,
 ) -> None:
-    """Simulate packing plans in many variants: forces, levels, friction, placement errors.
+    """Simulate packing plans in many variants, with different forces, levels, friction and placement errors.
 
     For each plan and each set of placement errors, the command simulates the placement of the boxes once. From the
     state in which the boxes are at rest, it then simulates all profiles (motions of the carrier), levels and

@@ -80,7 +80,7 @@ def _check_mujoco() -> str:
     engine = make_engine("mujoco", threads=1)
     [outcome] = engine.run([Job(build_scene(_one_box(), sim))], sim)
     if outcome.verdict is not Verdict.STABLE:
-        raise RuntimeError(f"the test with a single box ended {outcome.verdict.value} {outcome.reason.value}")
+        raise RuntimeError(f"a single box got the verdict {outcome.verdict.value} ({outcome.reason.value})")
     return f"{count_text(cpu_threads(), 'CPU thread')}; a single box stands after {count_text(outcome.n_steps, 'step')}"
 
 

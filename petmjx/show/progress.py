@@ -148,7 +148,7 @@ class _Bar(RichProgress):
 
 
 class BarWatcher(AbstractContextManager["BarWatcher"]):
-    """Prints the size and the engine of a run to standard error, and shows its progress.
+    """Prints the numbers of worlds and steps and the engine of a run to standard error, and shows the run's progress.
 
     Attributes:
         what: the word for a world in messages: "plan", or "world" in sweeps.

@@ -50,7 +50,7 @@ def run_tables(results: RunResults) -> Iterator[RenderableType]:
         yield nominal
         yield ""
     if results.summary is not None:
-        from petmjx.show.sweep_tables import sweep_tables  # a plain score does not need the code of sweeps
+        from petmjx.show.sweep_tables import sweep_tables  # imported late: a plain score does not need this code
 
         for table in sweep_tables(results.summary):
             yield table
@@ -77,8 +77,9 @@ def _nominal(results: RunResults) -> FittedTable | None:
 
 def _confidence_tables(results: RunResults, summary: pd.DataFrame) -> Iterator[RenderableType]:
     """The tables and lines of a score with confidence. One table has the worlds without errors. Another table has, for
-    each plan, the share of worlds with errors in which the plan stands. Lines name the plans that need attention."""
-    from petmjx.runs.confidence import contradiction_mask  # a plain score does not need the code of sweeps
+    each plan, the share of worlds with errors in which the plan stands. Lines name the plans that need attention, such
+    as coin tosses."""
+    from petmjx.runs.confidence import contradiction_mask  # imported late: a plain score does not need this code
     from petmjx.show.sweep_tables import confidence_table
 
     # runs of earlier versions do not have these columns
@@ -218,7 +219,7 @@ def search_table(info: Mapping[str, Any], summary: pd.DataFrame) -> Table:
     """The table of counts of a search: numbers of placements (finished pallets before they are shaken), of answers (one
     for each search on a placement that stands), and of tests (levels that were simulated).
 
-    Verdicts are not counted, since the verdicts of single tests only show which levels the search tried.
+    The verdicts of tests are not counted, since they depend on the levels that the search tried.
 
     Args:
         info: content of ``run.json``.

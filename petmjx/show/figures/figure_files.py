@@ -34,7 +34,8 @@ def figure(results: PackerComparison | CriteriaResults | RunResults, *files: str
     - for criteria with a run: precision, recall and correlation,
     - for a search: the share of plans that survive each level,
     - for another sweep: shares along the sweep's axes,
-    - for a score with confidence: the share of worlds in which each plan stands.
+    - for a score with confidence: the share of worlds in which each plan stands,
+    - for a chain: the share of worlds in which each plan arrives.
 
     Args:
         files: paths to write. The suffix determines the format. Existing files are replaced. A file appears only when

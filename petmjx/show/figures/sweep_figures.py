@@ -57,7 +57,8 @@ def draw_answers(run: RunResults) -> Any:
     summary = run.summary
     if summary is None:
         raise InputError(
-            f"{run.path}: this run has no figure; only sweeps and scores with {option('--confidence')} have one"
+            f"{run.path}: this run has no figure; only sweeps, and scores with {option('--confidence')} or "
+            f"{option('--chain')}, have one"
         )
     if "axis" in summary:
         return _shares(summary)

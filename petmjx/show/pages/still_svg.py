@@ -138,8 +138,8 @@ def _projection(points: FloatArray) -> FloatArray:
 
 
 def _picture_fit(points: FloatArray, framed: tuple[FloatArray, FloatArray] | None) -> tuple[FloatArray, float, float]:
-    """How the scene fits into the picture. The result is (2,) the position of the picture's upper left corner, as in
-    ``_projection``; the number of pixels per m; and the height of the picture, px.
+    """The place and the scale of the scene in the picture. The result is (2,) the position of the picture's upper left
+    corner, as in ``_projection``; the number of pixels per m; and the height of the picture, px.
 
     Args:
         points: (…, 3) corners of all boxes, m.

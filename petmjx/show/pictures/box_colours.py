@@ -129,7 +129,8 @@ def _usual_force(story: Story) -> float:
 
 
 def round_up(value: float, steps: tuple[float, ...] = (1.0, 2.0, 5.0, 10.0)) -> float:
-    """The smallest number of the form step × 10ⁿ that is not below ``value``, which must be positive."""
+    """The smallest number of the form step × 10ⁿ that is not below ``value``, where step is one of ``steps``. ``value``
+    must be positive."""
     power = 10.0 ** math.floor(math.log10(value))
     return next(step * power for step in steps if step * power >= value * (1 - 1e-9))
 

@@ -34,8 +34,8 @@ _SUN: Final = (0.26, 0.36, -1.0)
 _FLOOR_HALF_M: Final = 60.0
 
 _TOWARDS_CAMERA: Final = 1.5e-3
-"""The edges of a box are drawn nearer to the camera than the box, by this share of the distance from the camera. Edges
-are also drawn smaller by this share. So the edges cover the same pixels, but lie in front of the faces."""
+"""The edges of a box are drawn nearer to the camera than the box: their distance from the camera is smaller by this
+share. Edges are also drawn smaller by this share. So the edges cover the same pixels, but lie in front of the faces."""
 
 _SEE_THROUGH: Final = 0.24
 """Opacity of boxes if contact forces are drawn."""

@@ -162,7 +162,7 @@ def shaking_in_words(story: Story, poses: Poses) -> str:
 
 
 def scale_ends(scale: Scale) -> tuple[str, str]:
-    """The two ends of a scale as text."""
+    """The values at the two ends of a scale of colours, as text."""
     return three_digits(scale.low), ("≥ " if scale.open_end else "") + three_digits(scale.high)
 
 

@@ -65,7 +65,7 @@ def histogram(
     Args:
         classes: class of each world, such as its verdict. The style sheet gives each class a colour.
         order: the classes, from the lowest part of a bar upwards.
-        threshold: a value at which two bins must meet, if any.
+        threshold: a value that must be the edge between two bins; None if no value must be an edge.
     """
     edges = frame.x.edges(BINS)
     if threshold is not None and edges[0] < threshold < edges[-1] and len(edges) > 2:
@@ -132,7 +132,7 @@ def equal_groups(x: FloatArray) -> list[NDArray[np.int64]]:
 
 
 def share_curve(frame: Frame, x: FloatArray, share: FloatArray, low: FloatArray, high: FloatArray) -> None:
-    """Draw shares and their intervals along an axis into a frame. NaN is a missing value."""
+    """Draw shares and their intervals along an axis into a frame. Shares and intervals that are NaN are not drawn."""
     frame.band(x, low, high, "band inner")
     frame.line(x, share, "curve")
     px, py = frame.at(x, share)

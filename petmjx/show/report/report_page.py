@@ -110,7 +110,7 @@ def _of_run(run: ReportRun) -> dict[str, Any]:
 
 
 def _summed_up(runs: Sequence[ReportRun]) -> list[str]:
-    """A note for each run that has too many worlds for a table with one row per world."""
+    """A note for each run that has too many worlds for one row per world, so that the table has one row per plan."""
     row = "one row per plan: its world with the smallest margin, and the share of its worlds that stand"
     return [f"{run.name} has {len(run.worlds):,} worlds, too many for a row each. The table has {row}." for run in runs]
 

@@ -84,7 +84,7 @@ def headline(run: ReportRun) -> Markup:
 
 def _of_search(summary: pd.DataFrame) -> Iterator[Markup]:
     """The most important numbers of a search: number of placements, share of placements that stand at rest, number of
-    answers, and median answer."""
+    searches on placements that stand, and median of the largest level survived."""
     placements = summary.drop_duplicates(["plan_id", "placement"])
     stand = placements["stands_at_rest"].astype(bool)
     answers = summary[summary["stands_at_rest"].astype(bool)]

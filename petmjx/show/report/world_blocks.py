@@ -193,7 +193,7 @@ stand are left out first."""
 
 @dataclass(frozen=True, eq=False)
 class Replays:
-    """The histories on a page.
+    """The histories (recorded worlds) on a page.
 
     Attributes:
         blocks: name → block (compact arrays), one block per history: "replay-0", "replay-1", …
