@@ -4,6 +4,7 @@ and reproducible phases."""
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -110,6 +111,13 @@ def test_windows_that_replace_each_other_act_one_at_a_time() -> None:
     assert added[50:65].tolist() == [4.0] * 5 + [12.0] * 5 + [8.0] * 5
     assert replaced[50:65].tolist() == [4.0] * 5 + [8.0] * 5 + [0.0] * 5
     assert np.count_nonzero(replaced) == 20
+
+
+def test_windows_that_follow_one_another_do_not_replace_each_other() -> None:
+    # five of the 98 following windows begin one step before the window before them ends, since times become whole steps
+    added, replaced = samples(SINE), samples(replace(SINE, replaces=True))
+    assert np.array_equal(added.any(axis=1), replaced.any(axis=1))
+    assert np.count_nonzero((added != replaced).any(axis=1)) == 5
 
 
 def test_impulse_of_a_chain_is_the_sum_of_its_links() -> None:

@@ -10,6 +10,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -51,9 +52,8 @@ class WindowProfile:
     ``replaces`` states what happens when windows overlap. If ``replaces`` is False, the forces of overlapping windows
     add up. If ``replaces`` is True, windows act as in the reference implementation: the beginning of a window ends the
     previous window, and the next end of any window, even of one that no longer acts, sets the force to zero. If several
-    windows begin in the same step, only the last of them acts. A window does not act if it begins in the step in which
-    another window ends. The profile ``radial-chain``, from the demo of the reference implementation, needs
-    ``replaces``.
+    windows begin in the same step, only the last of them acts. The profile ``radial-chain``, from the demo of the
+    reference implementation, needs ``replaces``.
     """
 
     name: str
@@ -99,14 +99,20 @@ def _one_at_a_time(spans: Sequence[tuple[int, int, Vector]]) -> list[tuple[int, 
     implementation.
 
     The force changes at the beginning and at the end of every given span, in order of time. At each change, the old
-    force is removed. After that, the force of the next span is set, if the next span has begun.
+    force is removed. After that, the force of the span that begins there is set: of the last one, if several begin.
+    An end one step after a beginning is moved to this beginning: windows that follow one another may overlap by a step,
+    since times are rounded to whole steps.
     """
     waiting = deque(sorted(spans, key=lambda span: span[0]))
-    looks = sorted(step for begin, end, _ in spans for step in (begin, end))
+    begins = {begin for begin, _, _ in spans}
+    changes = sorted(begins | {end - 1 if end - 1 in begins else end for _, end, _ in spans})
     acting: list[tuple[int, int, Vector]] = []
-    for look, until in zip(looks, [*looks[1:], looks[-1]], strict=True):
-        if waiting and waiting[0][0] <= look:
-            acting.append((look, until, waiting.popleft()[2]))
+    for change, next_change in pairwise(changes):
+        force = None
+        while waiting and waiting[0][0] == change:
+            force = waiting.popleft()[2]
+        if force is not None:
+            acting.append((change, next_change, force))
     return acting
 
 
