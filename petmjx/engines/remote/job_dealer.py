@@ -25,7 +25,7 @@ job in reserve might wait behind a long job while another thread is idle."""
 
 MOST_ON_DEVICE: Final = 8192
 """Largest number of jobs of a worker whose engine simulates worlds side by side. The device simulates far fewer worlds
-at once, so it can begin with the longest worlds of these jobs."""
+at once. So it can choose, and begins with the longest worlds of these jobs."""
 
 
 @dataclass(eq=False)
@@ -79,8 +79,8 @@ class JobDealer:
     If the worker of a job dies once, the cause may lie outside the job, so the job is given out again like other jobs.
     Jobs whose workers have died twice are *suspects*. Suspects wait until no other jobs are left. If n suspects come
     from the death of one worker, they are given out in groups of √n jobs, each group to a worker that holds no other
-    job. If a worker dies again, the jobs of its group are given out one by one. A job is given up if it was the only
-    job in a worker that died.
+    job. If this worker dies, too, the jobs of its group are given out one by one. A suspect that was given out alone is
+    given up if its worker dies.
 
     Args:
         least: if there are fewer jobs than this number, one worker gets all jobs. None: the engine simulates job after

@@ -68,7 +68,7 @@ class WorkerRun:
 @dataclass
 class Report:
     """A report about a run: the outcomes since the last report, the progress since the beginning of the run, and the
-    exception that ended the run, if any. ``Outcome.job`` is the number of the job in its packet."""
+    exception that ended the run, if any. ``Outcome.job`` is the number by which the worker pool knows the job."""
 
     outcomes: list[Outcome]
     progress: Progress
@@ -236,8 +236,8 @@ class _RunJobs:
         self.stream.put_all([(job, (number, job)) for number, job in shared])
 
     def _known(self, excitation: Excitation) -> Excitation:
-        """The equal excitation of an earlier packet, if there is one; otherwise this excitation. For engines, only the
-        same object is the same excitation, and they have room for a limited number of excitations (``JobBounds``)."""
+        """The equal excitation of an earlier packet, if there is one; otherwise this excitation. An engine counts two
+        equal objects as two excitations, and has room for a limited number of excitations (``JobBounds``)."""
         digest = hashlib.blake2b(excitation.samples.tobytes()).digest()
         return self._excitations.setdefault((excitation.name, excitation.kind, digest), excitation)
 

@@ -194,7 +194,7 @@ class _LocalRay:
                 self._ray.init(**init_options)
             except Exception as error:
                 if isinstance(error, ConnectionError) and self.address == AUTO:
-                    raise InputError("ray: no cluster on this machine: name its head (HOST:PORT)") from error
+                    raise InputError("ray: no cluster on this machine; name a cluster's head (HOST:PORT)") from error
                 if isinstance(error, ConnectionError) and self.address is not None:
                     hint = "if the cluster requires a token, set RAY_AUTH_MODE=token"
                     raise InputError(f"ray: no cluster at {self.address} ({one_line(error)}; {hint})") from error

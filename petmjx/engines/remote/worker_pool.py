@@ -40,7 +40,8 @@ in a worker is usually reported before a run begins. A busy cluster may need lon
 time, the run begins without a worker, and waits for the first."""
 
 FALSE_STARTS = 3
-"""If this number of workers in a row fail to start, the run ends, or dead workers are no longer replaced."""
+"""If this number of starts of workers fail one after another, the run ends. If, however, a worker had died before and
+another worker is ready, the run continues without the worker that does not start."""
 
 LEAST = {"mjx-warp": 512, "mjx-jax": 16}
 """Name of an engine → smallest number of jobs that are divided among several workers. If a run has fewer jobs, one
@@ -258,7 +259,7 @@ class WorkerPool(Engine):
         # a worker takes packets of jobs while it reports about its run
         remote = self._ray.remote(Worker).options(**limits, max_concurrency=2, max_restarts=0)
         threads = None if self.name in LEAST else resources.cpus
-        # after a worker's death, its device may be broken, so the next worker tries its engine first
+        # after a worker's death, its device may be broken, so the next worker creates its engine before it gets jobs
         thorough = self.name != "mjx-warp" or self._deaths > 0
         options = {"check_pool": self._check_pool, "thorough": thorough}
         actor = remote.remote(self._recipe, os.environ.get("PETMJX_CACHE_DIR"), threads, **options)
@@ -269,8 +270,9 @@ class WorkerPool(Engine):
         self._ray.kill(worker.actor)
 
     def _news(self, longest_s: float = MESSAGE_WAIT_S) -> list[tuple[_WorkerRecord, Any]]:
-        """Workers that have sent something, each with the source of its message: the first message, or the reports
-        about the run. Waits for at most ``longest_s``.
+        """The workers from which a message has arrived, each with Ray's reference from which the message can be
+        fetched: ``hello`` for the first message of a worker, ``reports`` for a report about the run. Waits for at most
+        ``longest_s``.
         """
         sources = [(worker, worker.reports if worker.ready else worker.hello) for worker in self._workers]
         owner = {ref: worker for worker, ref in sources if ref is not None}
@@ -305,8 +307,8 @@ class WorkerPool(Engine):
         self._devices[hello.device] = None
 
     def _start_again(self, worker: _WorkerRecord, error: BaseException, most: int) -> None:
-        """Handle a worker that failed to start. A start is tried up to three times, since the device of the failed
-        worker may be broken. If all three starts fail, the run continues with the remaining workers.
+        """Handle a worker that failed to start: start a worker again with the same CPUs and GPUs. If ``FALSE_STARTS``
+        starts have failed one after another, the device may be broken. Then the run continues with the other workers.
 
         Args:
             error: error that is raised after ``most`` failed starts. The error is not raised if a worker had died
@@ -364,7 +366,7 @@ class WorkerPool(Engine):
             self._send(self._workers[index], [(number, run.jobs[number]) for number in numbers], run)
 
     def _send(self, worker: _WorkerRecord, packet: Packet, run: _PoolRun) -> None:
-        """Send jobs to a worker. The worker's run begins with its first jobs."""
+        """Send jobs to a worker. With the first jobs of a run, the worker begins the run."""
         if worker.reports is None:
             arguments = WorkerRun(run.sim, run.stream.feedback, run.stream.bounds, run.stream.stiff)
             worker.reports = worker.actor.simulate.options(num_returns="streaming").remote(pickle.dumps(arguments))

@@ -8,7 +8,7 @@ from petmjx.engines.subprocess.attempt_process import serve_attempts
 
 
 def main() -> None:
-    """The work of the process."""
+    """Simulate the worlds of tasks, one after another, until the pipe of tasks ends."""
     serve_attempts(engine_with_one_thread)
 
 

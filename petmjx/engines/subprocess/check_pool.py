@@ -94,7 +94,7 @@ class CheckPool(Generic[Key]):
         return cls(max_check_processes(cpu_threads()))
 
     def hurry(self) -> None:
-        """From now on, wait only for a moment, since the run is about to end."""
+        """From now on, wait for at most ``INTERRUPTED_S`` in total for all answers, since the run is about to end."""
         if self._until_s is None:
             self._until_s = time.monotonic() + INTERRUPTED_S
 
@@ -198,7 +198,8 @@ class CheckPool(Generic[Key]):
 
 
 def main() -> None:
-    """The work of a check process, which needs neither JAX nor Warp."""
+    """Check the outcomes of tasks, one task after another, until the pipe of tasks ends. A check process needs neither
+    JAX nor Warp."""
     serve(NICE, _checked)
 
 

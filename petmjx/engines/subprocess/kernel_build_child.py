@@ -19,7 +19,7 @@ class GpuLimits:
     """The properties of a GPU from which its kernels follow.
 
     Attributes:
-        arch: compute capability times ten: 90 is an H100.
+        arch: compute capability times ten; an H100 has 90.
         max_shared_memory_per_block: largest shared memory of a thread block, bytes.
         sm_count: number of multiprocessors. Kernels do not depend on ``sm_count``.
     """
@@ -35,8 +35,9 @@ class KernelBuild(NamedTuple):
 
     Attributes:
         gpu: the GPU; None: the CPU of this machine.
-        size: name of a block size: ``usual`` or ``large`` (the two of ``block_sizes.SIZES``), ``few`` (``FEW_BOXES``),
-            or ``last`` (``LAST``). On a CPU, one kernel serves all sizes.
+        size: name of a block size of petmjx/engines/warp/block_sizes.py: ``usual`` (``SIZES[0]``), ``large``
+            (``SIZES[1]``, for large plans), ``few`` (``FEW_BOXES``, for worlds of few boxes), or ``last`` (``LAST``,
+            for the last worlds of a run). On a CPU, one kernel serves all sizes.
         hands, lands: features of a kernel for GPUs, as in ``petmjx.engines.warp.block_launch.Features``.
     """
 

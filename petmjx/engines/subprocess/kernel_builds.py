@@ -75,7 +75,8 @@ class KernelBuilds:
     """Processes that compile kernels.
 
     Args:
-        builds: the kernels. With ``MOST_PROCESSES`` kernels or fewer, and as many CPU threads, all begin at once.
+        builds: the kernels. At most ``MOST_PROCESSES`` of them are compiled at the same time, and no more than the
+            machine has CPU threads; three if it has fewer than three CPU threads.
     """
 
     def __init__(self, builds: Sequence[KernelBuild]) -> None:
@@ -132,5 +133,5 @@ def note_kept(sim: Simulation, gpu: GpuLimits | None = None) -> None:
 
 
 def _name_of(sim: Simulation, gpu: GpuLimits) -> str:
-    """The name of the note about the kernels ``usual_builds`` of these options and of a GPU."""
+    """The name of the note that the kernels of ``usual_builds(sim, gpu)`` are in the cache."""
     return "usual-kernels-" + hashlib.sha256(repr(usual_builds(sim, gpu)).encode()).hexdigest()[:16]
