@@ -74,7 +74,7 @@ class Call:
 
 @contextmanager
 def others_may_call() -> Iterator[None]:
-    """Within a call from JAX to Python, lets other threads make their calls from JAX at the same time.
+    """Inside a Python function that JAX calls, lets JAX call such functions in other threads at the same time.
 
     Warp (1.18) holds a lock during a call from JAX. So engines in several CPU threads would run one after another, one
     time slice at a time. Warp has read the data that the lock protects before it calls petmjx's function, so the lock
@@ -306,7 +306,7 @@ def kernel(launch: Launch) -> Any:
 @functools.cache
 def _cpu_kernel(panels: int, pause_after: int) -> Any:
     """The kernel for CPUs. The features of a launch are its arguments (``Launch.feature_arguments``): compiling takes
-    seconds, and machine code for one set of features alone would not be smaller."""
+    seconds, and a kernel compiled for a single set of features would have machine code of the same size."""
 
     def launcher(
         # Model:

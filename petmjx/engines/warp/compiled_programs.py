@@ -54,7 +54,7 @@ containers with four walls."""
 
 def friction_damping(physics: Physics) -> float:
     """Damping of friction, 1/s, as in MuJoCo (its documentation, "Modeling", "Solver parameters"). 0 means the same
-    damping as for contacts."""
+    damping as along the normal of a contact."""
     if not physics.has_own_friction:
         return 0.0
     time_s, damping = physics.solreffriction
@@ -179,8 +179,8 @@ class Programs:
         order: Int[Array, "queue world"],
         frames: dict[str, jax.Array],
     ) -> tuple[State, jax.Array, Int[Array, " word"], dict[str, jax.Array], dict[str, jax.Array]]:
-        """Simulate a time slice. Returns states, workspace, the array for the CPU (``READ_COUNTS``), frames, and
-        counts."""
+        """Simulate a time slice. Returns the states, the workspace, the array that the CPU fetches (the statuses of
+        all worlds, then ``READ_COUNTS``), the frames, and the counts."""
         table = self._rules.begin_drives(table, worlds)
         if self._few:
             order = small_world_queues(self._few, order, table.placed, table.running)

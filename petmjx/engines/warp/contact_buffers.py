@@ -17,9 +17,9 @@ MORE_BOXES = 2
 """Number of additional boxes for which buffers have room: one for the carrier, and one that small plans need."""
 
 MAX_GROWTH = 8
-"""The largest buffers have ``MAX_GROWTH`` times the room that the largest number of boxes of their block size needs by
-default. Buffers are doubled at each overflow. If buffers of the largest size (``most_room``) are still too small for a
-world, the world becomes invalid."""
+"""Limit for the growth of a world's buffers: they have at most ``MAX_GROWTH`` times the default buffers of the largest
+world of the same block size. Buffers are doubled at each overflow. If buffers of the largest size (``most_room``) are
+still too small for a world, the world becomes invalid."""
 
 
 def pairs_and_contacts(shapes: int) -> tuple[int, int]:
@@ -29,7 +29,7 @@ def pairs_and_contacts(shapes: int) -> tuple[int, int]:
 
 def most_room(size: int) -> int:
     """Upper limit for the growth of buffers, as a number of boxes. The buffers of a world of the block size ``size``
-    never get room for the contacts and pairs of more boxes.
+    never have room for the contacts and pairs of more boxes than this number.
 
     The limit is the same in all runs, so the largest plan of a run has no influence on whether a world is given up."""
     return MAX_GROWTH * (size + MORE_BOXES)

@@ -68,8 +68,8 @@ class ContinuedWorlds:
         """Two values: whether there are at least ``WORTH_A_PROCESS`` jobs; and the kinds of worlds for which the
         process has been made ready, True for worlds with a drive and False for worlds without."""
         self._left: dict[int, tuple[Job, Outcome]] = {}
-        """Stream number → job of each world that a CPU thread continues, and outcome with which the world left the
-        GPU."""
+        """For each world that a CPU thread continues: stream number → the job of the world, and the outcome with which
+        the world left the GPU."""
 
     def prepare(self, jobs: Sequence[Job]) -> None:
         """Start the process before the first slice, if there are many jobs. The process then simulates a world of one
@@ -93,7 +93,7 @@ class ContinuedWorlds:
             return False
         self._progress.notes[f"long worlds were simulated to their ends on {ENGINE}"] = None
         self._left[outcome.job] = job, outcome
-        # without ``poses``, which are the boxes' poses at the beginning of the drive: the world left the GPU later
+        # ``poses`` is left out: it has the boxes' poses at the beginning of the drive, and the world left the GPU later
         continued = replace(job, start=outcome.state, poses=None)
         self._simulator.begin(AttemptTask(outcome.job, ENGINE, continued, self._sim))
         return True
@@ -101,7 +101,7 @@ class ContinuedWorlds:
     def ended(self) -> Iterator[Outcome]:
         """The outcomes of the worlds that have ended since the last call, with their stream numbers."""
         for answer in self._simulator.ended(wait=False):
-            if answer.number not in self._left:  # READY only prepares the process: it has no world
+            if answer.number not in self._left:  # the task READY belongs to no world
                 continue
             job, before = self._left.pop(answer.number)
             outcome = answer.outcome

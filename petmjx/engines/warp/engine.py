@@ -57,9 +57,9 @@ class MjxWarpEngine(Engine):
 
     Attributes:
         granule: the number of box columns of tables is a multiple of this number.
-        least_rows: smallest number of rows of a table. Programs are compiled for each number of rows and of columns. So
-            a larger ``least_rows`` saves compilations in long runs that begin with few jobs, and in series of runs with
-            different numbers of jobs.
+        least_rows: smallest number of rows of a table. For each pair of numbers (of rows, of box columns), programs are
+            compiled anew. So a larger ``least_rows`` saves compilations in long runs that begin with few jobs, and in
+            series of runs with different numbers of jobs.
         depth_first: whether worlds that follow from outcomes are simulated before other worlds begin. On a GPU, the
             value is False, so that the longest of all worlds come first: if long worlds came last, many blocks would be
             idle.
@@ -141,7 +141,7 @@ class MjxWarpEngine(Engine):
             slices = self._slices(source, sim, progress, waits, continued)
             try:
                 for outcome in outcomes_of(slices, sim, progress, waits=waits, continued=continued):
-                    stream_number = outcome.job if outcome is not None else None  # no outcome: the engine pauses
+                    stream_number = outcome.job if outcome is not None else None  # None: the engine pauses
                     yield outcome
                     if stream_number is not None:  # by now, the jobs that follow from this outcome are in the stream
                         source.answered(stream_number)

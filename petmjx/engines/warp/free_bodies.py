@@ -39,7 +39,8 @@ _NO_RULES: Final[dict[str, Any]] = {
     "iteration_limit": NEVER,
     "sample_every": NEVER,
 }
-"""Constants of the kernels with which a driven world continues to its last step, whatever happens to its boxes."""
+"""Values for constants of the kernels (``world_arrays.Model``). With these values, a driven world continues to its last
+step, whatever happens to its boxes."""
 
 
 def paths(

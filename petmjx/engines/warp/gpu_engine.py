@@ -10,8 +10,8 @@ from petmjx.options.simulation import Simulation
 
 
 class MjxWarpGpuEngine(MjxWarpEngine):
-    """The engine ``mjx-warp`` of runs. Long worlds leave the GPU, and CPU threads simulate them to their ends
-    (``continued_worlds``).
+    """The engine ``mjx-warp``, as runs use it on a GPU. Long worlds leave the GPU, and CPU threads simulate them to
+    their ends (``continued_worlds``).
 
     Args:
         lanes: see ``MjxWarpEngine``.

@@ -40,7 +40,8 @@ class KernelFeatures:
 
     Attributes:
         widths: block size, named by its largest number of boxes (``block_sizes.Size``) → number of boxes for which
-            buffers are made in this run. The latter is smaller if all plans of the run are smaller.
+            buffers are made in this run. This number is smaller than the block size if all plans of the run are
+            smaller.
         hands: whether kernels need hands, which carry or drop boxes.
         gives: whether kernels need compliant boxes.
         wraps: whether kernels need stretch film that holds boxes.
@@ -63,7 +64,8 @@ class KernelFeatures:
         Raises:
             InputError: a job has more boxes than the largest block has room for.
         """
-        box_counts = {scene.n_boxes for scene in {job.scene for job in jobs}}  # drives of a placement share its scene
+        # the inner set has each scene once, although all drives of a placement share its scene
+        box_counts = {scene.n_boxes for scene in {job.scene for job in jobs}}
         hands, gives, wraps, _ = Features.joined(needs_of(job.scene, driven=job.drive is not None) for job in jobs)
         stiff = frozenset(job.stiff for job in jobs if job.stiff is not None)
         return cls(widths_of(box_counts, granule), hands, gives, wraps, stiff)

@@ -128,7 +128,7 @@ def snapshots_of(report: SnapshotInputs, half_size: FloatArray, target: FloatArr
     """The snapshots of the first m worlds, where m is the length of ``half_size``.
 
     Args:
-        report: the fields of the worlds, on the device.
+        report: what ``snapshot_inputs`` returned for at least m worlds, on the device.
         half_size, target: (m, k, 3) half extents and planned centres of the boxes, m.
     """
     state: SnapshotInputs = jax.tree.map(lambda values: values[: len(half_size)], jax.device_get(report))

@@ -1,4 +1,4 @@
-"""Open worlds (to which boxes can be added) as a JAX pytree, with the pure functions that change them.
+"""Open worlds (to which boxes can be added) as a JAX pytree, and the pure functions that return changed open worlds.
 
 Jitted programs can call these functions.
 """
@@ -34,7 +34,7 @@ class OpenState(NamedTuple):
 
 
 class Simulator:
-    """The pure functions that change open worlds.
+    """The pure functions that return changed open worlds.
 
     Args:
         most_boxes: largest number of boxes of a world.
@@ -97,7 +97,7 @@ class Simulator:
     def finish(self, open_: OpenState) -> State:
         """Let each paused world begin its rest window or its drive, as its constants say. A world may have paused
         because its boxes did not come to rest in time. If boxes of a paused world still move, the world first waits
-        longer, up to ``longest_wait_s``, since this is its last wait, and earlier waits may be shorter."""
+        longer, up to ``longest_wait_s`` after its last placement. (The wait before the pause may have been shorter.)"""
         state, worlds = open_.state, open_.worlds
         paused = state.status == Status.PAUSED
         goes = paused & ~(self._placing.moves(state) & self._lasts_longer(state))

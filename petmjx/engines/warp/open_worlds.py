@@ -1,8 +1,8 @@
 """Open worlds (to which boxes can be added) on the engine mjx-warp. The states of open worlds stay on the device
 between calls.
 
-petmjx/engines/warp/open_world_functions.py has the pure functions that change these worlds. ``WarpWorlds`` offers the
-same operations to ordinary Python code.
+petmjx/engines/warp/open_world_functions.py has the pure functions that return changed open worlds. ``WarpWorlds``
+offers the same operations to ordinary Python code.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class WarpWorlds(OpenWorlds):
 
     Attributes:
         open: the worlds, on the device.
-        simulator: the pure functions that change these worlds. Jitted programs can call these functions, too.
+        simulator: the pure functions that return these worlds changed. Jitted programs can call these functions, too.
         width: number of boxes for which each world has room.
         boards: number of shapes for which the carrier of each world has room.
     """
@@ -141,7 +141,7 @@ class WarpWorlds(OpenWorlds):
         padded = padded_rows(count)
         batch = load(jobs, padded, self.width, self._sim, self._timetable)
         forks = _take(self.open, self._rows(worlds, padded), count)
-        more = self._constants(scenes, padded)  # constants without drives: a drive begins once the boxes rest
+        more = self._constants(scenes, padded)  # these constants have no drives: drives begin after this placement
         rows = jnp.where(jnp.arange(padded) < count, jnp.arange(padded), padded)
         settled = self._to_the_end(self._jitted_put(forks, rows, more), jnp.zeros((1, 1, 3)))
         return self._ended_outcomes(settled.state, jobs, batch)
@@ -235,12 +235,12 @@ class WarpWorlds(OpenWorlds):
         return worlds._replace(pauses=device_array(np.ones(rows, np.bool_)))
 
     def _rows(self, worlds: Sequence[int], length: int | None = None) -> Int[Array, " row"]:
-        """The row numbers of these worlds, padded with numbers beyond the tables.
+        """The row numbers of these worlds, padded with a row number that is beyond the last row of the tables.
 
         Args:
-            length: length of the result. If ``length`` is None, the length is a power of two, at least as large as in
-                any earlier call. So later calls compile nothing, although the number of worlds changes as pallets end
-                and start again.
+            length: length of the result. If ``length`` is None, the length is a power of two, and is not smaller than
+                in any earlier call. So later calls compile nothing, although the number of worlds changes as pallets
+                end and start again.
         """
         if length is None:
             length = self._most_rows = max(self._most_rows, padded_rows(len(worlds)))

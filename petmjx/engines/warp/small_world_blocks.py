@@ -28,8 +28,8 @@ def small_world_pool(pool: BlockPool, worlds: int, lanes: int | None = None) -> 
     Args:
         pool: the block pool from which these worlds come.
         worlds: number of worlds that begin with few boxes.
-        lanes: largest number of worlds in blocks of one kind. If ``lanes`` is None, the limit is the number for which
-            the device has room.
+        lanes: largest number of worlds that run at the same time in these blocks. If ``lanes`` is None, the limit is
+            the number for which the device has room.
     """
     one = pool.launch
     launch = Launch.of(FEW_BOXES, one.features)

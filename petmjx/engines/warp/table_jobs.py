@@ -21,13 +21,13 @@ SPARE_ROWS: Final = 4
 WAITING_ROWS: Final = 8
 """A table begins with this number of rows for each of its first jobs, if more jobs may come, but none that follow from
 outcomes. Thread blocks begin with the longest worlds of the table. So the more worlds wait in the table, the shorter
-are the worlds that are simulated last. A GPU begins with 1,600 worlds, so all worlds of a run of 10,000 plans are in
-the table after some slices."""
+are the worlds that are simulated last. A GPU begins with 1,600 worlds, and 12,800 rows are enough for all worlds
+of a run of 10,000 plans."""
 
 LEAST_FOLLOWING_ROWS: Final = 2048
 """Smallest number of rows of a table that further jobs may join later, such as the many drives that follow a single
 placement. (A drive is a motion of the carrier.) If the stream has fewer jobs in all, the table has only as many rows as
-jobs. A GPU has fewer than 1,024 thread blocks."""
+jobs. A GPU runs fewer than 1,024 thread blocks at the same time, so the table has at least two rows per block."""
 
 MOST_JOINING: Final = 256
 """Largest number of jobs that join a table between two time slices (calls of the kernels). Joining takes about 50 ms,
@@ -92,8 +92,8 @@ class TableJobs:
 
     @property
     def ended(self) -> bool:
-        """Whether no job waits, no further jobs come, and no world is about to move to another table. The call waits
-        for the thread that makes worlds.
+        """Whether no job waits, no further jobs come, and no world is about to move to another table. If no job waits,
+        the call waits until the stream has a job or ends.
         """
         return self.running is None and not self._stream.peek(1, wait=True)
 

@@ -36,8 +36,8 @@ def tail_pool(pool: BlockPool, lanes: int | None = None) -> BlockPool | None:
 
     Args:
         pool: the block pool from which these worlds come.
-        lanes: largest number of worlds in blocks of one kind. If ``lanes`` is None, the limit is the number for which
-            the device has room.
+        lanes: largest number of worlds that run at the same time in these blocks. If ``lanes`` is None, the limit is
+            the number for which the device has room.
     """
     one = pool.launch
     if one.per_sm == 1:
@@ -47,9 +47,9 @@ def tail_pool(pool: BlockPool, lanes: int | None = None) -> BlockPool | None:
 
 
 def stiff_pool(pool: BlockPool, stiff: float, lanes: int | None = None) -> BlockPool:
-    """The block pool for worlds with stiffer contacts, in a table of other worlds. A world with stiffer contacts has
-    more steps, with more iterations each, and other worlds may follow from this world. So the world gets a block like
-    those for last worlds.
+    """The block pool for those worlds of a table that have stiffer contacts than the other worlds. A world with stiffer
+    contacts takes more steps, with more iterations each, and further jobs may follow from its outcome. So the world
+    gets a block like those for last worlds.
 
     Args:
         pool: the block pool for other worlds of the same size.

@@ -262,7 +262,7 @@ class TableSlices:
         self._table.give_up(np.flatnonzero(is_live), Flag.OUT_OF_MEMORY)
 
     def _read_ended(self, status: NDArray[np.int32]) -> SliceResult:
-        """Copy the results of the worlds that have ended, on the device, and free their rows."""
+        """Copy the results of the ended worlds to new arrays on the device, and free the table rows of these worlds."""
         table = self._table
         ended = table.ended(status)
         picked = readbacks_of(ended, table.table, table.worlds, table.run.sim)
@@ -325,7 +325,7 @@ def outcomes_of(
     def counted() -> Generator[SliceResult]:
         with closing(slices):
             for next_slice in slices:
-                # no world may have ended in the slice if slices wait for the CPU
+                # the number is 0 if no world has ended in the slice
                 count(sum(len(batch.rows) for batch in next_slice.picked))
                 yield next_slice
 
@@ -344,6 +344,6 @@ def outcomes_of(
         if continued is not None:
             yield from continued.last()
     finally:
-        progress.at_hand = None  # no outcome follows after an error
+        progress.at_hand = None  # after an error, no outcome follows, whatever the count was
         if continued is not None:
             continued.close()

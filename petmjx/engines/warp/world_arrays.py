@@ -132,18 +132,20 @@ class Model:
     quiet_steps: int
     landing_steps: int
     poll_steps: int
-    hand_rate: float  # Rate of the hand's spring, 1/s.
-    lowering_rate: float  # Rate of the damper by which the hand sets boxes down, 1/s.
-    stuck_steps: int  # Largest number of steps for which a hand waits.
-    film_rate: float  # Rate of the spring by which film holds a box, 1/s.
+    hand_rate: float  # Natural angular frequency of the hand's spring, 1/s.
+    lowering_rate: float  # Damping constant / mass, for the damper by which the hand sets boxes down, 1/s.
+    # A hand holds a box at the end of its path for at most so many steps, and then sets it down in at most so many.
+    stuck_steps: int
+    film_rate: float  # Natural angular frequency of a box that film holds, 1/s.
     landing_time: float  # Time in which a landing box is stopped, s.
     landing_lasts: int  # Number of steps for which a box counts as landing after its first touch.
     restitution: float
 
-    due: wp.array[int]  # index: step; as in Timetable
+    # Arrays of step numbers, as in Timetable. Index of the first three: step; of the last: number of boxes.
+    due: wp.array[int]
     longest: wp.array[int]
     settled: wp.array[int]
-    settled_nominally: wp.array[int]  # index: number of boxes
+    settled_nominally: wp.array[int]
 
 
 @partial(record, tables=(world_constants.Worlds,), without=("driven",))
@@ -212,7 +214,8 @@ class Workspace:
     # contacts of each body, grouped by body: 2 × number of the contact, + 1 for the contact's second body
     body_contact: Annotated[wp.array2d[int], "block link"]
     body_conadr: Annotated[wp.array2d[int], "block free_body_end"]
-    body_component: Annotated[wp.array2d[int], "block body"]  # The first body of the component (joined by contacts).
+    # For each body, the first body of its component (all bodies with which it is joined by contacts).
+    body_component: Annotated[wp.array2d[int], "block body"]
     body_root: Annotated[wp.array2d[int], "block body"]  # The body from which distances in a component are counted.
     body_level: Annotated[wp.array2d[int], "block body"]  # Distance from the root, in contacts.
     position: Annotated[wp.array2d[int], "block free_body"]  # Position of a body in the solver's system.
@@ -224,7 +227,7 @@ class Workspace:
     solver_niter: Annotated[wp.array[int], "block"]
     solver_paused: Annotated[wp.array[int], "block"]  # Number of iterations before a pause; 0: no pause.
     world: Annotated[wp.array[int], "block"]  # The world of a block; negative: no world.
-    frame: Annotated[wp.array[int], "block"]  # The frame that a block writes.
+    frame: Annotated[wp.array[int], "block"]  # Index in FrameBuffer of the frame that a block writes.
 
 
 @record
@@ -247,7 +250,8 @@ class Counts:
 
     taken: Annotated[wp.array[int], "queue"]  # Number of worlds that blocks have taken so far.
     idle: Annotated[wp.array[int], "queue"]  # Number of lanes that found no further world.
-    clock: Annotated[wp.array[int], "1"]  # Time at which the call began (block.cuh).
+    # GPU: time of the first reading of the clock, in units of 1,024 ns; CPU: 1 when the slice is over (block.cuh).
+    clock: Annotated[wp.array[int], "1"]
     steps: Annotated[wp.array[int], "1"]
     iterations: Annotated[wp.array[int], "1"]
     contacts: Annotated[wp.array[int], "1"]  # largest number of contacts of a world

@@ -99,7 +99,7 @@ class RunningWorlds(NamedTuple):
 class WorldTable(Batch):
     """Worlds of all sizes on the device, and the buffers for their recorded frames.
 
-    ``jobs`` has the last job of each used row.
+    ``jobs`` has the latest job of each row that has been used.
 
     Attributes:
         stream_numbers: stream number of the job in each row.

@@ -1,4 +1,5 @@
-"""Frames of recorded worlds: poses after a step, and the forces on tops during it (petmjx.world.history)."""
+"""Frames of recorded worlds: the poses after a step, and the forces on the tops of boxes during this step
+(petmjx.world.history)."""
 
 from __future__ import annotations
 

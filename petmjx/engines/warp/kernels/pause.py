@@ -1,4 +1,4 @@
-"""A kernel that only waits."""
+"""A kernel that only waits. It delays later kernels of its CUDA stream (``block_launch.side_by_side``)."""
 
 from __future__ import annotations
 

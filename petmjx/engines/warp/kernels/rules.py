@@ -2,8 +2,8 @@
 (docs/rules.md).
 
 Twin of petmjx/engines/mjx/rules.py, which applies the rules to all worlds of a batch together. Threads share the boxes.
-All threads read the world's counters before the first barrier. The first thread changes the counters after the last
-barrier.
+In ``after_step``, all threads read the world's counters before the first barrier, and the first thread changes the
+counters after the last barrier.
 """
 
 from __future__ import annotations

@@ -26,8 +26,8 @@ Five things make this solver fast:
   linearised equation |j|·w = j (Chan, Golub and Mulet, "A nonlinear primal-dual method for total variation-based image
   restoration", SIAM J. Sci. Comput. 20, 1999; Andersen and others, "An efficient primal-dual interior-point method for
   minimizing a sum of Euclidean norms", SIAM J. Sci. Comput. 22, 2000). The minimum is the same, and the cost decreases
-  along each direction. While a pallet slides, the number of iterations is nearly halved, and a line search takes a
-  quarter of the evaluations.
+  along each direction. While a pallet slides, a step takes little more than half of the iterations, and its
+  line searches together take a quarter of the evaluations (benchmarks/notebook/performance.md, "Sliding contacts").
 
 Accelerations, residuals, forces and gradients are double precision; H and its factor are single precision. Rounding in
 the factor slows the convergence a little; rounding in the gradient would stop the convergence. Every sum has a fixed
@@ -71,7 +71,8 @@ _INCLUDE = re.compile(r'#include "([\w.]+)"')
 
 
 DRIVER_BYTES = 1 << 10
-"""Part of a block's shared memory that the driver reserves (CUDA C++ Programming Guide, "Compute capability 9.0")."""
+"""Shared memory that the driver reserves in each block, bytes (CUDA C++ Programming Guide, "Compute capability 9.0").
+"""
 
 
 def own_bytes(panels: int, worlds: int = 1) -> int:
