@@ -77,7 +77,8 @@ def records_of(plans: Sequence[Plan], numbers: Mapping[str, int] | None = None) 
         plan.plan_id: PlanRecord(
             plan_digest(plan),
             plan.source,
-            # a separate sum for each plan, because ``reduceat`` adds in another order and rounds differently
+            # a separate sum for each plan: ``np.add.reduceat`` would add in another order than ``sum``, and round
+            # differently
             float(volume_of_box[begin:end].sum()),
             extent_x,
             extent_y,

@@ -143,7 +143,7 @@ def write_table(table: pa.Table, path: Path) -> str:
 
 
 def write_text(content: str, path: Path) -> None:
-    """Write one text file in the encoding of :func:`text`. The file never appears half-written."""
+    """Write one text file as UTF-8, with the escapes of :func:`text`. The file never appears half-written."""
     write_together({path: text(content)})
 
 

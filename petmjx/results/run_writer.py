@@ -47,8 +47,8 @@ from petmjx.results.world_counts import COUNTED, WorldCounts
 from petmjx.results.world_rows import Part, Row
 
 WORLDS_PER_PART: Final = 5_000
-"""Largest number of worlds in a part. If worlds have 43 boxes, a part of ``boxes`` then has 15 MB. A million worlds
-make 200 parts."""
+"""Largest number of worlds in a part. For this number of worlds of 43 boxes, the part of the table ``boxes`` has 15 MB.
+A million worlds make 200 parts."""
 
 BYTES_PER_PART: Final = 64 << 20
 """Memory of the waiting rows at which a part is full and is written, bytes. 64 MiB hold 4,000 worlds of 43 boxes, 60
@@ -174,7 +174,7 @@ class RunWriter(RunInfo):
         self._opened_s = 0.0  # Time at which the table ``plans`` was written (monotonic clock).
         self._is_behind = False  # Whether run.json must still be written.
         self._write_error: Exception | None = None  # The error of the last try to write; None if the try succeeded.
-        self._retry_s = 0.0  # Time before which nothing is written again (monotonic clock).
+        self._retry_s = 0.0  # Earliest time of the next try to write, after a failed try (monotonic clock).
         self._until_end = contextlib.ExitStack()
         self._ended = False
 

@@ -262,7 +262,7 @@ def plans_schema(ordered: bool = False) -> pa.Schema:
     """Schema of the table ``plans``, from whose digests one can tell whether two runs have the same plans.
 
     Args:
-        ordered: whether the run was compared with orders. The table then has the columns of
+        ordered: whether the run was compared with orders. If it was, the table also has the columns of
             ``petmjx.plans.order_matching.PlanOrderCounts``.
     """
     texts = _texts(

@@ -23,9 +23,9 @@ COUNTED: Final = ("verdict", "reason", "attempt", "flags")
 class WorldCounts:
     """Numbers of worlds by verdict and reason, and of worlds that needed more than one attempt (simulation).
 
-    If boxes still move at the end of a world, a longer simulation might have another verdict. Among the worlds with
-    boxes that still move, ``moving`` worlds are stable, and ``moving_by_shift`` worlds are unstable because of a shift.
-    ``leans`` is the number of stable worlds in which a box leans or lies lower than planned.
+    If boxes still move at the end of a world, a longer simulation might have another verdict. ``moving`` is the number
+    of such worlds that are stable, and ``moving_by_shift`` the number of such worlds that are unstable because of a
+    shift. ``leans`` is the number of stable worlds in which a box leans or lies lower than planned.
     """
 
     verdicts: Counter[tuple[Verdict, Reason]] = field(default_factory=Counter)

@@ -1,1 +1,2 @@
-"""Runs: scores, sweeps and searches. Makes simulated worlds of plans, simulates them, and summarises the results."""
+"""Runs: scores, sweeps and searches. Makes worlds (simulations) from plans, simulates the worlds, and summarises the
+results."""

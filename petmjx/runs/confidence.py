@@ -99,7 +99,7 @@ def confidence_sweep(
         carried = error_sweep.simulation.placing.for_errors
         if not (error_sweep.simulation.may_carry and carried.carries):
             raise InputError(
-                "exact_too needs placing auto, hand or tines, because it compares carried boxes with boxes that appear"
+                "exact_too needs placing auto, hand or tines, to compare carried boxes with boxes placed exactly"
             )
         axes = {**axes, PLACING: Axis(PLACING, (carried.name.value, Way.EXACT.value))}
     return error_sweep.model_copy(update={"nominal": True, "replicates": n_worlds, "axes": axes})

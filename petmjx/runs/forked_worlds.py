@@ -30,7 +30,7 @@ class Batching:
             states of these simulations are not stored.
         placements: largest number of stored settled states. A state with 43 boxes takes 10 to 20 KB.
         worlds: largest number of variants that start from stored states at the same time. If a single placement has
-            more variants than this, all of them start together.
+            more variants than ``worlds``, all of them start together.
         drives: for searches and chains, largest number of simulations that start from stored states in one call of the
             engine. In a search, only the first tests of each profile and direction are counted; in a chain, all worlds
             are counted.

@@ -191,7 +191,8 @@ def _of_shard(run: RunResults) -> dict[str, Any]:
 
 
 def _note_input(writer: RunWriter, infos: Sequence[Mapping[str, Any]]) -> None:
-    """Copy skipped plans and warnings from the shards. Each line is copied once, in the order of first appearance."""
+    """Copy skipped plans and warnings from the shards, in the order of first appearance. An entry that several shards
+    have is copied once."""
     entries = itertools.chain.from_iterable(info["skipped"] for info in infos)
     skipped = (
         Skipped(entry["source"], entry.get("plan_id") or None, entry.get("error", ""), entry.get("number"))

@@ -31,8 +31,10 @@ class ReadingAnswer(NamedTuple):
 
     Attributes:
         columns: all plans, joined into a few arrays and lists, which are sent faster than thousands of plan objects.
-        rest: the set of plans with an empty list of plans, for its skipped entries, warnings and other attributes.
-        unread: how often fields occur that petmjx ignores. Only counted if the process has read a segment of a file.
+        rest: the set of plans without its list of plans. It has the skipped entries, the warnings and all other
+            attributes.
+        unread: how often each field that petmjx ignores occurs. These fields are counted only if the process has read a
+            segment of a file.
         records: plan id → record of the plan.
         edge_risks: plan id → ``EdgeRisk`` of the plan's scene, for the first ``MOST_EXAMINED`` plans.
     """

@@ -199,7 +199,7 @@ def _are_frictions(setting: Any) -> Any:
 
 Frictions = Annotated[Positives, AfterValidator(_are_frictions)]
 
-# Errors. Each error is a distribution.
+# The types of errors. An axis of errors has distributions as values.
 
 Error = Annotated[StrictFloat, within(-MAX_ERROR, MAX_ERROR)]
 Spread = Annotated[StrictFloat, Field(ge=0), within(0, MAX_ERROR)]

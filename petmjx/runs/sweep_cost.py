@@ -18,8 +18,8 @@ from petmjx.world.profiles.profile import Strength
 from petmjx.world.variants import LegSpec
 
 _TILTED: Final = 0.5
-"""Expected share of the steps of a tilting profile that are simulated. The share is below 1, since pallets slide or
-topple before the end of the profile."""
+"""Expected share of the steps of a tilting profile that are simulated. The share is below 1, since many pallets slide
+or topple before the end of the profile, and their worlds then end."""
 
 
 def work_of(worlds: SweepPlan) -> Work:

@@ -222,7 +222,8 @@ class Design:
         return {variant.index: variant.replicate for variant in drawn}
 
     def search_items(self) -> tuple[SearchItem, ...]:
-        """The questions that a search asks about each placement: one for each profile in each direction."""
+        """The search items of each placement: one for each profile in each direction. For each item, a search finds the
+        largest level survived."""
         directions = self.sweep.axes["direction"].values if "direction" in self.sweep.axes else (0.0,)
         return tuple(
             SearchItem(name, direction)

@@ -353,8 +353,8 @@ class SweepRun:
     # Chains.
 
     def _legs_of(self, begin: LegStart) -> Iterator[LegWorld]:
-        """The jobs for the next leg of variants whose journeys were equal so far. Variants whose next leg is also equal
-        share one job."""
+        """The worlds of the next leg, for the variants of ``begin``, whose journeys were equal so far. Variants whose
+        next leg is also equal share one world."""
         placed, before = begin.settled, begin.before
         plan, record = placed.group.plan, self.recording.of(placed.group.plan)
         alike: dict[tuple[LegSpec, int], list[Variant]] = {}
