@@ -1,5 +1,5 @@
 """The variants of a sweep (sets of changes to a plan), and the settings that identify a sweep. All plans of a sweep
-have the same variants. Two sweeps with the same identifying settings make the same worlds (simulations).
+have the same variants. Two sweeps with the same identifying settings have the same variants.
 """
 
 from __future__ import annotations
