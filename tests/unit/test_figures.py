@@ -88,6 +88,7 @@ SHARES = pd.DataFrame(
      "share": [0.5, 0.25, 0.75], "low": np.nan, "high": np.nan}
 )  # fmt: skip
 PLANS = pd.DataFrame({"plan_id": ["p", "q"], "share": [0.5, 1.0], "low": [0.3, 0.8], "high": [0.7, 1.0]})
+ARRIVALS = PLANS.assign(scope="plan", remedy="", leg="", weakest_leg="fork")
 
 
 @pytest.mark.parametrize(
@@ -95,9 +96,10 @@ PLANS = pd.DataFrame({"plan_id": ["p", "q"], "share": [0.5, 1.0], "low": [0.3, 0
     [
         (LEVELS, (">level, g<", ">plans that survive it, %<", ">90°<", ">eumos-40509, 2 plans<")),
         (SHARES, (">factor on friction<", ">worlds that stand, %<")),
-        (PLANS, (">p<", ">q<", "95 % intervals")),
+        (PLANS, (">p<", ">q<", ">worlds that stand, %; lines: 95 % intervals<")),
+        (ARRIVALS, (">p<", ">q<", ">worlds that arrive, %; lines: 95 % intervals<")),
     ],
-    ids=["levels", "shares", "plans"],
+    ids=["levels", "shares", "plans", "arrivals"],
 )
 def test_figures_of_sweeps(summary: pd.DataFrame, texts: tuple[str, ...], tmp_path: Path) -> None:
     (file,) = petmjx.figure(_Summarised(summary), tmp_path / "x.svg")

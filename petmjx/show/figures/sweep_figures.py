@@ -65,7 +65,7 @@ def draw_answers(run: RunResults) -> Any:
     if "profile" in summary:
         return _levels(summary)
     if "weakest_leg" in summary:
-        return _plans(arrivals(summary))
+        return _plans(arrivals(summary), "arrive")
     return _plans(summary)
 
 
@@ -132,8 +132,13 @@ def _shares(summary: pd.DataFrame) -> Any:
     return figure
 
 
-def _plans(rows: pd.DataFrame) -> Any:
-    """A figure with a row for each plan: the share of the plan's worlds in which it stands or arrives."""
+def _plans(rows: pd.DataFrame, what: str = "stand") -> Any:
+    """A figure with a row for each plan: the share of the plan's worlds that stand or arrive.
+
+    Args:
+        rows: a row per plan, with its share of worlds and the interval of the share.
+        what: what the counted worlds do, as a verb in the label of the axis: "stand" or "arrive".
+    """
     from matplotlib.figure import Figure
 
     if not len(rows) or len(rows) > MOST_PLANS:
@@ -143,7 +148,7 @@ def _plans(rows: pd.DataFrame) -> Any:
     shares = (100 * rows[name] for name in ("share", "low", "high"))
     draw_intervals(axes, [printable_name(name) for name in rows["plan_id"]], *shares)
     axes.set_xlim(-2, 102)
-    axes.set_xlabel("worlds that stand, %; lines: 95 % intervals")
+    axes.set_xlabel(f"worlds that {what}, %; lines: 95 % intervals")
     return figure
 
 
