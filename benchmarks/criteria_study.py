@@ -81,7 +81,8 @@ def _judged(results: CriteriaResults) -> str:
 
 
 def _thresholds(results: CriteriaResults) -> str:
-    heads = ["criterion", "at least", "published", "MCC with it", "MCC as published", "precision", "recall"]
+    thresholds = "found threshold", "published threshold", "MCC, found", "MCC, published"
+    heads = ["criterion", *thresholds, "precision", "recall"]
     assert results.thresholds is not None
     rows = []
     for row in results.thresholds.to_dict("records"):
@@ -94,7 +95,7 @@ def _thresholds(results: CriteriaResults) -> str:
 
 
 def _disagreements(both: pd.DataFrame, criteria: Sequence[Criterion]) -> str:
-    heads = ["criterion", "says", "physics", "how many", "clearest: plan (slack; margin of physics)"]
+    heads = ["criterion", "says", "physics", "how many", "clearest cases: plan (slack; margin of physics)"]
     return _table(heads, [row for criterion in criteria for row in _of_one(both, criterion)])
 
 

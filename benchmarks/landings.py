@@ -77,36 +77,30 @@ def rows(engine: str) -> list[dict[str, Any]]:
         fields = {"quantity": quantity, "source": source, "measured": f"{low:g} to {high:g}"}
         return fields | {"petmjx": round(value, 3), "miss": round(miss, 3), "engine": engine}
 
-    made, step_s = [], TIMESTEPS_S[0]
-    given, wanted = "petmjx's own limit of the depth", "restitution that was set"
+    made, step_s, depth = [], TIMESTEPS_S[0], "depth to which the box sinks"
+    given, wanted = "petmjx's own limit for this depth", "restitution that was set"
     for height_mm, most_mm in zip(HEIGHTS_MM, MOST_DEPTH_MM, strict=True):
         usual = landed(engine, height_mm, step_s, LANDING_S, RESTITUTION)
         title = f"restitution in falls from {height_mm:g} mm, by default"
         made.append(row(title, "usual range of cardboard", *CARDBOARD, usual.restitution))
-        made.append(row(f"depth in falls from {height_mm:g} mm, by default, mm", given, 0, most_mm, usual.depth_mm))
+        made.append(row(f"{depth} in falls from {height_mm:g} mm, by default, mm", given, 0, most_mm, usual.depth_mm))
         for restitution in ASKED:
             landing = landed(engine, height_mm, step_s, LANDING_S, restitution)
             conditions = f"in falls from {height_mm:g} mm, with `restitution` {restitution:g}"
-            made.append(row(f"depth {conditions}, mm", given, 0, most_mm, landing.depth_mm))
+            made.append(row(f"{depth} {conditions}, mm", given, 0, most_mm, landing.depth_mm))
             low, high = restitution - NEAR, restitution + NEAR
             made.append(
                 row(f"restitution of the simulated bounce {conditions}", wanted, low, high, landing.restitution)
             )
             bounces = [landed(engine, height_mm, s, LANDING_S, restitution).restitution for s in TIMESTEPS_S[1:]]
             worst = restitution + max((bounce - restitution for bounce in bounces), key=abs)
-            made.append(
-                row(
-                    f"restitution of the simulated bounce at the worse of the timesteps 1 and 0.5 ms {conditions}",
-                    wanted,
-                    low,
-                    high,
-                    worst,
-                )
-            )
+            at_worst = "restitution of the simulated bounce at the timestep (1 or 0.5 ms) with the larger error"
+            made.append(row(f"{at_worst} {conditions}", wanted, low, high, worst))
         for name, landing_s in (("by default", LANDING_S), ("with `landing_s` 0", 0.0)):
             peaks = [landed(engine, height_mm, timestep_s, landing_s, RESTITUTION).peak_n for timestep_s in TIMESTEPS_S]
             spread = max(peaks) / min(peaks) - 1
-            quantity = f"relative spread of the peak force over three timesteps in falls from {height_mm:g} mm, {name}"
+            falls = f"in falls from {height_mm:g} mm, {name}"
+            quantity = f"largest / smallest peak force at three timesteps, minus 1, {falls}"
             made.append(row(quantity, "no source", 0, 0.12, spread))
     return made
 

@@ -117,8 +117,9 @@ def _row_of_spread(engine: str) -> Row:
         spreads.append(100 * float(np.std(moved.pos_m[:, 0, :2], axis=0).max()))
     return Row(
         "place of rest of cartons tossed over 1.2 m", _TUE, "the authors' simulators miss it by 5 to 10 cm",
-        f"scatters by {min(spreads):.1f} to {max(spreads):.1f} cm over the measured ranges of friction", "–", engine,
-        "standard deviations, since the measured trajectories are not published",
+        f"standard deviation of {min(spreads):.1f} to {max(spreads):.1f} cm over the measured ranges of friction",
+        "–", engine,
+        "no error is given, since the measured trajectories are not published",
     )  # fmt: skip
 
 
@@ -183,7 +184,8 @@ def _rows_of_sliding(engine: str) -> Iterator[Row]:
         f"sliding distance of a pallet that starts at {SPEED_M_S:g} m/s",
         f"Coulomb's law with kinetic frictions of: {_SAE}",
         f"{expected[worst]:.3f} m", f"{expected[worst] * (1 + error[worst]):.3f} m", percent(abs(error[worst])), engine,
-        f"values of the floor with the largest error, of {len(kinetic)} floors", bool(abs(error).max() < _WAY_WITHIN),
+        f"the row shows the floor with the largest error, of {len(kinetic)} floors",
+        bool(abs(error).max() < _WAY_WITHIN),
     )  # fmt: skip
     lift = MM_PER_M * max(_lowest_corner(pos, quat) for pos, quat in zip(moved.pos_m, moved.quat_wxyz, strict=True))
     yield Row(

@@ -252,11 +252,12 @@ def _rows_of_spread(measures: Mapping[str, Any], engine: str) -> Iterator[Row]:
         f"{sigma['angvel_rad_s']:.2f} rad/s"
     )
     yield Row(
-        f"median distance of the ends of {runs} runs with uncertain starts", _CUBE,
+        f"median distance of the ends of {runs} simulations of a toss with uncertain starts", _CUBE,
         f"{measures['from_measured_median_mm']:.1f} mm from the measured end",
         f"{measures['between_runs_median_mm']:.1f} mm from each other",
         f"{measures['from_measured_median_mm'] / measures['between_runs_median_mm']:.1f} times", engine,
-        f"a perfect model of a perfect cube has two equal distances; starts differ from each other by {uncertain}",
+        "with a perfect model of a perfect cube, the two distances would be equal; starts differ from each other by "
+        f"{uncertain}",
     )  # fmt: skip
     yield _row_of_faces(measures, f"with restitution {RESTITUTION}", engine)
 
@@ -279,7 +280,7 @@ def _rows_of_friction(measures: Mapping[str, Any], engine: str) -> Iterator[Row]
         yield Row(
             f"friction fitted to {name} of the tosses", _CUBE, f"{measures['published']}", f"{half['friction']}",
             f"{abs(miss):.3f}", engine,
-            f"on the half without fit, {percent(other['right_face'])} have the filmed face up; errors: "
+            f"in the other half of the tosses, {percent(other['right_face'])} have the filmed face up; errors: "
             f"place {other['place_median_mm']:.1f} mm, path {other['path_mean_mm']:.1f} mm",
             abs(miss) <= _FRICTION_WITHIN + 1e-9,
         )  # fmt: skip
@@ -297,7 +298,7 @@ def _rows_of_calibration(measures: Mapping[str, Any], engine: str) -> Iterator[R
         )  # fmt: skip
     chance, likeliest = measures["chance_of_measured_face"], measures["chance_of_members_face"]
     yield Row(
-        "how often draws agree on the face that is up", _CUBE,
+        "agreement of draws on the face that is up at the end", _CUBE,
         f"{percent(chance)} of draws show the measured face", f"{percent(likeliest)} of pairs of draws agree",
         percent(likeliest - chance), engine,
         "the difference is petmjx's overconfidence about the face",

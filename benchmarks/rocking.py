@@ -328,12 +328,11 @@ def free_rocking(engine: EngineName) -> Iterator[Row]:
         time_s, tilt = _free_swing(run.histories, run.worlds.iloc[0])
         peaks, crossings = _swings(time_s, tilt)
         kept = np.mean([block.energy_kept(*pair) for pair in pairwise(peaks)])
-        yield Row(
-            f"share of energy that an impact leaves to {name}", "Housner 1963", block.speed_kept**2, float(kept), engine
-        )
+        kept_share = f"share of its energy that {name} keeps at an impact"
+        yield Row(kept_share, "Housner 1963", block.speed_kept**2, float(kept), engine)
         swing_s = block.rock(lambda _: 0.0, 5.0, 0.0, start=(peaks[0], 0.0)).impacts_s
         yield Row(
-            f"time of a swing of {name} from {math.degrees(peaks[0]):.1f}°, s",
+            f"time between the first two impacts of {name} that rocks freely from {math.degrees(peaks[0]):.1f}°, s",
             "Housner 1963",
             swing_s[1] - swing_s[0],
             crossings[1] - crossings[0],
@@ -419,7 +418,7 @@ def overturning(
         for (k, pulse_s), level in product(enumerate(PULSES_S), levels):
             lost = block.rock(half_sine(level, pulse_s), SETTLES_S, pulse_s).lost
             same += lost == (verdicts[f"p{k}", level] != "stable")
-        quantity = f"number of 96 pulses with the outcome of Housner's block, for a block of {width:g} × {height:g} mm"
+        quantity = f"number of pulses, of 96, with the same outcome as for Housner's block, {width:g} × {height:g} mm"
         yield Row(quantity + _contacts(physics), "Housner 1963, integrated", 96, same, engine)
 
 
