@@ -424,6 +424,7 @@ class Costs:
         tail_worlds: number of worlds that a full device would simulate in the time in which the last worlds of a run
             leave it nearly idle.
         gpu_start_s: time to start the device engine, including compilation, s.
+        gpu_load_s: time to start the device engine if an earlier run has compiled the kernels, s.
     """
 
     mujoco: ThreadCosts = ThreadCosts(
@@ -459,6 +460,7 @@ class Costs:
     full_worlds: int = 264
     tail_worlds: int = 900
     gpu_start_s: float = 17.0
+    gpu_load_s: float = 2.5
 
     def slowed(self, factor: float) -> Costs:
         """The costs on a machine whose CPU threads take ``factor`` times as long. The factor does not change the costs

@@ -14,7 +14,7 @@ from petmjx.common.machine import cpu_threads
 from petmjx.common.processes import defer_signals
 from petmjx.engines.cost_model import MEASURED, Costs, Work
 from petmjx.engines.engine_choice import ENGINES, Choice, choose, make_engine, options_of
-from petmjx.engines.machine_speed import costs_here
+from petmjx.engines.machine_speed import costs_here, with_kept_kernels
 from petmjx.engines.protocol import Engine, MinimalEngine
 from petmjx.engines.user_engine import UserEngine
 from petmjx.options.run_options import AUTO, RunOptions
@@ -82,7 +82,7 @@ def resolve_engine(
         return resolve_workers(options, work, costs or MEASURED, startup)
     threads = options.threads or cpu_threads()
     # Measuring the speed of CPU threads takes 0.3 s. If a GPU simulates, this speed is irrelevant.
-    costs = costs or (MEASURED if requested_engine == "mjx-warp" else costs_here(work, threads))
+    costs = costs or (with_kept_kernels(work) if requested_engine == "mjx-warp" else costs_here(work, threads))
     seconds = costs.seconds(work, threads)
     if requested_engine != AUTO:
         name, reason = requested_engine, "as asked for"

@@ -23,6 +23,7 @@ from petmjx.common.errors import EngineUnavailable, InputError
 from petmjx.common.machine import cpu_name, package_versions
 from petmjx.engines.cost_model import MEASURED, Costs, Work
 from petmjx.engines.kernel_notes import CPU_KERNEL, are_noted
+from petmjx.engines.subprocess.kernel_builds import are_kept
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.world.job import Job
@@ -50,20 +51,28 @@ the bound is used instead."""
 
 
 def costs_here(work: Work, threads: int) -> Costs:
-    """The costs of the engines on this machine. The machine's speed is measured only for runs of at least a second. If
-    the machine has compiled the kernel for CPUs in an earlier run, the costs include less time for starting.
+    """The costs of the engines on this machine. The machine's speed is measured only for runs of at least a second.
 
     Args:
         work: the work of the run.
         threads: number of CPU threads on which the run simulates worlds.
     """
-    costs = MEASURED
-    if are_noted(CPU_KERNEL):
-        costs = replace(costs, kernel_start_s=costs.kernel_load_s)
+    costs = with_kept_kernels(work)
     seconds = costs.seconds(work, threads)
     if min(seconds["mujoco"], seconds["mjx-warp-cpu"]) < WORTH_S:
         return costs
     return costs.slowed(slowness())
+
+
+def with_kept_kernels(work: Work) -> Costs:
+    """The costs ``MEASURED``, with less time for starting an engine whose kernels an earlier run on this machine has
+    compiled. On a GPU, runs with film or compliant boxes need further kernels, of which there are no notes."""
+    costs = MEASURED
+    if are_noted(CPU_KERNEL):
+        costs = replace(costs, kernel_start_s=costs.kernel_load_s)
+    if not work.filmed and not work.compliant.any() and are_kept(work.sim):
+        costs = replace(costs, gpu_start_s=costs.gpu_load_s)
+    return costs
 
 
 @functools.cache
