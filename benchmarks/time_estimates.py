@@ -186,6 +186,10 @@ def compared(
         }
 
 
+OF_PLANS: Final = ("placed_share", "ties", "giving", "sway_mm", "driven_share")
+"""Attributes of ``Work`` with a value for each plan."""
+
+
 def described(work: Work) -> dict[str, Any]:
     """The work of a run as plain values, from which a test can make the work again."""
     return {
@@ -196,8 +200,10 @@ def described(work: Work) -> dict[str, Any]:
         "carried": work.carried,
         "drives": work.drives,
         "drive_steps": work.drive_steps,
-        "filmed": work.filmed,
-        **{name: np.round(getattr(work, name), 3).tolist() for name in ("placed_share", "ties", "giving")},
+        "rounds": work.rounds,
+        "filmed": np.round(work.filmed, 3).tolist(),
+        "gentle": np.round(work.gentle, 3).tolist(),
+        **{name: np.round(getattr(work, name), 3).tolist() for name in OF_PLANS},
     }
 
 

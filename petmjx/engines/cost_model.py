@@ -8,7 +8,9 @@ additional cost of a landing grows with the square of the number of standing box
 cost next to nothing.
 
 On a device, too, the cost of a step of a full stack grows with the square of the number of boxes. But a plan with more
-boxes is at rest in a larger share of its steps, so the cost of a run grows more slowly.
+boxes is at rest in a larger share of its steps, so the cost of a run grows more slowly. At the end of a run, and of
+each round of a search, the device is nearly idle until the longest worlds end. In runs of a few hundred worlds, this
+takes most of the time.
 """
 
 from __future__ import annotations
@@ -35,7 +37,12 @@ not include these steps."""
 
 QUIET_STEPS = 220
 """Steps until a pallet is quiet with the adaptive schedule, if boxes are not placed one by one. Static checks of 45 to
-241 boxes took 150 to 890 steps until the pallet was quiet. After EUMOS's profile, pallets that stand took 216 steps."""
+241 boxes took 150 to 890 steps until the pallet was quiet."""
+
+DRIVEN_QUIET_STEPS = 115
+"""Steps after a profile until a pallet that stands is quiet. In drives of EUMOS's profile, pallets of 3 to 20 boxes
+that stood took 315 to 324 steps, of which the profile has 200. Drives in which most pallets of 3 to 60 boxes fell took
+160 to 610 steps on average."""
 
 COST_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.36}
 """The cost of a schedule on a device as a share of the fixed schedule's cost. On the same machine, 10,003 plans with
@@ -52,6 +59,18 @@ the model from the beginning, so every step has the full cost."""
 SHAKEN_FACTOR = 2.5
 """Cost of a step of a drive on a device, relative to a step of the same pallet with the fixed schedule. Measured on an
 H200: 735 to 786 drives of EUMOS per second, in a run of 6,400 drives that did not end when the pallet was quiet."""
+
+FALLING_FACTOR = 4.0
+"""Cost of a step of a fall on a device, relative to a step of the same boxes with the fixed schedule. On an H200, 300
+plans of 24 boxes that fall took 4 s."""
+
+DRIVE_TAIL_STEPS = 1150
+"""The longest drives of a run on a device take as long as if the mean drive had this number of steps and ended like a
+placement, whatever the length of the profile: after some drives, boxes creep for a long time."""
+
+TAIL_WORLDS = 5
+"""The longest of n worlds on a device takes ``Costs.gpu_tail_s`` · ln(1 + n / ``TAIL_WORLDS``) per unit of the mean
+world's work: lengths of worlds have an exponential tail, so the longest of n worlds grows with the logarithm of n."""
 
 REST_POWER = 1.25
 """The cost of a step at rest on a CPU thread grows with this power of the number of standing boxes."""
@@ -72,6 +91,11 @@ soon. After a drive with a smaller acceleration, boxes may creep for a long time
 ``CREEPING`` times as many steps, and is begun earlier. Measured on EUMOS's 4,032 drives of 100 plans: strong drives
 take 336 steps on average and at most 1,149; weak drives take 570 steps on average and at most 6,088."""
 
+GENTLE_COST = 0.25
+"""Additional cost of a step of a drive with an acceleration of at most ``STEADY_G``, relative to a stronger drive: in
+most of its steps, boxes neither slide nor fall. On ``mujoco``, this factor was 0.1 to 0.25 for 10 to 45 boxes in
+EUMOS's profile of 0.1 to 0.3 g, relative to 0.4 to 0.8 g."""
+
 
 FALL_STEPS = 1350
 """Number of steps of a fall while boxes are placed one by one: from the first box that tips over to the drop that ends
@@ -91,7 +115,7 @@ STATIC_FALL_BOXES = 12
 one by one, since all boxes may fall. Static checks of plans of 24 boxes took 1 to 1.4 times as long as
 placing the boxes one by one, and those of generated plans of 41 boxes 1.6 to 5 times as long."""
 
-LOST = 0.3
+LOST = 0.5
 """Number of steps of a fall in a placement with errors, relative to a fall in a placement without errors. The cost of
 the fall decreases by the same factor. A world with errors ends when a box has tilted too far, before the box drops."""
 
@@ -117,9 +141,29 @@ DISPLACED_STEPS, CARRIED_STEPS = 1.1, 5.0
 their places. ``DISPLACED_STEPS`` is for boxes that appear at places with errors; boxes that would overlap are moved
 apart first. ``CARRIED_STEPS`` is for boxes that are carried to their places, and get stuck at their neighbours."""
 
-GIVING_STEPS = 1.4
-"""Number of steps of a placement with compliant boxes, relative to the same placement with rigid boxes. A pile of boxes
-so soft that it does not come to rest takes up to fifteen times as many steps."""
+FAILING_BOXES = 0.008
+"""Chance of a box that is carried to its place with errors to fail, which ends the world. Of 80 worlds with errors of
+20 plans of 18 to 71 boxes, about 26 failed; of ten worlds of two plans of 146 and 238 boxes, six failed."""
+
+FAILING_POWER = 2.5
+"""The time of a world with errors grows with this power of the share of boxes that are placed before one fails: the
+number of steps grows with the share, and the time of a step with the number of standing boxes."""
+
+DRIVEN_SWAY = 4.0
+"""Number of additional steps of a drive of compliant boxes, relative to those of one placement: a drive makes a pile
+sway further. Columns of 18 boxes of 50 N/mm took 470 additional steps in EUMOS's profile, and 30 in a placement."""
+
+FALLING_SWAY_MM = 50.0
+"""A pile of compliant boxes is expected to fall when its ``Work.sway_mm`` has reached this value. While boxes are
+placed, the sway grows with the cube of the height."""
+
+GIVING_STEPS, SWAY_STEPS, SWAY_MM, MOST_SWAY_STEPS = 9.0, 13.0, 15.0, 250.0
+"""A pile of compliant boxes sways after each placement. If ``Work.sway_mm`` is w, the pile comes to rest after
+``GIVING_STEPS`` + ``SWAY_STEPS`` · √w · (1 + w / ``SWAY_MM``) additional steps, at most after ``MOST_SWAY_STEPS``
+additional steps. The period of a mass on springs that it compresses by s is 2π·√(s/g), so the number of steps grows
+with the square root of w. A pile that sways by more than ``SWAY_MM`` is close to falling, and comes to rest more
+slowly; a pile that sways much more falls before all boxes are placed. The numbers were fitted to 12 generated plans of
+10 to 73 boxes, each with 11 stiffnesses of 10 to 20,000 N/mm."""
 
 
 DISPLACED_COST, CARRIED_COST = 2.8, 4.5
@@ -129,6 +173,9 @@ carried to their places. On one GPU, 8,000 worlds with errors (of 500 plans) too
 with errors (of 250 plans) took 30 s if boxes were carried by hand, and 10,003 worlds without errors took 17 s."""
 
 
+_SHARES = 50
+"""Number of shares of placed boxes over which ``Work.share_before_failure`` sums."""
+
 LONG_PLACEMENT, LONG_DRIVE = 3.0, 2.5
 """A world is long if its placement takes more than ``LONG_PLACEMENT`` times as many steps as a placement whose boxes
 stand, or its drive more than ``LONG_DRIVE`` times the expected steps, not counting the rest window. A placement of
@@ -136,16 +183,21 @@ fewer than ``FALL_STEPS`` steps is never long. So worlds of few boxes that fall 
 650 steps, while worlds of few boxes that stand take only 165 to 210."""
 
 
-def rest_steps(sim: Simulation, rest_s: float) -> int:
-    """Expected number of steps after a profile until the pallet is quiet. ``rest_s``: the longest time to come to rest,
-    s."""
+def rest_steps(sim: Simulation, rest_s: float, quiet_steps: int = DRIVEN_QUIET_STEPS) -> int:
+    """Expected number of steps after a profile until the pallet is quiet.
+
+    Args:
+        rest_s: the longest time to come to rest, s.
+        quiet_steps: number of steps until the pallet is quiet with the adaptive schedule.
+    """
     most = seconds_to_steps(rest_s, sim.physics.timestep_s)
-    return min(most, QUIET_STEPS) if sim.schedule is Schedule.ADAPTIVE else most
+    return min(most, quiet_steps) if sim.schedule is Schedule.ADAPTIVE else most
 
 
 def expected_drive_steps(drive: Drive, sim: Simulation) -> float:
-    """Expected number of steps of one drive."""
-    steps = rest_steps(sim, drive.rest_s) + len(drive.excitation.samples)
+    """Number of steps of one drive, from which its order in a run and ``Costs.long_steps`` are computed. The number is
+    larger than the mean, so that few drives count as long."""
+    steps = rest_steps(sim, drive.rest_s, QUIET_STEPS) + len(drive.excitation.samples)
     peak_g = abs(drive.scale) * drive.excitation.peak_g
     return CREEPING * steps if sim.schedule is Schedule.ADAPTIVE and peak_g <= STEADY_G else steps
 
@@ -181,8 +233,14 @@ class Work:
         displaced: number of placements in which boxes appear at places with errors, or with changed sizes.
         carried: number of placements with errors of places or sizes in which boxes are carried to their places.
         drive_steps: steps of one drive, including ``rest_steps``; the mean over profiles.
-        filmed: share of the steps of drives in which pallets are wrapped in film, 0 to 1.
+        rounds: number of drives of a pallet that follow one another, since the results of earlier drives decide on
+            them: the rounds of a search, or the legs of a chain.
+        filmed: share of the steps of drives in which pallets are wrapped in film, 0 to 1: one value for all plans, or
+            one for each plan.
+        gentle: share of the steps of drives whose acceleration is at most ``STEADY_G``, 0 to 1, as ``filmed``.
         giving: number of compliant boxes of each plan; empty if no plan has compliant boxes.
+        sway_mm: how far a pile of each plan's compliant boxes sways, mm (petmjx.plans.loose_boxes); empty if no plan
+            has compliant boxes.
         ties: for each plan, the mean number of supports that a box has in addition to its first support
             (petmjx.plans.loose_boxes); if ``ties`` is empty, ``TYPICAL_TIES`` is used.
         placed_share: for each plan, the share of its boxes that are placed before the first box that tips over at once
@@ -197,16 +255,24 @@ class Work:
     carried: int = 0
     drives: int = 0
     drive_steps: float = 0.0
-    filmed: float = 0.0
+    rounds: int = 1
+    filmed: float | Sequence[float] | FloatArray = 0.0
+    gentle: float | Sequence[float] | FloatArray = 0.0
     giving: Sequence[float] | FloatArray = ()
     ties: Sequence[float] | FloatArray = ()
     placed_share: Sequence[float] | FloatArray = ()
+    sway_mm: Sequence[float] | FloatArray = ()
+    driven_share: Sequence[float] | FloatArray = ()
 
     @property
     def share(self) -> FloatArray:
         """(n,) share of the boxes of each plan that are placed before the world ends."""
-        has_share = self._falls.any() and self.sim.check is Check.ONE_BY_ONE
-        return np.asarray(self.placed_share, dtype=float) if has_share else np.ones(len(self.boxes))
+        one_by_one = self.sim.check is Check.ONE_BY_ONE
+        placed = np.asarray(self.placed_share, dtype=float) if self._falls.any() and one_by_one else 1.0
+        if len(self.sway_mm) and self.sim.early_stop and one_by_one:
+            sway_mm = np.where(self.compliant > 0, np.asarray(self.sway_mm, dtype=float), 0.0)
+            placed = placed * np.minimum(1.0, (FALLING_SWAY_MM / np.maximum(sway_mm, 1e-9)) ** (1 / 3))
+        return np.broadcast_to(placed, len(self.boxes))
 
     @property
     def _falls(self) -> NDArray[np.bool_]:
@@ -223,8 +289,18 @@ class Work:
 
     @property
     def shaken(self) -> FloatArray:
-        """(n,) number of drives of each plan; 0 for a pallet that does not stand, since it is not shaken."""
-        return np.where(self._falls, 0.0, float(self.drives))
+        """(n,) expected number of drives of each plan that are simulated. A pallet that does not stand is not
+        shaken."""
+        share = np.asarray(self.driven_share, dtype=float) if len(self.driven_share) else 1.0
+        carried = self.ways[2]
+        stand = np.where(self._ends_with_failure(carried), np.exp(-FAILING_BOXES * np.asarray(self.boxes)), 1.0)
+        stand = (self.placements - self.carried * (1 - stand)) / max(self.placements, 1)
+        return np.where(self._falls, 0.0, self.drives * share * stand)
+
+    def _ends_with_failure(self, way: WayOfPlacing) -> bool:
+        """Whether a world ends when one of its boxes, which are placed in this way, fails because of errors."""
+        one_by_one = self.sim.check is Check.ONE_BY_ONE
+        return way.has_errors and way.is_carried and self.sim.early_stop and one_by_one
 
     @property
     def planned(self) -> int:
@@ -243,6 +319,16 @@ class Work:
         """(n,) number of compliant boxes of each plan."""
         gives = len(self.giving) > 0 and self.sim.physics.has_own_friction
         return np.asarray(self.giving, dtype=float) if gives else np.zeros(len(self.boxes))
+
+    @property
+    def sway_steps(self) -> FloatArray:
+        """(n,) number of steps in which a pile of compliant boxes comes to rest after a placement, in addition to the
+        steps of a pile of rigid boxes."""
+        if not len(self.sway_mm) or self.sim.schedule is Schedule.FIXED:
+            return np.zeros(len(self.boxes))
+        sway_mm = np.asarray(self.sway_mm, dtype=float)
+        steps = GIVING_STEPS + SWAY_STEPS * np.sqrt(sway_mm) * (1 + sway_mm / SWAY_MM)
+        return np.where(self.compliant > 0, np.minimum(steps, MOST_SWAY_STEPS), 0.0)
 
     @property
     def on_boards(self) -> bool:
@@ -267,8 +353,13 @@ class Work:
     def steps(self) -> FloatArray:
         """(n,) expected number of steps of each plan, including soft starts."""
         ways = zip((self.planned, self.displaced, self.carried), self.ways, strict=True)
-        placing = sum((count * self.placement_steps(way) for count, way in ways), np.zeros(len(self.boxes)))
-        return self.placements * SOFT_STARTS + placing + self.shaken * self.drive_steps
+        placing = sum(
+            (count * self.share_before_failure(way) * self.placement_steps(way) for count, way in ways),
+            np.zeros(len(self.boxes)),
+        )
+        return (
+            self.placements * SOFT_STARTS + placing + self.shaken * (self.drive_steps + DRIVEN_SWAY * self.sway_steps)
+        )
 
     @property
     def ways(self) -> tuple[WayOfPlacing, WayOfPlacing, WayOfPlacing]:
@@ -285,8 +376,23 @@ class Work:
         )
 
     def placement_steps(self, way: WayOfPlacing) -> FloatArray:
-        """(n,) expected number of steps of one placement of each plan, not counting the soft start."""
+        """(n,) expected number of steps of one placement of each plan in which no box fails because of errors, not
+        counting the soft start."""
         return way.steps * self.share * self._placing_steps + way.falls * self.fall_steps
+
+    def share_before_failure(self, way: WayOfPlacing, power: float = 1.0) -> FloatArray:
+        """(n,) expected share of the boxes of each plan that are placed before a box fails because of errors. Each box
+        fails with the chance ``FAILING_BOXES``, so the shares of worlds are distributed exponentially up to 1.
+
+        Args:
+            power: the result is the mean of this power of the share, to the power 1 / ``power``.
+        """
+        if not self._ends_with_failure(way):
+            return np.ones(len(self.boxes))
+        failures = FAILING_BOXES * np.asarray(self.boxes, dtype=float)[:, None]
+        share = (np.arange(_SHARES) + 0.5) / _SHARES
+        mean = (failures * np.exp(-failures * share) * share**power).mean(axis=1) + np.exp(-failures[:, 0])
+        return np.asarray(mean ** (1 / power))
 
     @property
     def on_device(self) -> float:
@@ -302,16 +408,20 @@ class Work:
         if self.sim.schedule is Schedule.FIXED:
             return self.fixed_steps
         if self.sim.check is Check.STATIC:
-            return np.minimum(self.fixed_steps, QUIET_STEPS)
+            return np.minimum(self.fixed_steps, QUIET_STEPS + self.sway_steps)
         share = STEP_SHARE * (REFERENCE_STEPS if self.sim.physics.falls_into_place else 1.0)
-        return np.minimum(share * np.where(self.compliant > 0, GIVING_STEPS, 1.0), 1.0) * self.fixed_steps
+        return np.asarray(min(share, 1.0) * self.fixed_steps + self.sway_steps * np.asarray(self.boxes))
 
     def _placing(self, power: float, *, grows: bool) -> FloatArray:
         """(n,) cost of one placement on a device: the number of boxes to a power, times the number of steps. ``grows``:
         whether boxes that are not yet placed cost nothing.
         """
         share = 1 / (power + 1) if grows and self.sim.check is Check.ONE_BY_ONE else 1.0
-        return share * COST_SHARE[self.sim.schedule] * np.asarray(self.boxes, dtype=float) ** power * self.fixed_steps
+        boxes = np.asarray(self.boxes, dtype=float)
+        placed = self.share if grows else 1.0
+        cost = share * COST_SHARE[self.sim.schedule] * (placed * boxes) ** power * placed * self.fixed_steps
+        fallen = np.minimum(placed * boxes + FALL_BOXES, boxes)
+        return np.asarray(cost + FALLING_FACTOR * fallen**power * self.fall_steps)
 
     def _driving(self, power: float, steps: FloatArray | float) -> FloatArray:
         """(n,) cost of a drive of each plan on a device: the number of boxes to a power, times the number of steps.
@@ -331,8 +441,10 @@ class ThreadCosts:
             ``Work.coupling`` is 1.
         static_s: additional time for all boxes of a static check to land, divided by the square of their number, s, if
             ``Work.coupling`` is 1.
-        shaken_s: additional time of each of the first ``SHAKEN_STEPS`` steps of a drive, divided by the square of the
-            number of boxes, s.
+        shaken_s: additional time of each of the first ``SHAKEN_STEPS`` steps of a drive, s per box to the power
+            ``shaken_power``.
+        shaken_power: see ``shaken_s``. In the drives of 3 to 205 boxes that were measured on each engine, the power is
+            2 on ``mujoco``, and 1.75 in the kernels.
         fall_s: additional time of a fall while boxes are placed one by one, until a box has dropped, s. The time of a
             fall hardly depends on the number of boxes. The time of a single fall varies from a tenth of this value to
             ten times this value.
@@ -351,6 +463,7 @@ class ThreadCosts:
     landing_s: float
     static_s: float
     shaken_s: float
+    shaken_power: float
     fall_s: float
     jammed: float
     hand_s: float = 0.0
@@ -369,24 +482,36 @@ class ThreadCosts:
         world that takes longest.
         """
         counts = (work.planned, work.displaced, work.carried)
-        placing = [(count, self.placing_s(work, way)) for count, way in zip(counts, work.ways, strict=True) if count]
+        placing = [
+            (count, self.placing_s(work, way, work.share_before_failure(way, FAILING_POWER)))
+            for count, way in zip(counts, work.ways, strict=True)
+            if count
+        ]
         driving_s = self.driving_s(work)
         plans_s = sum((count * placing_s for count, placing_s in placing), work.shaken * driving_s)
         longest_s = np.max([placing_s for _, placing_s in placing], axis=0) + np.where(work.shaken > 0, driving_s, 0.0)
         return max(float(plans_s.sum()) / threads, float(longest_s.max()))
 
-    def placing_s(self, work: Work, way: WayOfPlacing | None = None) -> FloatArray:
-        """(n,) time of one placement of each plan, s. ``way``: how boxes are placed. If ``way`` is None, boxes are
-        placed as planned."""
+    def placing_s(
+        self, work: Work, way: WayOfPlacing | None = None, placed_share: FloatArray | float = 1.0
+    ) -> FloatArray:
+        """(n,) time of one placement of each plan, s.
+
+        Args:
+            way: how boxes are placed. If ``way`` is None, boxes are placed as planned.
+            placed_share: share of the boxes that are placed before a box fails because of errors
+                (``Work.share_before_failure``). If the share is 1, no box fails.
+        """
         way = way or work.ways[0]
-        boxes = np.asarray(work.boxes, dtype=float) * work.share
+        share = work.share * placed_share
+        boxes = np.asarray(work.boxes, dtype=float) * share
         one_by_one = work.sim.check is Check.ONE_BY_ONE
         # if boxes are placed one by one, the number of standing boxes grows from 1 to n, so costs are sums over 1…n
         standing = 0.5 if one_by_one else 1.0
         step_s = self.rest_s * boxes**REST_POWER / (REST_POWER + 1 if one_by_one else 1) + self.overhead_s
-        step_s = step_s + standing * self.give_s * work.compliant * work.share + self.hand_s * way.is_carried
+        step_s = step_s + standing * self.give_s * work.compliant * share + self.hand_s * way.is_carried
         landings_s = self.landing_s * boxes**3 / 3 if one_by_one else self.static_s * boxes**2
-        placed_s = step_s * (SOFT_STARTS + way.steps * work.share * work._placing_steps) + work.coupling * landings_s
+        placed_s = step_s * (SOFT_STARTS + way.steps * share * work._placing_steps) + work.coupling * landings_s
         fallen = np.minimum(boxes + FALL_BOXES, np.asarray(work.boxes, dtype=float))
         fall_s = self.fall_s * (1.0 if one_by_one else boxes / STATIC_FALL_BOXES) * (work.fall_steps > 0)
         falling_s = way.falls * (work.fall_steps * (self.rest_s * fallen**REST_POWER + self.overhead_s) + fall_s)
@@ -394,17 +519,20 @@ class ThreadCosts:
             placed_s = placed_s * (self.jammed if way.is_carried else _displaced_cost(work.coupling))
         placing_s = placed_s + falling_s
         if work.on_boards:
-            steps = SOFT_STARTS + work.placement_steps(way)
+            steps = SOFT_STARTS + placed_share * work.placement_steps(way)
             placing_s = BOARDS_COST * (placing_s + standing * self.board_s * steps * np.asarray(work.boxes))
         return np.asarray(placing_s)
 
     def driving_s(self, work: Work, steps: FloatArray | float | None = None) -> FloatArray:
-        """(n,) time of one drive of each plan, s. ``steps``: number of steps of the drive; None: ``drive_steps``."""
-        steps = work.drive_steps if steps is None else steps
+        """(n,) time of one drive of each plan, s. ``steps``: number of steps of the drive; None: ``drive_steps`` and
+        ``sway_steps``."""
+        steps = work.drive_steps + DRIVEN_SWAY * work.sway_steps if steps is None else steps
         n = np.asarray(work.boxes, dtype=float)
         step_s = self.rest_s * n**REST_POWER + self.overhead_s + self.driven_s
         step_s = step_s + self.give_s * work.compliant
-        shaken_s = (self.shaken_s * n**2 + self.film_s * work.filmed * n) * np.minimum(steps, SHAKEN_STEPS)
+        strong = 1 - np.asarray(work.gentle) * (1 - GENTLE_COST)
+        shaken_s = self.shaken_s * n**self.shaken_power + self.film_s * np.asarray(work.filmed) * n
+        shaken_s = strong * shaken_s * np.minimum(steps, SHAKEN_STEPS)
         return np.asarray((step_s * steps + shaken_s) * (BOARDS_COST if work.on_boards else 1.0))
 
 
@@ -421,8 +549,9 @@ class Costs:
         gpu_step_s: time of a step of ``full_worlds`` worlds on a device, divided by (number of boxes) to the power
             ``WARP_POWER``, s.
         full_worlds: number of worlds that fill the device.
-        tail_worlds: number of worlds that a full device would simulate in the time in which the last worlds of a run
-            leave it nearly idle.
+        gpu_tail_s: time for which the longest worlds of a phase of a run leave the device nearly idle, s per unit of a
+            world's work (``Work._placing``, ``Work._driving``) and of the logarithm of ``TAIL_WORLDS``.
+        host_s: time of the host for a world of a run on a device, s.
         gpu_start_s: time to start the device engine, including compilation, s.
         gpu_load_s: time to start the device engine if an earlier run has compiled the kernels, s.
     """
@@ -432,7 +561,8 @@ class Costs:
         overhead_s=2.2e-5,
         landing_s=2.6e-6,
         static_s=1e-4,
-        shaken_s=6.5e-7,
+        shaken_s=1.5e-6,
+        shaken_power=2.0,
         fall_s=0.45,
         jammed=1.45,
         hand_s=9e-5,
@@ -445,22 +575,24 @@ class Costs:
         overhead_s=3.8e-6,
         landing_s=9e-7,
         static_s=2e-5,
-        shaken_s=6e-8,
+        shaken_s=1.1e-7,
+        shaken_power=1.75,
         fall_s=0.05,
         jammed=1.3,
         hand_s=1e-6,
         film_s=2e-6,
         give_s=1.2e-6,
-        board_s=7e-6,
+        board_s=4.5e-6,
     )
     kernel_start_s: float = 6.0
-    kernel_load_s: float = 1.2
+    kernel_load_s: float = 0.8
     jax_step_s: float = 1.1e-5
-    gpu_step_s: float = 2.6e-6
+    gpu_step_s: float = 1.45e-6
     full_worlds: int = 264
-    tail_worlds: int = 900
+    gpu_tail_s: float = 6e-6
+    host_s: float = 2e-4
     gpu_start_s: float = 17.0
-    gpu_load_s: float = 2.5
+    gpu_load_s: float = 0.8
 
     def slowed(self, factor: float) -> Costs:
         """The costs on a machine whose CPU threads take ``factor`` times as long. The factor does not change the costs
@@ -484,13 +616,16 @@ class Costs:
             return {"mujoco": 0.0, "mjx-jax": 0.0} | starts
         placements = work.on_device
         jax_placing, jax_driving = work._placing(JAX_POWER, grows=False), work._driving(JAX_POWER, work.drive_steps)
+        placing, driving = work._placing(WARP_POWER, grows=True), work._driving(WARP_POWER, work.drive_steps)
+        placed, driven = float(placing.mean()), float(driving.mean())
+        device_s = self._phase_s(n_plans * work.placements / gpus, placements / work.placements * placed, placed)
+        creeping = float(work._driving(WARP_POWER, DRIVE_TAIL_STEPS).mean())
+        device_s += self._phase_s(float(work.shaken.sum()) / gpus, driven, creeping, work.rounds)
         return {
             "mujoco": self.mujoco.seconds(work, threads),
             "mjx-warp-cpu": self.kernel_start_s + self.kernel.seconds(work, threads),
-            "mjx-jax": self.jax_step_s * float((placements * jax_placing + work.drives * jax_driving).sum()),
-            "mjx-warp": self.gpu_start_s
-            + self._phase_s(n_plans * placements / gpus, float(work._placing(WARP_POWER, grows=True).mean()))
-            + self._phase_s(n_plans * work.drives / gpus, float(work._driving(WARP_POWER, work.drive_steps).mean())),
+            "mjx-jax": self.jax_step_s * float((placements * jax_placing + work.shaken * jax_driving).sum()),
+            "mjx-warp": self.gpu_start_s + device_s,
         }
 
     def of_jobs(self, jobs: Sequence[Job], sim: Simulation, costs: ThreadCosts | None = None) -> FloatArray:
@@ -522,11 +657,19 @@ class Costs:
             steps[rows] += long_placement + LONG_DRIVE * drive_steps
         return steps
 
-    def _phase_s(self, worlds: float, work: float) -> float:
-        """Time of a phase of many worlds on the device, s. The time includes the end of the phase, when only a few
-        worlds still run.
+    def _phase_s(self, worlds: float, work: float, tail_work: float, rounds: int = 1) -> float:
+        """Time of a phase of many worlds on the device, s. The time includes the end of each round of the phase, when
+        only a few worlds still run.
+
+        Args:
+            work: work of the mean world.
+            tail_work: ``work`` without the factors that have no effect on the time of the longest worlds.
+            rounds: number of rounds, each of which begins when the round before it has ended.
         """
-        return self.gpu_step_s * work * (worlds + self.tail_worlds) / self.full_worlds if worlds else 0.0
+        if not worlds:
+            return 0.0
+        full_s = worlds * (self.gpu_step_s * work / self.full_worlds + self.host_s)
+        return full_s + rounds * self.gpu_tail_s * tail_work * float(np.log1p(worlds / rounds / TAIL_WORLDS))
 
 
 def _displaced_cost(coupling: FloatArray) -> FloatArray:
@@ -565,13 +708,14 @@ cores busy, so the thread took 1.7 to 2.5 times as long as on an idle core (petm
 were generated plans of 5 to 80 boxes, blocks of up to 120 boxes, and third-party plans of 45 to 140 boxes. The runs
 were scores and static checks on several carriers, with all ways of placing, both schedules and both physics; scores
 with confidence; and ready-made sweeps and chains. The cost of film was fitted to drives of 8, 22 and 40 boxes, and the
-cost of compliant boxes to plans of 16 to 24 boxes.
+cost of a step with compliant boxes to plans of 16 to 24 boxes.
 
 On C MuJoCo, the time of a single fall varies from a tenth of the mean to ten times the mean. So estimates for a few
 plans that fall are less exact. The estimates leave out the time for simulating worlds again with smaller timesteps.
 
-The costs of devices were measured on one H100, and do not include start and compilation. The seven runs were: 10,003
-generated plans; 4,000 generated plans with the fixed schedule; 500 and 1,000 plans with ``confidence`` 16, whose boxes
-appear at their places; 250 plans with ``confidence`` 16, whose boxes are carried by hand; and 128,000 and a million
-worlds of 12 boxes with placement errors. All runs except the second had the adaptive schedule. ``mjx-warp`` compiles
-for 13 to 23 s (0.5 s if an earlier run has compiled the kernel)."""
+The costs of devices were fitted to records of one H100 and one H200. The times do not include start and compilation.
+The runs were: 10, 300, 3,000 and 10,003 generated plans; 300 plans that fall; 2,000 and 4,000 generated plans with the
+fixed schedule; 100, 500 and 1,000 plans with ``confidence`` 16, whose boxes appear at their places; 100 plans with
+``confidence`` 16, whose boxes are carried by hand; 128,000 and a million worlds of 12 boxes with placement errors; the
+profile of EUMOS for 20 plans; and searches of EUMOS's levels for 30 plans. ``mjx-warp`` compiles for 13 to 23 s (0.1 to
+1.6 s if an earlier run has compiled the kernels)."""

@@ -70,7 +70,7 @@ def with_kept_kernels(work: Work) -> Costs:
     costs = MEASURED
     if are_noted(CPU_KERNEL):
         costs = replace(costs, kernel_start_s=costs.kernel_load_s)
-    if not work.filmed and not work.compliant.any() and are_kept(work.sim):
+    if not np.any(work.filmed) and not work.compliant.any() and are_kept(work.sim):
         costs = replace(costs, gpu_start_s=costs.gpu_load_s)
     return costs
 

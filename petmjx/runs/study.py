@@ -8,6 +8,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -32,6 +33,7 @@ from petmjx.results.schema import Param
 from petmjx.world.edge_distances import EdgeRisk
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene, build_scenes
+from petmjx.world.supports import deck_mm
 from petmjx.world.variants import UNCHANGED, Variant
 
 MAX_WORLDS: Final = 1_000_000
@@ -197,7 +199,7 @@ class Nominal(Study):
             work=Work(
                 sim,
                 [plan.n_boxes for plan in shard_plans],
-                **statics_of(shard_plans)._asdict(),
+                **statics_of(shard_plans, partial(deck_mm, sim=sim))._asdict(),
             ),
             n_worlds=len(shard_plans),
             amount=count_text(len(shard_plans), "plan"),

@@ -114,10 +114,18 @@ class Search(CheckedRecord):
     def tests(self, n_levels: int) -> int:
         """Largest number of simulations that one search for the largest level needs (one plan with one value of every
         axis): the number of tested levels, summed over all rounds."""
-        tests = 0
+        return sum(self._tests_of_rounds(n_levels))
+
+    def rounds(self, n_levels: int) -> int:
+        """Largest number of rounds that one search for the largest level needs."""
+        return len(self._tests_of_rounds(n_levels))
+
+    def _tests_of_rounds(self, n_levels: int) -> list[int]:
+        """Largest number of tested levels in each round of one search."""
+        tests: list[int] = []
         while n_levels > 0:
-            tests += min(self.sections, n_levels)
-            n_levels = -(-(n_levels - min(self.sections, n_levels)) // (self.sections + 1))
+            tests.append(min(self.sections, n_levels))
+            n_levels = -(-(n_levels - tests[-1]) // (self.sections + 1))
         return tests
 
 

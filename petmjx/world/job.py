@@ -36,8 +36,14 @@ class Excitation:
     @cached_property
     def peak_g(self) -> float:
         """The largest horizontal acceleration of carrier and boxes together, in units of 9.81 m/s²."""
-        peak = float(np.hypot(self.samples[:, 0], self.samples[:, 1]).max(initial=0.0))
-        return peak if self.kind == FORCE else peak / STANDARD_GRAVITY
+        return float(self.reached_g[-1]) if len(self.samples) else 0.0
+
+    @cached_property
+    def reached_g(self) -> FloatArray:
+        """(n_steps,) the largest horizontal acceleration of carrier and boxes together up to each step, in units of
+        9.81 m/s²."""
+        reached = np.maximum.accumulate(np.hypot(self.samples[:, 0], self.samples[:, 1]))
+        return np.asarray(reached if self.kind == FORCE else reached / STANDARD_GRAVITY)
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,14 +21,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import MM_PER_M, FloatArray
-from petmjx.options.simulation import Thresholds
+from petmjx.options.simulation import Simulation, Thresholds
+from petmjx.plans.plan import Plan
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
 from petmjx.world.body_shapes import Body
 from petmjx.world.friction_pairs import LARGER
 from petmjx.world.history import CARRIER
 from petmjx.world.pushing_forces import ON_EDGE_M, on_edges, pulls, pushes
 from petmjx.world.rectangle_hulls import HullTable, hull_table
-from petmjx.world.scene import Scene
+from petmjx.world.scene import Scene, carrier_of
 
 IntArray = NDArray[np.intp]
 
@@ -537,6 +538,13 @@ def find_bearings(
     # lexsort is stable: contacts of a box with several boards keep their order
     order = wide[np.lexsort((lower[wide], upper[wide]))]
     return Bearing(boxes, upper[order], lower[order], area_low.take(order, axis=0), area_high.take(order, axis=0))
+
+
+def deck_mm(plan: Plan, sim: Simulation) -> FloatArray:
+    """(b, 2, 2) lowest and highest corner (x, y) of each of the boards of the carrier under a plan on which boxes can
+    stand, mm."""
+    low, high, _ = _decks([carrier_of(plan, sim)])
+    return MM_PER_M * np.stack([low, high], axis=1)
 
 
 def _decks(carriers: Sequence[Body]) -> tuple[FloatArray, FloatArray, IntArray]:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.result_fields import read_lines
+from benchmarks.time_estimates import OF_PLANS
 from petmjx.engines.cost_model import MEASURED, Work
 from petmjx.options.simulation import SOFT_START_STEPS, Simulation
 
@@ -28,8 +29,10 @@ def work_of(line: dict[str, Any]) -> Work:
     values = dict(line["work"])
     if (options := values.pop("sim", None)) is None:  # records on GPUs
         options = {name: values.pop(name) for name in ("check", "schedule", "carrier") if name in values}
-    boxes = values.pop("boxes")
-    return Work(Simulation(**options), np.resize(boxes, values.pop("n_plans", len(boxes))).tolist(), **values)
+    n_plans = values.pop("n_plans", len(values["boxes"]))
+    given = [name for name in ("boxes", *OF_PLANS) if values.get(name)]
+    of_plans = {name: np.resize(values.pop(name), n_plans).tolist() for name in given}
+    return Work(Simulation(**options), **of_plans, **values)
 
 
 def name_of(line: dict[str, Any]) -> str:

@@ -17,7 +17,7 @@ import pytest
 
 from petmjx.common.errors import InputError
 from petmjx.common.machine import own_environment
-from petmjx.engines import gpu_start
+from petmjx.engines import gpu_start, machine_speed
 from petmjx.engines.cost_model import MEASURED, Work
 from petmjx.engines.engine_warmup import WORTH_A_GPU, engine_warmup
 from petmjx.engines.remote import ray_cluster as of_clusters
@@ -139,6 +139,17 @@ def test_kernels_that_are_loaded_are_noted(on_a_gpu: list[object]) -> None:
     gpu_start.compile_ahead(Simulation(), None)
     assert len(on_a_gpu) == 3
     assert kernel_builds.builds_if_missing(Simulation()) is None
+    # estimates of time know it, too; runs with a hand, film or compliant boxes need other kernels
+    starts_s = [
+        machine_speed.with_kept_kernels(work).gpu_start_s
+        for work in (
+            Work(Simulation(), [9]),
+            Work(Simulation(placing="hand"), [9]),
+            Work(Simulation(), [9], drives=1, filmed=1.0),
+            Work(Simulation(), [9], giving=[9]),
+        )
+    ]
+    assert starts_s == [MEASURED.gpu_load_s] + 3 * [MEASURED.gpu_start_s]
 
 
 @pytest.mark.parametrize("hindrance", ["the program ends", "JAX has no GPU"])

@@ -16,6 +16,7 @@ from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Check, Schedule
 from petmjx.plans.plan import Plan
 from petmjx.runs.study import MAX_WORLDS
+from petmjx.runs.sweep_cost import work_of
 from petmjx.runs.sweep_file import MIN_TOLERANCE, Search, Sweep, load_sweep
 from petmjx.runs.sweep_study import SweepStudy
 from petmjx.runs.sweep_worlds import SweepPlan
@@ -329,11 +330,66 @@ def test_what_a_timestep_cannot_show_is_refused_before_the_run(tmp_path: Path) -
     assert SweepPlan(sweep, [make_plan("plan", 4)]).n_worlds == 1
 
 
+def test_estimates_know_that_a_fallen_pallet_is_not_shaken_again(tmp_path: Path) -> None:
+    """The first leg has 0.3 g, at which a column of boxes of 300 mm tips over if it is higher than 1 m. In film, it
+    stands."""
+    text = """
+[[legs]]
+name = "conveyor"
+{film}events = [{{ profile = "eumos-40509", level = 0.3 }}]
+[[legs]]
+name = "truck"
+pause_s = 0.2
+events = [{{ profile = "eumos-40509", level = 0.5 }}, {{ profile = "eumos-40509", level = 0.1 }}]
+"""
+    low, high = (make_plan(boxes=[((400.0, 300.0, 300.0), (0, 0, 300 * k), 6) for k in range(n)]) for n in (3, 4))
+    works = [
+        work_of(SweepPlan(load_sweep(sweep_file(tmp_path, text.format(film=film)), plans_given=True), [low, high]))
+        for film in ("", "wrap_turns = 4\n")
+    ]
+    assert [work.rounds for work in works] == [2, 2]
+    assert works[0].driven_share[0] == 1
+    stands = (0.25 / 0.3) ** 8
+    assert works[0].driven_share[1] == pytest.approx((200 + stands * 500) / 700, rel=0.01)
+    assert works[1].driven_share == [1, 1]
+    assert works[0].shaken.tolist() == pytest.approx([2, 2 * (200 + stands * 500) / 700], rel=0.01)
+    # the first leg is gentle
+    assert works[0].gentle == pytest.approx([200 / 700, 200 / (200 + stands * 500)], rel=0.01)
+    assert [work.filmed for work in works] == [[0, 0], [1, 1]], "film stays on for the next legs"
+
+
+def test_estimates_know_when_a_tilted_load_falls(tmp_path: Path) -> None:
+    """A column of boxes of 300 mm, 1.5 m high, is expected to fall at 0.4 g, and a low load to slide at its friction of
+    0.5. The carrier tilts by 5° per second; gravity then acts along the carrier."""
+    high, low = (make_plan(boxes=[((400.0, 300.0, 300.0), (0, 0, 300 * k), 6) for k in range(n)]) for n in (5, 1))
+    text = "[axes]\nprofile = 'tilt'"
+
+    def drive_steps(plan: Plan, text: str = text) -> float:
+        return work_of(SweepPlan(load_sweep(sweep_file(tmp_path, text), plans_given=True), [plan])).drive_steps
+
+    for plan, limit_g in ((high, 0.4), (low, 0.5)):
+        begins_s = np.degrees(np.arctan(limit_g)) / 5
+        assert drive_steps(plan) == pytest.approx(begins_s / 0.002 + 250, rel=0.15)
+    assert drive_steps(high) < drive_steps(low)
+    whole = 11 / 0.002 + 115  # 9 s to 45°, one second there, one second back
+    assert drive_steps(high, text + "\nwrap_turns = [4]") == pytest.approx(whole, rel=0.01)
+    assert drive_steps(high, "[simulation]\nearly_stop = false\n" + text) == pytest.approx(whole, rel=0.01)
+
+
+def test_estimates_know_the_rounds_of_a_search_and_gentle_drives(tmp_path: Path) -> None:
+    text = "[axes]\nprofile = 'eumos-40509'\nlevel = {from = 0.1, to = 0.8, count = 8}"
+    assert (sweep_study(tmp_path, text).work.gentle, sweep_study(tmp_path, text).work.rounds) == (3 / 8, 1)
+    search = "[axes]\nprofile = 'eumos-40509'\n[search]\nupper = 1.0\ntolerance = 0.25\nsections = {sections}"
+    for sections, rounds in ((1, 3), (3, 2), (9, 1)):
+        work = sweep_study(tmp_path, search.format(sections=sections)).work
+        assert (work.rounds, work.gentle) == (rounds, 0.5)
+
+
 def test_estimates_count_placements_once(tmp_path: Path) -> None:
-    text = "[axes]\nprofile = 'eumos-40509'\nlevel = {{from = 0.01, to = 0.64, count = {count}}}"
+    text = "[axes]\nprofile = 'eumos-40509'\nlevel = {{from = 0.001, to = 0.064, count = {count}}}"
     one, many = (sweep_study(tmp_path, text.format(count=count)) for count in (2, 64))
     # the profile lasts 0.4 s, and then the pallet becomes quiet
-    assert many.work.steps - one.work.steps == pytest.approx([62 * (200 + 220)])
+    assert many.work.steps - one.work.steps == pytest.approx([62 * (200 + 115)])
     estimate = many.size(100.0)
     assert estimate.startswith("64 worlds (1 plan × 64 variants) from 1 placement, about ")
     also_nominal = sweep_study(tmp_path, "nominal = true\n" + text.format(count=64)).size(None)
