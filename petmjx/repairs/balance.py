@@ -60,8 +60,8 @@ class Balance(NamedTuple):
             box that is lowered between two other boxes adds 1 to the risk if it has no room, and less with more room: 0
             with ``ROOM_MM`` of room.
         order: numbers of the boxes in packing order.
-        loads: the loads of all boxes. ``balances_with_last`` computes from ``loads`` the loads of a draft with one more
-            box.
+        loads: the loads of all boxes, if they were asked for. ``balances_with_last`` computes from ``loads`` the loads
+            of a draft with one more box.
         missing_room: (n,) part of ``weakness`` that each box contributes because it is lowered between two other boxes.
     """
 
@@ -74,7 +74,7 @@ class Balance(NamedTuple):
     trouble: float
     weakness: float
     order: IntArray
-    loads: _Loads
+    loads: _Loads | None
     missing_room: FloatArray
 
     @property
@@ -89,12 +89,15 @@ class Balance(NamedTuple):
         return float(self.depth_mm[rows[0]]) if len(rows) else 0.0
 
 
-def balances(drafts: Sequence[Draft], sim: Simulation, *, spare_mm: float = 0.0) -> list[Balance]:
+def balances(
+    drafts: Sequence[Draft], sim: Simulation, *, spare_mm: float = 0.0, with_loads: bool = False
+) -> list[Balance]:
     """The balance of each draft.
 
     Args:
         spare_mm: a load that is inside an edge, but nearer to the edge than this distance, mm, also counts as beyond
             it.
+        with_loads: whether the results have the loads of all boxes (``Balance.loads``).
     """
     results: list[Balance] = []
     for begin in range(0, len(drafts), AT_ONCE):
@@ -105,12 +108,12 @@ def balances(drafts: Sequence[Draft], sim: Simulation, *, spare_mm: float = 0.0)
         edge_mm = MM_PER_M * built.edge_m - spare_mm
         rows = np.flatnonzero(~np.isnan(edge_mm))  # NaN: the box has no supports, so no edge
         loads = _loads(built.box[rows], built.step[rows], edge_mm[rows], perhaps[rows])
-        results += _balances(some, loads, _missing_room(some), bearing.boxes.first)
+        results += _balances(some, loads, _missing_room(some), bearing.boxes.first, with_loads=with_loads)
     return results
 
 
 def balances_with_last(drafts: Sequence[Draft], before: Sequence[Balance], sim: Simulation) -> list[Balance]:
-    """The balance of each draft, given the balance of the draft without its last box. The last box changes only the
+    """The balance of each draft, given the balance, with its loads, of the draft without its last box. The last box changes only the
     loads below it, and each of these loads only once. So this function takes a fraction of the time of ``balances``.
     The results of the two functions may differ by rounding errors."""
     results: list[Balance] = []
@@ -118,12 +121,13 @@ def balances_with_last(drafts: Sequence[Draft], before: Sequence[Balance], sim: 
         some, known = drafts[begin : begin + AT_ONCE], before[begin : begin + AT_ONCE]
         bearing = _bearing(some, sim)
         first = bearing.boxes.first
-        loads = _loads_with_last(bearing, _Loads.joined([one.loads for one in known], first))
+        known_loads = [one.loads for one in known if one.loads is not None]
+        loads = _loads_with_last(bearing, _Loads.joined(known_loads, first))
         missing = [
             np.append(one.missing_room, weight)
             for one, weight in zip(known, _missing_room(some, only_last=True), strict=True)
         ]
-        results += _balances(some, loads, missing, first)
+        results += _balances(some, loads, missing, first, with_loads=True)
     return results
 
 
@@ -134,7 +138,7 @@ def _bearing(drafts: Sequence[Draft], sim: Simulation) -> Bearing:
 
 
 def _balances(
-    drafts: Sequence[Draft], loads: _Loads, missing_room: Sequence[FloatArray], first: IntArray
+    drafts: Sequence[Draft], loads: _Loads, missing_room: Sequence[FloatArray], first: IntArray, *, with_loads: bool
 ) -> list[Balance]:
     """The balances of drafts from their loads. ``first``: (d + 1,) number of the first box of each draft."""
     order = np.concatenate([draft.rows for draft in drafts])
@@ -162,7 +166,7 @@ def _balances(
                 trouble=float(weight[some].sum()),
                 weakness=sum(nearness[near_ends[k] : near_ends[k + 1]], float(missing_room[k].sum())),
                 order=drafts[k].rows,
-                loads=loads.take(slice(ends[k], ends[k + 1]), begin),
+                loads=loads.take(slice(ends[k], ends[k + 1]), begin) if with_loads else None,
                 missing_room=missing_room[k],
             )
         )

@@ -258,6 +258,7 @@ class Candidates:
         self._falls: dict[bytes, Trial] = {}  # key of the placements up to an early fall → the trial
         self._held_mm: dict[int, float] = {}  # box → largest depth of its load beyond an edge without a fall
         self._in_worlds: dict[bytes, dict[int, Trial]] = {}  # key of a draft → number of a world → trial
+        self._balances: dict[bytes, Balance] = {}  # key of a draft → its balance, for drafts that may be judged
 
     # ------------------------------------------------------------------ proposals
 
@@ -307,6 +308,8 @@ class Candidates:
         ranked.sort(key=lambda candidate: candidate.key)
         ranked = spread(ranked)
         self._seen.difference_update(key_of(candidate.draft) for candidate in ranked[MOST_RANKED:])
+        of_key = dict(zip(new, balances_of_new, strict=True))
+        self._balances.update((key, of_key[key]) for one in ranked[:MOST_RANKED] for key in [key_of(one.draft)])
         return ranked[:MOST_RANKED]
 
     def _unsolved(self, after: Balance, failing: Mapping[int, float], culprit: int | None) -> float:
@@ -332,7 +335,7 @@ class Candidates:
 
     def _learn(self, drafts: Sequence[Draft], trials: Sequence[Trial]) -> None:
         """Record, for boxes that did not fall in these trials, how far their loads were beyond an edge."""
-        for draft, trial, balance in zip(drafts, trials, balances(drafts, self.sim), strict=True):
+        for draft, trial, balance in zip(drafts, trials, self._balances_of(drafts), strict=True):
             lost, last = {*trial.fallen}, trial.n_placed
             if not trial.stands:
                 if trial.culprit is None:
@@ -348,7 +351,8 @@ class Candidates:
         its falls in worlds with errors; the causes that occur in the most worlds come first. If the plan falls only
         with errors, loads that are nearer to an edge than ``SAFE_MM`` also count as beyond the edge."""
         lost = sorted(state.lost.values(), key=lambda trial: trial.n_held) or [state.trial]
-        (balance,) = balances([state.draft], self.sim, spare_mm=SAFE_MM if state.lost else 0.0)
+        drafts = [state.draft]
+        (balance,) = balances(drafts, self.sim, spare_mm=SAFE_MM) if state.lost else self._balances_of(drafts)
         often = Counter(trial.culprit for trial in lost)
         trials = {trial.culprit: trial for trial in lost}
         of_each = [
@@ -361,6 +365,12 @@ class Candidates:
                 is_squeezed = bool(state.lost) and target.box in balance.squeezed
                 different.setdefault(target.box, target._replace(is_squeezed=is_squeezed))
         return [*different.values()][:MOST_TARGETS]
+
+    def _balances_of(self, drafts: Sequence[Draft]) -> list[Balance]:
+        """The balance of each draft. A balance is computed only once."""
+        unknown = {key: draft for draft in drafts if (key := key_of(draft)) not in self._balances}
+        self._balances.update(zip(unknown, balances([*unknown.values()], self.sim), strict=True))
+        return [self._balances[key_of(draft)] for draft in drafts]
 
     def _safest(self, states: Sequence[State]) -> list[int]:
         """Numbers of the states, sorted. States are grouped by the way in which the plan was changed (``way_of``).
@@ -379,7 +389,7 @@ class Candidates:
         """Two numbers for each changed plan, by which plans are compared. The first number is the plan's weakness plus
         its trouble (``Balance``), divided by ``SAME_WEAKNESS`` and rounded. The second number is the cost of the
         changes, divided by ``SAME_COST`` and rounded down. So plans that differ little count as equal."""
-        some = balances([state.draft for state in states], self.sim)
+        some = self._balances_of([state.draft for state in states])
         return [_risk(balance, state.cost) for state, balance in zip(states, some, strict=True)]
 
     # ------------------------------------------------------------------ simulations

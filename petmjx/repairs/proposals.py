@@ -557,20 +557,16 @@ def _shared_mm2(x: float, y: float, size: FloatArray, corner: FloatArray, other:
 def _props(draft: Draft, rules: Rules, target: Target) -> Iterator[Proposal]:
     """Boxes with free tops are put under the overhang of a box, before this box is placed."""
     free = draft.is_bare
-    sizes = dict.fromkeys((*map(float, draft.size_mm[box]), float(draft.mass_kg[box])) for box in draft.order)
-    for size in sizes:
-        alike = [
-            box
-            for box in draft.order
-            if (*map(float, draft.size_mm[box]), float(draft.mass_kg[box])) == size
-            and free[box]
-            and box != target.box
-            and rules.built <= box < draft.plan.n_boxes
-        ]
-        for box in alike[-1:]:  # of several equal boxes, only the last is moved
-            for turn, corner in itertools.islice(resting_corners(draft, rules, box, target.box), MOST_PLACES // 2):
-                turned = bool(draft.turned[box]) != turn
-                yield (Place(box, corner, turned, target.box, after=False, differs=turn),)
+    sizes, mass_kg = draft.size_mm.tolist(), draft.mass_kg.tolist()
+    last_of: dict[tuple[float, ...], int | None] = {}  # of several equal boxes, only the last is moved
+    for box in draft.order:
+        is_free = free[box] and box != target.box and rules.built <= box < draft.plan.n_boxes
+        alike = (*sizes[box], mass_kg[box])
+        last_of[alike] = box if is_free else last_of.get(alike)
+    for box in (last for last in last_of.values() if last is not None):
+        for turn, corner in itertools.islice(resting_corners(draft, rules, box, target.box), MOST_PLACES // 2):
+            turned = bool(draft.turned[box]) != turn
+            yield (Place(box, corner, turned, target.box, after=False, differs=turn),)
 
 
 def _sheets(draft: Draft, thick_mm: float, kg_m2: float) -> Iterator[Proposal]:

@@ -209,6 +209,7 @@ class Search(Candidates):
         self._seen.clear()
         self._known.clear()
         self._falls.clear()
+        self._balances.clear()
         self.complete = True
 
     def _begun(self, judged: Trial) -> Steps[None]:
