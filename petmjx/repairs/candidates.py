@@ -408,14 +408,18 @@ class Candidates:
         self.n_trials += len(unknown)
         if unknown:
             trials = yield [Asked(draft, True) for draft in unknown.values()]
-            self._learn([*unknown.values()], trials)
-            for (key, draft), trial in zip(unknown.items(), trials, strict=True):
-                self._known[key] = trial
-                # a box that was still in the hand does not count as placed, but may have pushed other boxes
-                n_known = trial.n_placed + int(self.sim.placing.carries)
-                if trial.verdict == Verdict.UNSTABLE.value and n_known < len(draft.order):
-                    self._falls.setdefault(key_of(draft, n_known), trial)
+            self._remember([*unknown.values()], trials)
         return [self._known[key] for key in keys]
+
+    def _remember(self, drafts: Sequence[Draft], trials: Sequence[Trial]) -> None:
+        """Record the trials of drafts that were judged."""
+        self._learn(drafts, trials)
+        for draft, trial in zip(drafts, trials, strict=True):
+            self._known[key_of(draft)] = trial
+            # a box that was still in the hand does not count as placed, but may have pushed other boxes
+            n_known = trial.n_placed + int(self.sim.placing.carries)
+            if trial.verdict == Verdict.UNSTABLE.value and n_known < len(draft.order):
+                self._falls.setdefault(key_of(draft, n_known), trial)
 
     def _falls_early(self, key: bytes) -> bool:
         """Whether a draft with this key must fall like a draft that was judged before: both begin with the same

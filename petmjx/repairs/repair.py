@@ -322,11 +322,16 @@ def _repaired(plans: Iterable[Plan], question: Question, options: RepairOptions)
         try:
             most = question.threads * PER_THREAD if question.is_wide else question.threads
             with closing(SearchProcesses(len(searches), most)) as processes:
-                if question.is_wide and options.profile is None:
-                    _begin(searches, question)
                 stream = TrialStream(question, limit, SEARCHED if options.worlds else 1.0)
-                processes.run([search for search in searches if not search.complete], stream)
-            _begin(searches, question)
+                if question.is_wide and options.profile is None:
+                    _judge(searches, question)
+                    processes.begin([search for search in searches if not search.complete])
+                    _score(searches, question)
+                    stream.scores = {one.plan.plan_id: one.before for one in searches if one.before is not None}
+                else:
+                    processes.begin(searches)
+                processes.run(stream)
+            _score(searches, question)
             results = _with_shares(searches, question, options, limit)
         except KeyboardInterrupt:  # the engine was stopped at an unknown point, so it simulates nothing more
             yield from (_repaired_by(search, _first(search), None, None) for search in searches if search.complete)
@@ -334,14 +339,23 @@ def _repaired(plans: Iterable[Plan], question: Question, options: RepairOptions)
         yield from results
 
 
-def _begin(searches: Sequence[Search], question: Question) -> None:
-    """Score the plans that were not scored yet. On a GPU, all plans are scored before the searches begin: while plans
-    are scored, no changed plans are judged, so a separate score for each search would keep the other searches
-    waiting."""
+def _judge(searches: Sequence[Search], question: Question) -> None:
+    """Judge all plans. A search whose plan stands ends, if the trial is a score."""
+    drafts = [Asked(Draft.of(search.plan, question.film_turns), is_judged=True) for search in searches]
+    for search, one, trial in zip(searches, drafts, question.trials(drafts), strict=True):
+        search.judged = trial
+        if question.is_known(one._replace(judged=trial)):
+            search.begin(trial)
+
+
+def _score(searches: Sequence[Search], question: Question) -> None:
+    """Score the plans that were not scored yet. On a GPU, all plans are scored together, while the searches propose
+    their first changes: while plans are scored, no changed plans are judged, so a separate score for each search would
+    keep the other searches waiting."""
     unknown = [search for search in searches if search.before is None]
     if not unknown:
         return
-    drafts = [Asked(Draft.of(search.plan, question.film_turns), is_judged=False) for search in unknown]
+    drafts = [Asked(Draft.of(one.plan, question.film_turns), is_judged=False, judged=one.judged) for one in unknown]
     for search, trial in zip(unknown, question.trials(drafts), strict=True):
         search.begin(trial)
 

@@ -39,7 +39,7 @@ from petmjx.repairs.candidates import (
 from petmjx.repairs.changes import Film, Kind, LeaveOut, applied
 from petmjx.repairs.drafts import Draft, key_of
 from petmjx.repairs.proposals import lifted_with
-from petmjx.repairs.requests import ERROR_WORLDS, Steps, Together, Trial
+from petmjx.repairs.requests import ERROR_WORLDS, Asked, Steps, Together, Trial
 
 BEAM: Final = 4
 """Number of changed plans that are changed further at once."""
@@ -145,6 +145,7 @@ class Search(Candidates):
 
     Attributes:
         plan: the plan.
+        judged: the trial of the unchanged plan, when only judged; None if not known before the search begins.
         before: the score of the unchanged plan, which may be known before the search begins; None before its simulation
             has ended.
         repairs: the repairs, the best first. The best repair may have additional changes for worlds with errors; the
@@ -158,6 +159,7 @@ class Search(Candidates):
             repair is sought.
     """
 
+    judged: Trial | None = None
     before: Trial | None = None
     repairs: tuple[State, ...] = ()
     complete: bool = False
@@ -165,8 +167,11 @@ class Search(Candidates):
     built_falls: bool = False
 
     def take(self, other: Search) -> None:
-        """Take over the results that the same search has reached in another process."""
-        self.before, self.repairs, self.n_trials = other.before, other.repairs, other.n_trials
+        """Take over the results that the same search has reached in another process. If the unchanged plan stands, as
+        this search already knows, there are no results."""
+        if self.complete:
+            return
+        self.before, self.repairs, self.n_trials = other.before or self.before, other.repairs, other.n_trials
         self.complete, self.trials_spent, self.built_falls = other.complete, other.trials_spent, other.built_falls
 
     @property
@@ -190,6 +195,9 @@ class Search(Candidates):
     def run(self) -> Steps[None]:
         """Yields drafts to be simulated, and is sent their trials."""
         is_driven, is_scored = self.options.profile is not None, self.before is not None
+        if self.judged is not None:
+            self.n_trials += 1
+            self._remember([self._start], [self.judged])
         (trial,) = yield from self._simulated([self._start], judged=not is_driven)
         if is_driven:
             self.begin(trial)
@@ -214,8 +222,8 @@ class Search(Candidates):
 
     def _begun(self, judged: Trial) -> Steps[None]:
         """Score the unchanged plan, and record its score at once, because the time may be up before the search ends."""
-        (scored,) = yield from self._scored([State(self._start, (), judged)])
-        self.begin(scored.trial)
+        (trial,) = yield [Asked(self._start, is_judged=False, judged=judged)]
+        self.begin(trial)
 
     def _begun_with_built(self, judged: Trial) -> Steps[None]:
         """Score the unchanged plan, and the boxes that are already built as a plan of their own. The method is called

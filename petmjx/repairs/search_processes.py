@@ -134,19 +134,25 @@ class SearchProcesses:
         self._most = most
         self._forks = Forks(__name__) if Forks.are_possible and most > 1 and n_searches >= LEAST_PLANS else None
         self._children: list[Child] = []
+        self._working: list[Pipes] = []
+        self._parts: list[list[Search]] = [[]]
 
-    def run(self, searches: Sequence[Search], simulator: Simulator) -> None:
-        """Run searches to their ends, or until the time is up."""
+    def begin(self, searches: Sequence[Search]) -> None:
+        """Let processes begin these searches. They go on until they need trials."""
         n_processes = min(self._most, len(searches)) if len(searches) >= LEAST_PLANS else 1
-        if n_processes < 2:
-            _run_here(searches, simulator)
-            return
-        children = [self._child() for _ in range(n_processes)]
-        parts = [list(searches[k::n_processes]) for k in range(n_processes)]
-        for child, part in zip(children, parts, strict=True):
+        self._parts = [list(searches[k::n_processes]) for k in range(n_processes)]
+        if n_processes > 1:
+            self._working = [self._child() for _ in range(n_processes)]
+        for child, part in zip(self._working, self._parts, strict=False):
             child.tasks.put(pickle.dumps(part))
-        for number in _Server(children, parts, simulator).serve():
-            _run_here(parts[number], simulator)
+
+    def run(self, simulator: Simulator) -> None:
+        """Run the searches to their ends, or until the time is up."""
+        if not self._working:
+            _run_here(self._parts[0], simulator)
+            return
+        for number in _Server(self._working, self._parts, simulator).serve():
+            _run_here(self._parts[number], simulator)
 
     def close(self) -> None:
         """End the processes."""
@@ -164,7 +170,7 @@ class SearchProcesses:
 
 def _run_here(searches: Sequence[Search], simulator: Simulator) -> None:
     """Run searches side by side in this process."""
-    tasks = Tasks(search.run() for search in searches)
+    tasks = Tasks(search.run() for search in searches if not search.complete)
     tasks.send_to(simulator)
     with suppress(OutOfTime):
         for answer in simulator.answers():

@@ -404,9 +404,13 @@ class TrialStream:
     Args:
         limit: the time limit of the repairs. None: no limit.
         share: share of the time limit after which the stream ends, from 0 to 1.
+
+    Attributes:
+        scores: plan id → score of the unchanged plan. Such a plan is not scored again.
     """
 
     def __init__(self, question: Question, limit: TimeLimit | None = None, share: float = 1.0) -> None:
+        self.scores: dict[str, Trial] = {}
         self._question, self._limit, self._share = question, limit or TimeLimit(), share
         self._queues: dict[object, _Queue] = {}
         self._complete: deque[_Request] = deque()
@@ -423,9 +427,8 @@ class TrialStream:
         self._n_open += 1
         numbered: dict[object, list[tuple[int, Job | None]]] = {}
         for number, (one, job) in enumerate(zip(drafts, self._question.jobs(drafts), strict=True)):
-            if self._question.is_known(one):
-                assert one.judged is not None
-                self._take(request, number, one.judged)
+            if (known := self._known(one)) is not None:
+                self._take(request, number, known)
                 continue
             lane = None if job is None else self._question.lane(one, job)
             key = None if lane is None else (id(lane.engine), id(lane.sim))
@@ -435,6 +438,14 @@ class TrialStream:
             numbered.setdefault(key, []).append((number, job))
         for kind, jobs in numbered.items():
             self._queues[kind].entries.append((request, jobs))
+
+    def _known(self, one: Asked) -> Trial | None:
+        """The score of a draft that need not be simulated; None if it must be simulated."""
+        if self._question.is_known(one):
+            return one.judged
+        score = None if one.is_judged else self.scores.get(one.draft.plan.plan_id)
+        unchanged = Draft.of(one.draft.plan, self._question.film_turns)
+        return score if score is not None and one.draft.key == unchanged.key else None
 
     def answers(self) -> Iterator[TrialAnswer | None]:
         """The answers, until no request is left. An answer None means that the engine pauses, so further requests can

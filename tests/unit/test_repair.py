@@ -158,7 +158,7 @@ STAIR: Sequence[Box] = tuple(((400, 300, 200), (300 * k, 0, 200 * k), 5) for k i
 def test_built_boxes_that_fall_are_told_without_a_search() -> None:
     result = repaired(STAIR, built=2)
     assert result.headline.endswith("no repair was sought: the boxes that are built already fall by themselves")
-    assert (result.built_falls, result.complete, result.n_trials) == (True, True, 3)
+    assert (result.built_falls, result.complete, result.n_trials) == (True, True, 2)
     assert result.plan is result.before
 
 
@@ -995,33 +995,47 @@ def test_a_search_on_a_gpu_goes_on_in_wider_rounds(monkeypatch: pytest.MonkeyPat
     assert WIDE_AT_ONCE[0] < WIDE_AT_ONCE[-1] == search._at_once(30, is_late=False)
 
 
-def test_on_a_gpu_all_plans_are_scored_before_their_searches(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A plan that stands when scored is not searched, although it falls when judged."""
-    plans = [make_plan("falls", boxes=COUNTERWEIGHT), make_plan("leans", boxes=COUNTERWEIGHT), make_plan("stands")]
-    judge, scores, requests = Question.trials, list[list[str]](), list[tuple[str, bool, bool]]()
+def test_on_a_gpu_all_plans_are_scored_together_while_their_searches_begin(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plan that stands when judged is not scored. A plan that stands when scored has no repair, although it falls
+    when judged. All this is the same in processes, in which searches begin before their plans are scored."""
+    names = ["falls", "leans", "stands"]
+    few = [make_plan(name, boxes=[((300, 300, 100), (0, 0, 0), 1)] if name == "stands" else COUNTERWEIGHT) for name in names]
+    many = [replace(plan, plan_id=f"{plan.plan_id} {k}") for plan in few for k in range(4)]
+    calls: list[list[tuple[str, bool]]] = []
+    judge, make_jobs = Question.trials, Question.jobs
 
     def trials(question: Question, asked: Sequence[Asked], limit: TimeLimit | None = None) -> list[Trial]:
-        assert not any(one.is_judged for one in asked)
-        scores.append([one.draft.plan.plan_id for one in asked])
-        known = dict(zip((one.draft.plan.plan_id for one in asked), judge(question, asked, limit), strict=True))
-        known["leans"] = known["leans"]._replace(verdict="stable")
-        return [*known.values()]
+        calls.append([(one.draft.plan.plan_id[:6].strip(), one.is_judged) for one in asked])
+        return [
+            trial._replace(verdict="stable") if one.draft.plan.plan_id[:5] == "leans" and not one.is_judged else trial
+            for one, trial in zip(asked, judge(question, asked, limit), strict=True)
+        ]
 
     def jobs(question: Question, asked: Sequence[Asked]) -> list[Any]:
-        requests.extend((one.draft.plan.plan_id, one.is_judged, one.draft.order == (0, 1, 2, 3)) for one in asked)
+        if not asked[0].is_judged and asked[0].draft.order == (0, 1, 2, 3):
+            scored.append(len(asked))
         return make_jobs(question, asked)
 
-    make_jobs = Question.jobs
+    scored: list[int] = []
     monkeypatch.setattr(Question, "is_wide", True)
     monkeypatch.setattr(Question, "trials", trials)
     monkeypatch.setattr(Question, "jobs", jobs)
-    falls, leans, stands = petmjx.repair(plans, engine="mjx-warp-cpu", worlds=0, trials=40).each
-    assert scores == [["falls", "leans", "stands"]]
-    assert (falls.trial_before.stands, len(falls.changes), falls.stands) == (False, 1, True)
-    assert (leans.changes, leans.n_trials, leans.complete) == ((), 0, True)
-    assert (stands.changes, stands.n_trials) == ((), 0)
-    of_searches = requests[len(plans) :]
-    assert {name for name, *_ in of_searches} == {"falls"}
+    rows = []
+    for plans in (few, many):
+        calls.clear()
+        scored.clear()
+        n = len(plans) // 3
+        repairs = petmjx.repair(plans, engine="mjx-warp-cpu", threads=2, worlds=0, trials=40).each
+        judged, of_scores = calls
+        assert judged == [(name, True) for name in names for _ in range(n)]
+        assert of_scores == [(name, False) for name in names[:2] for _ in range(n)]
+        assert scored[0] == 2 * n, "all plans together"
+        rows.append([(r.trial_before.stands, r.words, r.stands, r.n_trials, r.complete) for r in repairs[::n]])
+        falls, leans, stands = repairs[::n]
+        assert (falls.trial_before.stands, len(falls.changes), falls.stands) == (False, 1, True)
+        assert (leans.changes, leans.n_trials, leans.complete) == ((), 0, True)
+        assert (stands.changes, stands.n_trials) == ((), 0)
+    assert rows[0] == rows[1]
 
 
 def test_other_ways_to_change_a_plan_come_between_the_amounts_of_one_way() -> None:
@@ -1077,7 +1091,8 @@ def test_searches_in_several_processes_end_as_in_one() -> None:
     for processes in (1, 2):
         searches = [Search(plan, Simulation(), RepairOptions(worlds=0)) for plan in plans]
         with closing(SearchProcesses(len(searches), processes)) as some:
-            some.run(searches, Simulated(ask))
+            some.begin(searches)
+            some.run(Simulated(ask))
         ends.append([([state.changes for state in s.repairs], s.n_trials, s.before, s.complete) for s in searches])
     assert ends[0] == ends[1]
     assert all(changes for changes, *_ in ends[0])
@@ -1092,7 +1107,8 @@ def test_searches_in_several_processes_end_as_in_one() -> None:
         ]
 
     with closing(SearchProcesses(len(searches), 2)) as some, pytest.raises(KeyboardInterrupt):
-        some.run(searches, Simulated(ask_until_stopped))
+        some.begin(searches)
+        some.run(Simulated(ask_until_stopped))
     assert [search.complete for search in searches[::2]] == [True, False, False, False]
 
 

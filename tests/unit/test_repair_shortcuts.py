@@ -198,7 +198,7 @@ def test_the_balance_with_one_more_box_follows_from_the_one_before(some_plans: l
     n_beyond = 0
     for draft in [*map(Draft.of, some_plans), *map(_shifted, some_plans)]:
         piles = [replace(draft, order=draft.order[:n]) for n in range(1, len(draft.order) + 1)]
-        whole = balances(piles, SIM)
+        whole = balances(piles, SIM, with_loads=True)
         known: list[Balance] = whole[:1]
         for pile in piles[1:]:
             known += balances_with_last([pile], known[-1:], SIM)
