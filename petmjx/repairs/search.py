@@ -300,7 +300,7 @@ class Search(Candidates):
         judged: list[State] = []  # states that stand
         doubtful: list[State] = []  # states that may fall when scored (``_is_doubtful``)
         is_late = is_widened = False
-        n_rounds = 0
+        n_rounds = len(WIDE_AT_ONCE) if Kind.LEAVE_OUT in kinds else 0  # the last resort comes after many rounds
         queues: list[list[Candidate]] = []
         while self.n_trials < last and not self._stands:
             nodes.sort(key=lambda node: node.key)

@@ -138,9 +138,11 @@ class SearchProcesses:
         self._parts: list[list[Search]] = [[]]
 
     def begin(self, searches: Sequence[Search]) -> None:
-        """Let processes begin these searches. They go on until they need trials."""
+        """Let processes begin these searches. They go on until they need trials. Plans with many boxes take longest, so
+        they are in different processes, and begin first."""
         n_processes = min(self._most, len(searches)) if len(searches) >= LEAST_PLANS else 1
-        self._parts = [list(searches[k::n_processes]) for k in range(n_processes)]
+        searches = sorted(searches, key=lambda search: -search.plan.n_boxes)
+        self._parts = [searches[k::n_processes] for k in range(n_processes)]
         if n_processes > 1:
             self._working = [self._child() for _ in range(n_processes)]
         for child, part in zip(self._working, self._parts, strict=False):
