@@ -999,7 +999,10 @@ def test_on_a_gpu_all_plans_are_scored_together_while_their_searches_begin(monke
     """A plan that stands when judged is not scored. A plan that stands when scored has no repair, although it falls
     when judged. All this is the same in processes, in which searches begin before their plans are scored."""
     names = ["falls", "leans", "stands"]
-    few = [make_plan(name, boxes=[((300, 300, 100), (0, 0, 0), 1)] if name == "stands" else COUNTERWEIGHT) for name in names]
+    few = [
+        make_plan(name, boxes=[((300, 300, 100), (0, 0, 0), 1)] if name == "stands" else COUNTERWEIGHT)
+        for name in names
+    ]
     many = [replace(plan, plan_id=f"{plan.plan_id} {k}") for plan in few for k in range(4)]
     calls: list[list[tuple[str, bool]]] = []
     judge, make_jobs = Question.trials, Question.jobs
