@@ -113,9 +113,9 @@ def balances(
 
 
 def balances_with_last(drafts: Sequence[Draft], before: Sequence[Balance], sim: Simulation) -> list[Balance]:
-    """The balance of each draft, given the balance, with its loads, of the draft without its last box. The last box changes only the
-    loads below it, and each of these loads only once. So this function takes a fraction of the time of ``balances``.
-    The results of the two functions may differ by rounding errors."""
+    """The balance of each draft, given the balance of the draft without its last box, which must have ``loads``. The
+    last box changes only the loads below it, and each of these loads only once. So this function takes a fraction of
+    the time of ``balances``. The results of the two functions may differ by rounding errors."""
     results: list[Balance] = []
     for begin in range(0, len(drafts), AT_ONCE):
         some, known = drafts[begin : begin + AT_ONCE], before[begin : begin + AT_ONCE]

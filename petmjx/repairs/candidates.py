@@ -38,6 +38,11 @@ PER_ROUND: Final = 0.25
 value."""
 
 
+PER_DRIVE: Final = 6
+"""A plan that is scored with a drive counts as this many trials. With a drive, every plan is scored, because no short
+simulation can judge it."""
+
+
 @dataclass(frozen=True, eq=False)
 class State:
     """A changed plan that was simulated.
@@ -228,6 +233,10 @@ SAME_WEAKNESS: Final = 0.25
 weak. Of equally weak plans, the one whose changes cost less is better."""
 
 
+class TrialsSpent(Exception):
+    """The next simulations would be more than the search may make."""
+
+
 @dataclass(eq=False)
 class Candidates:
     """Changes of one plan.
@@ -238,7 +247,7 @@ class Candidates:
         plan: the plan.
         film_turns: number of turns of film around the plan.
         is_wide: whether many plans are judged at once, for an engine that judges many as fast as a few.
-        n_trials: number of plans that were simulated.
+        n_trials: number of simulations of changed plans.
     """
 
     plan: Plan
@@ -253,6 +262,7 @@ class Candidates:
         options = self.options
         self.rules = Rules(self.plan, self.sim, options.max_height_mm, options.built)
         self._start = Draft.of(self.plan, self.film_turns)
+        self._most_trials = options.trials if options.profile is None else options.trials // PER_DRIVE
         self._seen: set[bytes] = set()
         self._known: dict[bytes, Trial] = {}  # key of each draft that was judged → its trial
         self._falls: dict[bytes, Trial] = {}  # key of the placements up to an early fall → the trial
@@ -394,18 +404,30 @@ class Candidates:
 
     # ------------------------------------------------------------------ simulations
 
+    @property
+    def _n_left(self) -> int:
+        """Number of changed plans that may still be simulated."""
+        return self._most_trials - self.n_trials
+
+    def _spend(self, count: int) -> None:
+        """Count simulations before they are requested. Raises ``TrialsSpent`` if there would be too many. Parts of a
+        search that run side by side must not raise it."""
+        if count > self._n_left:
+            raise TrialsSpent
+        self.n_trials += count
+
     def _simulated(self, drafts: Sequence[Draft], *, judged: bool = False) -> Steps[list[Trial]]:
         """The trials of drafts. If the drafts are only judged (``judged``), drafts that were judged before are not
         simulated again."""
         if not judged:
-            self.n_trials += len(drafts)
+            self._spend(len(drafts))
             return (yield [Asked(draft, False) for draft in drafts]) if drafts else []
         keys = [key_of(draft) for draft in drafts]
         for key in keys:
             if key not in self._known and self._falls_early(key):
                 self._known[key] = next(trial for begin, trial in self._falls.items() if key.startswith(begin))
         unknown = {key: draft for key, draft in zip(keys, drafts, strict=True) if key not in self._known}
-        self.n_trials += len(unknown)
+        self._spend(len(unknown))
         if unknown:
             trials = yield [Asked(draft, True) for draft in unknown.values()]
             self._remember([*unknown.values()], trials)
@@ -429,7 +451,7 @@ class Candidates:
 
     def _scored(self, states: Sequence[State]) -> Steps[list[State]]:
         """The states with new trials: their drafts, which were only judged before, are now simulated as in a score."""
-        self.n_trials += len(states)
+        self._spend(len(states))
         requests = [Asked(state.draft, is_judged=False, judged=state.trial) for state in states]
         trials = (yield requests) if requests else []
         return [replace(state, trial=trial) for state, trial in zip(states, trials, strict=True)]
@@ -455,7 +477,7 @@ class Candidates:
         simulated again."""
         known = [{**self._in_worlds.get(key_of(state.draft), {}), **state.errors} for state in states]
         pairs = [(k, world) for k in range(len(states)) for world in worlds if world not in known[k]]
-        self.n_trials += len(pairs)
+        self._spend(len(pairs))
         trials = (yield [Asked(states[k].draft, True, world) for k, world in pairs]) if pairs else []
         for (k, world), trial in zip(pairs, trials, strict=True):
             known[k][world] = trial

@@ -66,10 +66,11 @@ class Repaired:
             repair is known.
         share_before, share_after: shares of worlds with errors in which the two plans stand; None: the worlds were not
             simulated, or the time was up before all of them had ended.
-        n_trials: plans that were simulated.
+        n_trials: number of simulations of changed plans.
         complete: whether the search came to its end. If the search is not complete, its time was up or its trials were
             spent, and a longer search might find smaller changes.
-        trials_spent: whether the search ended because its trials were spent before a repair with all boxes was found.
+        trials_spent: whether the trials were spent before a repair with all boxes was found, or before the search had
+            tested which changes are needed.
         built_falls: whether boxes that stand already (``built``) fall before others are placed. If built boxes fall, no
             repair was sought.
     """
@@ -140,7 +141,7 @@ class Repaired:
         text = f"{fails}; stands after {count_text(len(self.changes), 'change')}"
         if self.complete:
             return text
-        doubt = "all boxes might be kept" if self.trials_spent else "some may not be needed"
+        doubt = "all boxes might be kept" if self.trials_spent and self.left_out else "some may not be needed"
         return f"{text}; {self._limit} for the search were spent: {doubt}"
 
     @property

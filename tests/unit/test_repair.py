@@ -158,7 +158,7 @@ STAIR: Sequence[Box] = tuple(((400, 300, 200), (300 * k, 0, 200 * k), 5) for k i
 def test_built_boxes_that_fall_are_told_without_a_search() -> None:
     result = repaired(STAIR, built=2)
     assert result.headline.endswith("no repair was sought: the boxes that are built already fall by themselves")
-    assert (result.built_falls, result.complete, result.n_trials) == (True, True, 2)
+    assert (result.built_falls, result.complete, result.n_trials) == (True, True, 1)
     assert result.plan is result.before
 
 
@@ -989,10 +989,14 @@ def test_a_search_on_a_gpu_goes_on_in_wider_rounds(monkeypatch: pytest.MonkeyPat
     search = Search(make_plan(boxes=stack(6)), Simulation(), RepairOptions(worlds=0), is_wide=True)
     search.begin(falls)
     node = Node(State(Draft.of(search.plan), (), falls), (Fault(0, 1.0),))
-    standing, _ = result_of(search._changed([node], search.options.kinds, 600), lambda some: [falls] * len(some))
+    kinds = search.options.kinds - {Kind.LEAVE_OUT}
+    standing, _ = result_of(search._changed([node], kinds, 600), lambda some: [falls] * len(some))
     assert standing == []
     assert tuple(widths) == (*WIDE_AT_ONCE, WIDE_AT_ONCE[-1])
     assert WIDE_AT_ONCE[0] < WIDE_AT_ONCE[-1] == search._at_once(30, is_late=False)
+    widths.clear()
+    result_of(search._changed([node], search.options.kinds, 600), lambda some: [falls] * len(some))
+    assert set(widths) == {WIDE_AT_ONCE[-1]}, "boxes are left out after many rounds, so the first round is wide, too"
 
 
 def test_on_a_gpu_all_plans_are_scored_together_while_their_searches_begin(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -1109,9 +1113,10 @@ def test_searches_in_several_processes_end_as_in_one() -> None:
             trial._replace(verdict="stable") if draft.plan.plan_id == "0" else trial for (draft, *_), trial in trials
         ]
 
-    with closing(SearchProcesses(len(searches), 2)) as some, pytest.raises(KeyboardInterrupt):
+    with closing(SearchProcesses(len(searches), 2)) as some:
         some.begin(searches)
-        some.run(Simulated(ask_until_stopped))
+        with pytest.raises(KeyboardInterrupt):
+            some.run(Simulated(ask_until_stopped))
     assert [search.complete for search in searches[::2]] == [True, False, False, False]
 
 
@@ -1176,20 +1181,56 @@ def test_a_search_whose_trials_are_spent_says_so() -> None:
     assert (all_tried.complete, all_tried.trials_spent, len(all_tried.left_out)) == (True, False, 3)
 
 
-@pytest.mark.parametrize("forbid", [(), ("place",)])
-def test_plans_are_built_anew_in_a_share_of_the_trials(forbid: tuple[str, ...]) -> None:
-    """Whatever is changed, the last box of a plan falls. If no box may be put elsewhere, no plan is built anew."""
+@pytest.mark.parametrize("is_wide", [False, True])
+@pytest.mark.parametrize("worlds", [0, 8])
+def test_a_search_makes_no_more_trials_than_allowed(is_wide: bool, worlds: int) -> None:
+    """Two boxes fall, and box 5 stands in half of the worlds with errors. The trials are spent in every part of the
+    search. A search that has found a repair keeps it."""
+    plan = make_plan(boxes=[*TWO_FAULTS, *stack(1, at_mm=(0.0, 1200.0))])
+
+    def trial_of(one: Asked) -> Trial:
+        (balance,) = balances([one.draft], Simulation())
+        falls = [box for box in (1, 4) if box in balance.box] or [5] * (one.world % 2)
+        if not falls:
+            return Trial("stable", "", None, (), 6, 6, 1.0, is_score=True)
+        return Trial("unstable", "tilt", falls[0], (falls[0],), falls[0] + 1, falls[0] + 1, -1.0)
+
+    n_repaired = 0
+    for trials in (1, 2, 3, 5, 8, 13, 25, 60, 200, 600):
+        search = Search(plan, Simulation(), RepairOptions(worlds=worlds, trials=trials), is_wide=is_wide)
+        result_of(search.run(), lambda some: [trial_of(one) for one in some])
+        has_left_out = any(change.kind is Kind.LEAVE_OUT for state in search.repairs for change in state.changes)
+        assert search.n_trials <= (trials if not has_left_out and search.repairs else trials + trials // 2)
+        assert search.complete
+        n_repaired += bool(search.repairs)
+    assert n_repaired > 6
+    assert not search.trials_spent
+
+
+def test_a_repair_with_few_trials_is_told_as_such() -> None:
+    few = repaired(COUNTERWEIGHT, trials=3)
+    assert (few.stands, few.n_trials <= 4, few.complete) == (True, True, False)
+    assert few.headline.endswith("the trials for the search were spent: all boxes might be kept")
+    undone = replace(few, changes=(Move(0, 1.0, 0.0), Move(1, 1.0, 0.0)))
+    assert undone.headline.endswith("the trials for the search were spent: some may not be needed")
+
+
+@pytest.mark.parametrize(("forbid", "profile"), [((), None), (("place",), None), ((), "eumos-40509")])
+def test_plans_are_built_anew_in_a_share_of_the_trials(forbid: tuple[str, ...], profile: str | None) -> None:
+    """Whatever is changed, the last box of a plan falls. If no box may be put elsewhere, no plan is built anew. With a
+    profile, all trials may be spent."""
     plan = make_plan(boxes=[*stack(6), *stack(6, 30.0, at_mm=(0.0, 500.0))])
     falls = Trial("unstable", "tilt", 11, (11,), 12, 11, -1.0)
-    search = Search(plan, Simulation(), RepairOptions(worlds=0, forbid=forbid), is_wide=True)
+    options = RepairOptions(worlds=0, forbid=forbid, profile=profile, trials=1206)
+    search = Search(plan, Simulation(), options, is_wide=True)
     search.begin(falls)
     node = Node(State(Draft.of(plan), (), falls), (Fault(11, 1.0),))
-    kinds = search.options.kinds - {Kind.LEAVE_OUT}
+    kinds = search.options.kinds - {Kind.LEAVE_OUT, Kind.FILM}
     standing, _ = result_of(search._changed([node], kinds, 200), lambda some: [falls] * len(some))
     assert standing == []
     assert search.trials_spent
     most = int(ALONE * 200) + WIDE_AT_ONCE[-1] + int(BUILT_ANEW * 200)
-    assert search.n_trials == 200 if forbid else search.n_trials <= most < 200
+    assert search.n_trials == 200 if forbid or profile else search.n_trials <= most < 200
 
 
 def test_a_load_that_nothing_bears_has_no_weakness() -> None:
