@@ -248,6 +248,7 @@ class Candidates:
         film_turns: number of turns of film around the plan.
         is_wide: whether many plans are judged at once, for an engine that judges many as fast as a few.
         n_trials: number of simulations of changed plans.
+        invalid: reason → number of those simulations that were invalid for this reason. They count as falls.
     """
 
     plan: Plan
@@ -256,6 +257,7 @@ class Candidates:
     film_turns: float = 0.0
     is_wide: bool = False
     n_trials: int = 0
+    invalid: Counter[str] = field(default_factory=Counter)
 
     def __post_init__(self) -> None:
         """Prepare the limits that all changed plans must keep (``Rules``)."""
@@ -421,7 +423,7 @@ class Candidates:
         simulated again."""
         if not judged:
             self._spend(len(drafts))
-            return (yield [Asked(draft, False) for draft in drafts]) if drafts else []
+            return self._noted((yield [Asked(draft, False) for draft in drafts])) if drafts else []
         keys = [key_of(draft) for draft in drafts]
         for key in keys:
             if key not in self._known and self._falls_early(key):
@@ -429,9 +431,14 @@ class Candidates:
         unknown = {key: draft for key, draft in zip(keys, drafts, strict=True) if key not in self._known}
         self._spend(len(unknown))
         if unknown:
-            trials = yield [Asked(draft, True) for draft in unknown.values()]
+            trials = self._noted((yield [Asked(draft, True) for draft in unknown.values()]))
             self._remember([*unknown.values()], trials)
         return [self._known[key] for key in keys]
+
+    def _noted(self, trials: list[Trial]) -> list[Trial]:
+        """Count invalid trials; returns the trials."""
+        self.invalid.update(trial.reason for trial in trials if trial.verdict == Verdict.INVALID.value)
+        return trials
 
     def _remember(self, drafts: Sequence[Draft], trials: Sequence[Trial]) -> None:
         """Record the trials of drafts that were judged."""
@@ -453,7 +460,7 @@ class Candidates:
         """The states with new trials: their drafts, which were only judged before, are now simulated as in a score."""
         self._spend(len(states))
         requests = [Asked(state.draft, is_judged=False, judged=state.trial) for state in states]
-        trials = (yield requests) if requests else []
+        trials = self._noted((yield requests)) if requests else []
         return [replace(state, trial=trial) for state, trial in zip(states, trials, strict=True)]
 
     def _judged(self, batch: Sequence[Candidate]) -> Steps[list[State]]:
@@ -478,7 +485,7 @@ class Candidates:
         known = [{**self._in_worlds.get(key_of(state.draft), {}), **state.errors} for state in states]
         pairs = [(k, world) for k in range(len(states)) for world in worlds if world not in known[k]]
         self._spend(len(pairs))
-        trials = (yield [Asked(states[k].draft, True, world) for k, world in pairs]) if pairs else []
+        trials = self._noted((yield [Asked(states[k].draft, True, world) for k, world in pairs])) if pairs else []
         for (k, world), trial in zip(pairs, trials, strict=True):
             known[k][world] = trial
         self._in_worlds.update((key_of(state.draft), errors) for state, errors in zip(states, known, strict=True))

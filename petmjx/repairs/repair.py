@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import islice
 from typing import Any, Final
 
@@ -67,6 +67,8 @@ class Repaired:
         share_before, share_after: shares of worlds with errors in which the two plans stand; None: the worlds were not
             simulated, or the time was up before all of them had ended.
         n_trials: number of simulations of changed plans.
+        invalid: reason → number of those simulations that were invalid for this reason, such as ``iteration-limit``.
+            They count as falls.
         complete: whether the search came to its end. If the search is not complete, its time was up or its trials were
             spent, and a longer search might find smaller changes.
         trials_spent: whether the trials were spent before a repair with all boxes was found, or before the search had
@@ -84,6 +86,7 @@ class Repaired:
     share_after: Share | None
     n_trials: int
     complete: bool = True
+    invalid: Mapping[str, int] = field(default_factory=dict)
     trials_spent: bool = False
     built_falls: bool = False
 
@@ -145,6 +148,15 @@ class Repaired:
         return f"{text}; {self._limit} for the search were spent: {doubt}"
 
     @property
+    def doubt(self) -> str:
+        """A line about simulations of changed plans that were invalid; empty without such simulations."""
+        if not self.invalid:
+            return ""
+        reasons = ", ".join(f"{number:,} {reason}" for reason, number in self.invalid.items())
+        n_invalid, n_trials = sum(self.invalid.values()), count_text(self.n_trials, "simulation")
+        return f"{n_invalid:,} of {n_trials} had no verdict and counted as falls: {reasons}"
+
+    @property
     def _limit(self) -> str:
         """What ended a search that is not complete."""
         return "the trials" if self.trials_spent else "the seconds"
@@ -171,7 +183,7 @@ class Repaired:
             row[f"n_worlds_{name}"], row[f"n_standing_{name}"] = worlds, standing
             row[f"share_{name}"] = None if share is None else share.value
             row[f"low_{name}"], row[f"high_{name}"] = float(low), float(high)
-        return row | {"trials": self.n_trials, "complete": self.complete}
+        return row | {"trials": self.n_trials, "invalid_trials": sum(self.invalid.values()), "complete": self.complete}
 
 
 @dataclass(frozen=True, eq=False)
@@ -400,6 +412,7 @@ def _repaired_by(search: Search, state: State | None, before: Share | None, afte
         share_before=before,
         share_after=after,
         n_trials=search.n_trials,
+        invalid=dict(search.invalid),
         complete=search.complete and not search.trials_spent,
         trials_spent=search.complete and search.trials_spent,
         built_falls=search.built_falls,

@@ -169,6 +169,7 @@ class Search(Candidates):
         if self.complete:
             return
         self.before, self.repairs, self.n_trials = other.before or self.before, other.repairs, other.n_trials
+        self.invalid = other.invalid
         self.complete, self.trials_spent, self.built_falls = other.complete, other.trials_spent, other.built_falls
 
     @property
@@ -196,6 +197,7 @@ class Search(Candidates):
             self._remember([self._start], [self.judged])
         (trial,) = yield from self._simulated([self._start], judged=not is_driven)
         self.n_trials = 0  # the plan itself does not count
+        self.invalid.clear()
         if is_driven:
             self.begin(trial)
         elif trial.stands and not is_scored:
@@ -594,8 +596,9 @@ class Search(Candidates):
             try:
                 better = yield from self._stronger(node.state, batch, wanted)
                 nodes += [Node(state) for state in better]
-                if better and (most := max(better, key=lambda state: state.n_good)).n_good > best.n_good:
-                    (most,) = yield from self._scored([most])
+                better.sort(key=lambda state: (-state.n_good, state.cost))
+                if better and better[0].n_good > best.n_good:
+                    (most,) = yield from self._scored(better[:1])
                     best = most if most.trial.stands else best
             except TrialsSpent:
                 self.trials_spent = True

@@ -1207,6 +1207,22 @@ def test_a_search_makes_no_more_trials_than_allowed(is_wide: bool, worlds: int) 
     assert not search.trials_spent
 
 
+def test_simulations_without_a_verdict_are_told(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """The solver may use so few iterations that only short plans come to an end."""
+    file = tmp_path / "plans.json"
+    petmjx.save_plans([make_plan(boxes=COUNTERWEIGHT)], file)
+    how = ["--engine", "mujoco", "--threads", "1", "--worlds", "0", "--trials", "6"]
+    assert main(["repair", str(file), *how]) == 0
+    assert "had no verdict" not in (out := capsys.readouterr().out)
+    assert "cost 2.00; margin 1.00" in out
+    assert main(["repair", str(file), *how, "--iteration-limit", "300"]) == 0
+    assert "5 of 6 simulations had no verdict and counted as falls: 5 iteration-limit" in " ".join(
+        capsys.readouterr().out.split()
+    )
+    result = repaired(COUNTERWEIGHT, trials=6, iteration_limit=300)
+    assert (result.row()["trials"], result.row()["invalid_trials"]) == (6, 5)
+
+
 def test_a_repair_with_few_trials_is_told_as_such() -> None:
     few = repaired(COUNTERWEIGHT, trials=3)
     assert (few.stands, few.n_trials <= 4, few.complete) == (True, True, False)
