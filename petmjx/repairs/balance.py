@@ -10,6 +10,7 @@ load is beyond an edge may lean on a neighbour, and stand.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import chain
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -18,8 +19,8 @@ from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.options.simulation import Simulation
 from petmjx.repairs.drafts import TOLERANCE_MM, BoolArray, Draft, IntArray
 from petmjx.world.edge_distances import ROUNDING_M, bearing_in_order, building_loads_of, depends_on_sharing
-from petmjx.world.scene import Scene, build_scenes, has_plain_scene, plain_scenes
-from petmjx.world.supports import Bearing, find_bearings
+from petmjx.world.scene import build_scenes, has_plain_scene
+from petmjx.world.supports import Bearing, find_bearings, find_plain_bearings
 
 AT_ONCE: Final = 128
 """Number of drafts whose balances are computed at once."""
@@ -100,6 +101,14 @@ def balances(
         with_loads: whether the results have the loads of all boxes (``Balance.loads``).
     """
     results: list[Balance] = []
+    is_plain = _are_plain(drafts, sim)
+    if len({*is_plain}) == 2:  # sheets among the boxes
+        parts = [[k for k, plain in enumerate(is_plain) if plain is one] for one in (True, False)]
+        of_parts = [
+            balances([drafts[k] for k in part], sim, spare_mm=spare_mm, with_loads=with_loads) for part in parts
+        ]
+        of_number = dict(zip(chain(*parts), chain(*of_parts), strict=True))
+        return [of_number[k] for k in range(len(drafts))]
     for begin in range(0, len(drafts), AT_ONCE):
         some = drafts[begin : begin + AT_ONCE]
         bearing = _bearing(some, sim)
@@ -133,8 +142,22 @@ def balances_with_last(drafts: Sequence[Draft], before: Sequence[Balance], sim: 
 
 def _bearing(drafts: Sequence[Draft], sim: Simulation) -> Bearing:
     """The contacts between the boxes of drafts. The boxes are in packing order."""
-    scenes = scenes_of(drafts, sim)
-    return bearing_in_order(find_bearings(scenes, [scene.target for scene in scenes]))
+    if not all(_are_plain(drafts, sim)):
+        scenes = [*build_scenes((draft.as_plan() for draft in drafts), sim)]
+        return bearing_in_order(find_bearings(scenes, [scene.target for scene in scenes]))
+    size_mm, corner_mm, mass_kg = (
+        np.concatenate([getattr(draft, name).take(draft.rows, axis=0) for draft in drafts])
+        for name in ("size_mm", "corner_mm", "mass_kg")
+    )
+    counts = [len(draft.rows) for draft in drafts]
+    return bearing_in_order(find_plain_bearings(size_mm, corner_mm, mass_kg, counts, sim))
+
+
+def _are_plain(drafts: Sequence[Draft], sim: Simulation) -> list[bool]:
+    """For each draft, whether its contacts are found from arrays, which takes a fraction of the time."""
+    plans = {id(draft.plan): draft.plan for draft in drafts}
+    has_plain = {number: has_plain_scene(plan, sim) for number, plan in plans.items()}
+    return [has_plain[id(draft.plan)] and not draft.sheet_kg for draft in drafts]
 
 
 def _balances(
@@ -171,23 +194,6 @@ def _balances(
             )
         )
     return results
-
-
-def scenes_of(drafts: Sequence[Draft], sim: Simulation) -> list[Scene]:
-    """The scenes of drafts. Plain scenes (``has_plain_scene``) are made from arrays, which takes a fifth of the
-    time."""
-    plans = {id(draft.plan): draft.plan for draft in drafts}
-    has_plain = {number: has_plain_scene(plan, sim) for number, plan in plans.items()}
-    is_plain = [has_plain[id(draft.plan)] and not draft.sheet_kg for draft in drafts]
-    plain = [draft for draft, plain in zip(drafts, is_plain, strict=True) if plain]
-    size_mm, corner_mm, mass_kg = (
-        np.concatenate([getattr(draft, name)[draft.rows] for draft in plain] or [np.empty(0)])
-        for name in ("size_mm", "corner_mm", "mass_kg")
-    )
-    counts = [len(draft.rows) for draft in plain]
-    of_plain = plain_scenes(size_mm, corner_mm, mass_kg, counts, sim) if plain else iter(())
-    others = build_scenes((draft.as_plan() for draft, plain in zip(drafts, is_plain, strict=True) if not plain), sim)
-    return [next(of_plain if plain else others) for plain in is_plain]
 
 
 class _Loads(NamedTuple):
