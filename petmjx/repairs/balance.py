@@ -101,7 +101,7 @@ def balances(
         with_loads: whether the results have the loads of all boxes (``Balance.loads``).
     """
     results: list[Balance] = []
-    is_plain = _are_plain(drafts, sim)
+    is_plain = are_plain(drafts, sim)
     if len({*is_plain}) == 2:  # sheets among the boxes
         parts = [[k for k, plain in enumerate(is_plain) if plain is one] for one in (True, False)]
         of_parts = [
@@ -142,19 +142,24 @@ def balances_with_last(drafts: Sequence[Draft], before: Sequence[Balance], sim: 
 
 def _bearing(drafts: Sequence[Draft], sim: Simulation) -> Bearing:
     """The contacts between the boxes of drafts. The boxes are in packing order."""
-    if not all(_are_plain(drafts, sim)):
+    if not all(are_plain(drafts, sim)):
         scenes = [*build_scenes((draft.as_plan() for draft in drafts), sim)]
         return bearing_in_order(find_bearings(scenes, [scene.target for scene in scenes]))
+    return bearing_in_order(find_plain_bearings(*arrays_of(drafts), sim))
+
+
+def arrays_of(drafts: Sequence[Draft]) -> tuple[FloatArray, FloatArray, FloatArray, list[int]]:
+    """(n, 3) extents and (n, 3) corners of the boxes of all drafts, mm, draft after draft and in packing order; (n,)
+    masses of these boxes, kg; and the number of boxes of each draft."""
     size_mm, corner_mm, mass_kg = (
         np.concatenate([getattr(draft, name).take(draft.rows, axis=0) for draft in drafts])
         for name in ("size_mm", "corner_mm", "mass_kg")
     )
-    counts = [len(draft.rows) for draft in drafts]
-    return bearing_in_order(find_plain_bearings(size_mm, corner_mm, mass_kg, counts, sim))
+    return size_mm, corner_mm, mass_kg, [len(draft.rows) for draft in drafts]
 
 
-def _are_plain(drafts: Sequence[Draft], sim: Simulation) -> list[bool]:
-    """For each draft, whether its contacts are found from arrays, which takes a fraction of the time."""
+def are_plain(drafts: Sequence[Draft], sim: Simulation) -> list[bool]:
+    """For each draft, whether its scene or its contacts can be made from arrays (``has_plain_scene``)."""
     plans = {id(draft.plan): draft.plan for draft in drafts}
     has_plain = {number: has_plain_scene(plan, sim) for number, plan in plans.items()}
     return [has_plain[id(draft.plan)] and not draft.sheet_kg for draft in drafts]

@@ -66,6 +66,13 @@ ALONE: Final = 0.15
 """Share of all trials in which only single changes are tried. If no repair is found in these trials, the plan probably
 has many faults, so it is built anew."""
 
+MANY_FAULTS: Final = 6.0
+"""If at least this number of changes is expected for a plan, single changes are tried only in the share
+``ALONE_IF_MANY`` of the trials. With fewer expected changes, repairs would become longer."""
+
+ALONE_IF_MANY: Final = 0.04
+"""As ``ALONE``, for plans with many faults: on a GPU, two rounds."""
+
 LATE_AT_ONCE: Final = 2 * AT_ONCE
 """Number of changed plans that are judged at once after single changes alone (``ALONE``) were in vain."""
 
@@ -296,7 +303,7 @@ class Search(Candidates):
         """Two lists: plans that stand after changes of these kinds, and the most promising of the plans that still
         fall."""
         options = self.options
-        last, alone = self.n_trials + min(most_trials, self._n_left), self.n_trials + int(ALONE * most_trials)
+        first, last = self.n_trials, self.n_trials + min(most_trials, self._n_left)
         end, nodes = last, list(start)
         ways = Counter(_kind_of(node.state) for node in nodes)
         standing: list[State] = []
@@ -312,7 +319,8 @@ class Search(Candidates):
                 fewest = len(standing[0].changes)
                 limit = fewest + (SURPLUS if is_widened else 0.0)
                 useful = [n for n in nodes if len(n.state.changes) < fewest - 1 and n.n_promised < limit]
-            if not (standing or is_late) and self.n_trials >= alone:
+            alone = ALONE_IF_MANY if self._has_many_faults(start[0], kinds) else ALONE
+            if not (standing or is_late) and self.n_trials - first >= int(alone * most_trials):
                 is_late = True
                 standing = yield from self._nearly(nodes, doubtful)
                 if standing:
@@ -368,6 +376,12 @@ class Search(Candidates):
             standing = yield from self._compared(standing, [one for one in judged if len(one.changes) == fewest])
         nodes.sort(key=lambda node: (node.n_expected, node.key))
         return standing, [Node(node.state, node.faults) for node in nodes[:BEAM]]
+
+    def _has_many_faults(self, start: Node, kinds: frozenset[Kind]) -> bool:
+        """Whether single changes hardly help a plan. This is not asked about the last resort, and with a drive, whose
+        faults are not counted one by one."""
+        is_asked = self.options.profile is None and Kind.LEAVE_OUT not in kinds
+        return is_asked and MANY_FAULTS <= start.n_expected < math.inf
 
     def _rivals(self, queues: Sequence[list[Candidate]], states: Sequence[State], count: int) -> list[Candidate]:
         """Remove from the queues at most ``count`` candidates, and return them. The search may choose one of them

@@ -30,7 +30,7 @@ from petmjx.repairs.rebuilds import Failure, rebuilds
 from petmjx.repairs.repair import Repaired
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.requests import Asked, OutOfTime, Steps, Together, Trial, TrialAnswer
-from petmjx.repairs.search import ALONE, BUILT_ANEW, SURPLUS, WIDE_AT_ONCE, Search
+from petmjx.repairs.search import ALONE, ALONE_IF_MANY, BUILT_ANEW, MANY_FAULTS, SURPLUS, WIDE_AT_ONCE, Search
 from petmjx.repairs.search_processes import SearchProcesses, Tasks
 from petmjx.repairs.trials import Question, TimeLimit, TrialStream
 
@@ -1247,6 +1247,28 @@ def test_plans_are_built_anew_in_a_share_of_the_trials(forbid: tuple[str, ...], 
     assert search.trials_spent
     most = int(ALONE * 200) + WIDE_AT_ONCE[-1] + int(BUILT_ANEW * 200)
     assert search.n_trials == 200 if forbid or profile else search.n_trials <= most < 200
+
+
+@pytest.mark.parametrize("weight", [MANY_FAULTS - 0.25, MANY_FAULTS])
+def test_plans_with_many_faults_are_built_anew_earlier(weight: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever is changed, the last box of a plan falls."""
+    plan, began = make_plan(boxes=[*stack(6), *stack(6, 30.0, at_mm=(0.0, 500.0))]), list[int]()
+    falls, build = Trial("unstable", "tilt", 11, (11,), 12, 11, -1.0), Search._anew
+
+    def noted(search: Search, *rest: Any) -> list[list[Candidate]]:
+        began.append(search.n_trials)
+        return build(search, *rest)
+
+    monkeypatch.setattr(Search, "_anew", noted)
+    for is_wide in (False, True):
+        began.clear()
+        search = Search(plan, Simulation(), RepairOptions(worlds=0), is_wide=is_wide)
+        search.begin(falls)
+        node = Node(State(Draft.of(plan), (), falls), (Fault(11, weight),))
+        kinds = search.options.kinds - {Kind.LEAVE_OUT}
+        result_of(search._changed([node], kinds, 600), lambda some: [falls] * len(some))
+        least = int((ALONE_IF_MANY if weight >= MANY_FAULTS else ALONE) * 600)
+        assert least <= began[0] <= least + WIDE_AT_ONCE[-1]
 
 
 def test_a_load_that_nothing_bears_has_no_weakness() -> None:

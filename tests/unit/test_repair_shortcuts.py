@@ -31,7 +31,8 @@ from petmjx.repairs.proposals import (
 )
 from petmjx.repairs.rebuilds import Failure, rebuilds
 from petmjx.repairs.repair_options import RepairOptions
-from petmjx.world.scene import build_scene, has_plain_scene
+from petmjx.repairs.trials import scenes_of
+from petmjx.world.scene import OF_BOXES, build_scene, has_plain_scene
 from petmjx.world.supports import find_bearings, find_plain_bearings
 
 SIM, OPTIONS = Simulation(), RepairOptions()
@@ -241,6 +242,20 @@ def test_statics_takes_plain_drafts_and_others_together() -> None:
         assert (alone.trouble, alone.weakness) == (one.trouble, one.weakness)
         assert (alone.order.tolist(), alone.box.tolist()) == (one.order.tolist(), one.box.tolist())
     assert together[1].trouble != together[2].trouble
+
+
+def test_scenes_of_plain_drafts_are_those_of_their_plans() -> None:
+    plain = Draft.of(make_plan(boxes=stack(3, 60.0)))
+    with_sheet = plain.with_sheet(np.array([400.0, 300.0, 3.0]), np.array([0.0, 0.0, 200.0]), 0.06, 1)
+    assert with_sheet is not None
+    heavy = Draft.of(replace(plain.plan, mass_center_mm=np.tile([0.0, 90.0, 0.0], (3, 1))))
+    drafts = [plain, with_sheet, heavy, replace(plain, order=(0, 2))]
+    for draft, scene in zip(drafts, scenes_of(drafts, SIM), strict=True):
+        expected = build_scene(draft.as_plan(), SIM)
+        for name in OF_BOXES:
+            assert np.array_equal(getattr(scene, name), getattr(expected, name)), name
+        assert np.array_equal(scene.carrier.half_size, expected.carrier.half_size)
+        assert len(scene.pieces) == len(expected.pieces)
 
 
 @pytest.mark.parametrize("sim", [SIM, Simulation(carrier="euro-pallet")])
