@@ -23,6 +23,9 @@ from petmjx.common.processes import collect_rarely
 ANSWER_WAIT_S: Final = 0.25
 """Longest uninterrupted wait for an answer, s. Signals are handled after each wait."""
 
+KILL_WAIT_S: Final = 5.0
+"""Longest wait for processes to be killed by the process from which they were copied, s."""
+
 _NO_GPU: Final = {"JAX_PLATFORMS": "cpu", "CUDA_VISIBLE_DEVICES": ""}
 
 
@@ -146,7 +149,7 @@ class Forks:
                 stdin=its.fileno(),
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
-                process_group=0,  # so that all copies can be killed
+                process_group=0,  # so that all copies can be killed at once
             )
             self._connection = own
         except OSError:  # memory is short, or no interpreter can be started
@@ -165,30 +168,34 @@ class Forks:
         if self._connection is not None:
             self._connection.close()
         if self._popen is not None:
-            with contextlib.suppress(OSError):
+            try:
+                self._popen.wait(KILL_WAIT_S)
+            except subprocess.TimeoutExpired:
                 os.killpg(self._popen.pid, signal.SIGKILL)
-            self._popen.wait()
+                self._popen.wait()
 
 
 def copy(main: Callable[[], None]) -> None:
     """The program of the process of ``Forks``: for each pair of pipes that arrives at the socket which is the standard
-    input, start a copy of this process that runs the function ``main`` with these pipes. The process ends when the
-    socket is closed."""
+    input, start a copy of this process that runs the function ``main`` with these pipes. When the socket is closed, the
+    process kills its copies, and ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the system forgets copies that have ended
+    copies: list[int] = []  # a copy that has ended keeps its number until ``waitpid``, so no other process is killed
     gc.collect()
     gc.freeze()  # collections in a copy write to no objects of this process, so these objects need no second memory
     with socket.socket(fileno=os.dup(0)) as connection:
         while True:
             message, fds, *_ = socket.recv_fds(connection, 1, 2)
             if not message:
+                for pid in copies:
+                    os.kill(pid, signal.SIGKILL)
+                for pid in copies:
+                    os.waitpid(pid, 0)
                 os._exit(0)
-            try:
-                is_copy = os.fork() == 0
-            except OSError:  # memory is short: the pipes are closed, so the run learns that the copy has died
-                is_copy = False
-            if is_copy:
-                break
+            with contextlib.suppress(OSError):  # memory is short: the pipes are closed, so the run learns of it
+                copies.append(os.fork())
+                if not copies[-1]:
+                    break
             for fd in fds:
                 os.close(fd)
     for fd, standard in zip(fds, (0, 1), strict=True):
