@@ -10,6 +10,7 @@ load is beyond an edge may lean on a neighbour, and stand.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import chain
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -18,8 +19,8 @@ from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.options.simulation import Simulation
 from petmjx.repairs.drafts import TOLERANCE_MM, BoolArray, Draft, IntArray
 from petmjx.world.edge_distances import ROUNDING_M, bearing_in_order, building_loads_of, depends_on_sharing
-from petmjx.world.scene import Scene, build_scenes, has_plain_scene, plain_scenes
-from petmjx.world.supports import Bearing, find_bearings
+from petmjx.world.scene import build_scenes, has_plain_scene
+from petmjx.world.supports import Bearing, find_bearings, find_plain_bearings
 
 AT_ONCE: Final = 128
 """Number of drafts whose balances are computed at once."""
@@ -60,8 +61,8 @@ class Balance(NamedTuple):
             box that is lowered between two other boxes adds 1 to the risk if it has no room, and less with more room: 0
             with ``ROOM_MM`` of room.
         order: numbers of the boxes in packing order.
-        loads: the loads of all boxes. ``balances_with_last`` computes from ``loads`` the loads of a draft with one more
-            box.
+        loads: the loads of all boxes, if they were asked for. ``balances_with_last`` computes from ``loads`` the loads
+            of a draft with one more box.
         missing_room: (n,) part of ``weakness`` that each box contributes because it is lowered between two other boxes.
     """
 
@@ -74,7 +75,7 @@ class Balance(NamedTuple):
     trouble: float
     weakness: float
     order: IntArray
-    loads: _Loads
+    loads: _Loads | None
     missing_room: FloatArray
 
     @property
@@ -89,14 +90,25 @@ class Balance(NamedTuple):
         return float(self.depth_mm[rows[0]]) if len(rows) else 0.0
 
 
-def balances(drafts: Sequence[Draft], sim: Simulation, *, spare_mm: float = 0.0) -> list[Balance]:
+def balances(
+    drafts: Sequence[Draft], sim: Simulation, *, spare_mm: float = 0.0, with_loads: bool = False
+) -> list[Balance]:
     """The balance of each draft.
 
     Args:
         spare_mm: a load that is inside an edge, but nearer to the edge than this distance, mm, also counts as beyond
             it.
+        with_loads: whether the results have the loads of all boxes (``Balance.loads``).
     """
     results: list[Balance] = []
+    is_plain = are_plain(drafts, sim)
+    if len({*is_plain}) == 2:  # sheets among the boxes
+        parts = [[k for k, plain in enumerate(is_plain) if plain is one] for one in (True, False)]
+        of_parts = [
+            balances([drafts[k] for k in part], sim, spare_mm=spare_mm, with_loads=with_loads) for part in parts
+        ]
+        of_number = dict(zip(chain(*parts), chain(*of_parts), strict=True))
+        return [of_number[k] for k in range(len(drafts))]
     for begin in range(0, len(drafts), AT_ONCE):
         some = drafts[begin : begin + AT_ONCE]
         bearing = _bearing(some, sim)
@@ -105,36 +117,56 @@ def balances(drafts: Sequence[Draft], sim: Simulation, *, spare_mm: float = 0.0)
         edge_mm = MM_PER_M * built.edge_m - spare_mm
         rows = np.flatnonzero(~np.isnan(edge_mm))  # NaN: the box has no supports, so no edge
         loads = _loads(built.box[rows], built.step[rows], edge_mm[rows], perhaps[rows])
-        results += _balances(some, loads, _missing_room(some), bearing.boxes.first)
+        results += _balances(some, loads, _missing_room(some), bearing.boxes.first, with_loads=with_loads)
     return results
 
 
 def balances_with_last(drafts: Sequence[Draft], before: Sequence[Balance], sim: Simulation) -> list[Balance]:
-    """The balance of each draft, given the balance of the draft without its last box. The last box changes only the
-    loads below it, and each of these loads only once. So this function takes a fraction of the time of ``balances``.
-    The results of the two functions may differ by rounding errors."""
+    """The balance of each draft, given the balance of the draft without its last box, which must have ``loads``. The
+    last box changes only the loads below it, and each of these loads only once. So this function takes a fraction of
+    the time of ``balances``. The results of the two functions may differ by rounding errors."""
     results: list[Balance] = []
     for begin in range(0, len(drafts), AT_ONCE):
         some, known = drafts[begin : begin + AT_ONCE], before[begin : begin + AT_ONCE]
         bearing = _bearing(some, sim)
         first = bearing.boxes.first
-        loads = _loads_with_last(bearing, _Loads.joined([one.loads for one in known], first))
+        known_loads = [one.loads for one in known if one.loads is not None]
+        loads = _loads_with_last(bearing, _Loads.joined(known_loads, first))
         missing = [
             np.append(one.missing_room, weight)
             for one, weight in zip(known, _missing_room(some, only_last=True), strict=True)
         ]
-        results += _balances(some, loads, missing, first)
+        results += _balances(some, loads, missing, first, with_loads=True)
     return results
 
 
 def _bearing(drafts: Sequence[Draft], sim: Simulation) -> Bearing:
     """The contacts between the boxes of drafts. The boxes are in packing order."""
-    scenes = scenes_of(drafts, sim)
-    return bearing_in_order(find_bearings(scenes, [scene.target for scene in scenes]))
+    if not all(are_plain(drafts, sim)):
+        scenes = [*build_scenes((draft.as_plan() for draft in drafts), sim)]
+        return bearing_in_order(find_bearings(scenes, [scene.target for scene in scenes]))
+    return bearing_in_order(find_plain_bearings(*arrays_of(drafts), sim))
+
+
+def arrays_of(drafts: Sequence[Draft]) -> tuple[FloatArray, FloatArray, FloatArray, list[int]]:
+    """(n, 3) extents and (n, 3) corners of the boxes of all drafts, mm, draft after draft and in packing order; (n,)
+    masses of these boxes, kg; and the number of boxes of each draft."""
+    size_mm, corner_mm, mass_kg = (
+        np.concatenate([getattr(draft, name).take(draft.rows, axis=0) for draft in drafts])
+        for name in ("size_mm", "corner_mm", "mass_kg")
+    )
+    return size_mm, corner_mm, mass_kg, [len(draft.rows) for draft in drafts]
+
+
+def are_plain(drafts: Sequence[Draft], sim: Simulation) -> list[bool]:
+    """For each draft, whether its scene or its contacts can be made from arrays (``has_plain_scene``)."""
+    plans = {id(draft.plan): draft.plan for draft in drafts}
+    has_plain = {number: has_plain_scene(plan, sim) for number, plan in plans.items()}
+    return [has_plain[id(draft.plan)] and not draft.sheet_kg for draft in drafts]
 
 
 def _balances(
-    drafts: Sequence[Draft], loads: _Loads, missing_room: Sequence[FloatArray], first: IntArray
+    drafts: Sequence[Draft], loads: _Loads, missing_room: Sequence[FloatArray], first: IntArray, *, with_loads: bool
 ) -> list[Balance]:
     """The balances of drafts from their loads. ``first``: (d + 1,) number of the first box of each draft."""
     order = np.concatenate([draft.rows for draft in drafts])
@@ -162,28 +194,11 @@ def _balances(
                 trouble=float(weight[some].sum()),
                 weakness=sum(nearness[near_ends[k] : near_ends[k + 1]], float(missing_room[k].sum())),
                 order=drafts[k].rows,
-                loads=loads.take(slice(ends[k], ends[k + 1]), begin),
+                loads=loads.take(slice(ends[k], ends[k + 1]), begin) if with_loads else None,
                 missing_room=missing_room[k],
             )
         )
     return results
-
-
-def scenes_of(drafts: Sequence[Draft], sim: Simulation) -> list[Scene]:
-    """The scenes of drafts. Plain scenes (``has_plain_scene``) are made from arrays, which takes a fifth of the
-    time."""
-    plans = {id(draft.plan): draft.plan for draft in drafts}
-    has_plain = {number: has_plain_scene(plan, sim) for number, plan in plans.items()}
-    is_plain = [has_plain[id(draft.plan)] and not draft.sheet_kg for draft in drafts]
-    plain = [draft for draft, plain in zip(drafts, is_plain, strict=True) if plain]
-    size_mm, corner_mm, mass_kg = (
-        np.concatenate([getattr(draft, name)[draft.rows] for draft in plain] or [np.empty(0)])
-        for name in ("size_mm", "corner_mm", "mass_kg")
-    )
-    counts = [len(draft.rows) for draft in plain]
-    of_plain = plain_scenes(size_mm, corner_mm, mass_kg, counts, sim) if plain else iter(())
-    others = build_scenes((draft.as_plan() for draft, plain in zip(drafts, is_plain, strict=True) if not plain), sim)
-    return [next(of_plain if plain else others) for plain in is_plain]
 
 
 class _Loads(NamedTuple):

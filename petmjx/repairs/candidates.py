@@ -38,6 +38,11 @@ PER_ROUND: Final = 0.25
 value."""
 
 
+PER_DRIVE: Final = 6
+"""A plan that is scored with a drive counts as this many trials. With a drive, every plan is scored, because no short
+simulation can judge it."""
+
+
 @dataclass(frozen=True, eq=False)
 class State:
     """A changed plan that was simulated.
@@ -228,6 +233,10 @@ SAME_WEAKNESS: Final = 0.25
 weak. Of equally weak plans, the one whose changes cost less is better."""
 
 
+class TrialsSpent(Exception):
+    """The next simulations would be more than the search may make."""
+
+
 @dataclass(eq=False)
 class Candidates:
     """Changes of one plan.
@@ -238,7 +247,8 @@ class Candidates:
         plan: the plan.
         film_turns: number of turns of film around the plan.
         is_wide: whether many plans are judged at once, for an engine that judges many as fast as a few.
-        n_trials: number of plans that were simulated.
+        n_trials: number of simulations of changed plans.
+        invalid: reason → number of those simulations that were invalid for this reason. They count as falls.
     """
 
     plan: Plan
@@ -247,17 +257,20 @@ class Candidates:
     film_turns: float = 0.0
     is_wide: bool = False
     n_trials: int = 0
+    invalid: Counter[str] = field(default_factory=Counter)
 
     def __post_init__(self) -> None:
         """Prepare the limits that all changed plans must keep (``Rules``)."""
         options = self.options
         self.rules = Rules(self.plan, self.sim, options.max_height_mm, options.built)
         self._start = Draft.of(self.plan, self.film_turns)
+        self._most_trials = options.trials if options.profile is None else options.trials // PER_DRIVE
         self._seen: set[bytes] = set()
         self._known: dict[bytes, Trial] = {}  # key of each draft that was judged → its trial
         self._falls: dict[bytes, Trial] = {}  # key of the placements up to an early fall → the trial
         self._held_mm: dict[int, float] = {}  # box → largest depth of its load beyond an edge without a fall
         self._in_worlds: dict[bytes, dict[int, Trial]] = {}  # key of a draft → number of a world → trial
+        self._balances: dict[bytes, Balance] = {}  # key of a draft → its balance, for drafts that may be judged
 
     # ------------------------------------------------------------------ proposals
 
@@ -307,6 +320,8 @@ class Candidates:
         ranked.sort(key=lambda candidate: candidate.key)
         ranked = spread(ranked)
         self._seen.difference_update(key_of(candidate.draft) for candidate in ranked[MOST_RANKED:])
+        of_key = dict(zip(new, balances_of_new, strict=True))
+        self._balances.update((key, of_key[key]) for one in ranked[:MOST_RANKED] for key in [key_of(one.draft)])
         return ranked[:MOST_RANKED]
 
     def _unsolved(self, after: Balance, failing: Mapping[int, float], culprit: int | None) -> float:
@@ -332,7 +347,7 @@ class Candidates:
 
     def _learn(self, drafts: Sequence[Draft], trials: Sequence[Trial]) -> None:
         """Record, for boxes that did not fall in these trials, how far their loads were beyond an edge."""
-        for draft, trial, balance in zip(drafts, trials, balances(drafts, self.sim), strict=True):
+        for draft, trial, balance in zip(drafts, trials, self._balances_of(drafts), strict=True):
             lost, last = {*trial.fallen}, trial.n_placed
             if not trial.stands:
                 if trial.culprit is None:
@@ -348,7 +363,8 @@ class Candidates:
         its falls in worlds with errors; the causes that occur in the most worlds come first. If the plan falls only
         with errors, loads that are nearer to an edge than ``SAFE_MM`` also count as beyond the edge."""
         lost = sorted(state.lost.values(), key=lambda trial: trial.n_held) or [state.trial]
-        (balance,) = balances([state.draft], self.sim, spare_mm=SAFE_MM if state.lost else 0.0)
+        drafts = [state.draft]
+        (balance,) = balances(drafts, self.sim, spare_mm=SAFE_MM) if state.lost else self._balances_of(drafts)
         often = Counter(trial.culprit for trial in lost)
         trials = {trial.culprit: trial for trial in lost}
         of_each = [
@@ -361,6 +377,12 @@ class Candidates:
                 is_squeezed = bool(state.lost) and target.box in balance.squeezed
                 different.setdefault(target.box, target._replace(is_squeezed=is_squeezed))
         return [*different.values()][:MOST_TARGETS]
+
+    def _balances_of(self, drafts: Sequence[Draft]) -> list[Balance]:
+        """The balance of each draft. A balance is computed only once."""
+        unknown = {key: draft for draft in drafts if (key := key_of(draft)) not in self._balances}
+        self._balances.update(zip(unknown, balances([*unknown.values()], self.sim), strict=True))
+        return [self._balances[key_of(draft)] for draft in drafts]
 
     def _safest(self, states: Sequence[State]) -> list[int]:
         """Numbers of the states, sorted. States are grouped by the way in which the plan was changed (``way_of``).
@@ -379,33 +401,54 @@ class Candidates:
         """Two numbers for each changed plan, by which plans are compared. The first number is the plan's weakness plus
         its trouble (``Balance``), divided by ``SAME_WEAKNESS`` and rounded. The second number is the cost of the
         changes, divided by ``SAME_COST`` and rounded down. So plans that differ little count as equal."""
-        some = balances([state.draft for state in states], self.sim)
+        some = self._balances_of([state.draft for state in states])
         return [_risk(balance, state.cost) for state, balance in zip(states, some, strict=True)]
 
     # ------------------------------------------------------------------ simulations
+
+    @property
+    def _n_left(self) -> int:
+        """Number of changed plans that may still be simulated."""
+        return self._most_trials - self.n_trials
+
+    def _spend(self, count: int) -> None:
+        """Count simulations before they are requested. Raises ``TrialsSpent`` if there would be too many. Parts of a
+        search that run side by side must not raise it."""
+        if count > self._n_left:
+            raise TrialsSpent
+        self.n_trials += count
 
     def _simulated(self, drafts: Sequence[Draft], *, judged: bool = False) -> Steps[list[Trial]]:
         """The trials of drafts. If the drafts are only judged (``judged``), drafts that were judged before are not
         simulated again."""
         if not judged:
-            self.n_trials += len(drafts)
-            return (yield [Asked(draft, False) for draft in drafts]) if drafts else []
+            self._spend(len(drafts))
+            return self._noted((yield [Asked(draft, False) for draft in drafts])) if drafts else []
         keys = [key_of(draft) for draft in drafts]
         for key in keys:
             if key not in self._known and self._falls_early(key):
                 self._known[key] = next(trial for begin, trial in self._falls.items() if key.startswith(begin))
         unknown = {key: draft for key, draft in zip(keys, drafts, strict=True) if key not in self._known}
-        self.n_trials += len(unknown)
+        self._spend(len(unknown))
         if unknown:
-            trials = yield [Asked(draft, True) for draft in unknown.values()]
-            self._learn([*unknown.values()], trials)
-            for (key, draft), trial in zip(unknown.items(), trials, strict=True):
-                self._known[key] = trial
-                # a box that was still in the hand does not count as placed, but may have pushed other boxes
-                n_known = trial.n_placed + int(self.sim.placing.carries)
-                if trial.verdict == Verdict.UNSTABLE.value and n_known < len(draft.order):
-                    self._falls.setdefault(key_of(draft, n_known), trial)
+            trials = self._noted((yield [Asked(draft, True) for draft in unknown.values()]))
+            self._remember([*unknown.values()], trials)
         return [self._known[key] for key in keys]
+
+    def _noted(self, trials: list[Trial]) -> list[Trial]:
+        """Count invalid trials; returns the trials."""
+        self.invalid.update(trial.reason for trial in trials if trial.verdict == Verdict.INVALID.value)
+        return trials
+
+    def _remember(self, drafts: Sequence[Draft], trials: Sequence[Trial]) -> None:
+        """Record the trials of drafts that were judged."""
+        self._learn(drafts, trials)
+        for draft, trial in zip(drafts, trials, strict=True):
+            self._known[key_of(draft)] = trial
+            # a box that was still in the hand does not count as placed, but may have pushed other boxes
+            n_known = trial.n_placed + int(self.sim.placing.carries)
+            if trial.verdict == Verdict.UNSTABLE.value and n_known < len(draft.order):
+                self._falls.setdefault(key_of(draft, n_known), trial)
 
     def _falls_early(self, key: bytes) -> bool:
         """Whether a draft with this key must fall like a draft that was judged before: both begin with the same
@@ -415,9 +458,9 @@ class Candidates:
 
     def _scored(self, states: Sequence[State]) -> Steps[list[State]]:
         """The states with new trials: their drafts, which were only judged before, are now simulated as in a score."""
-        self.n_trials += len(states)
+        self._spend(len(states))
         requests = [Asked(state.draft, is_judged=False, judged=state.trial) for state in states]
-        trials = (yield requests) if requests else []
+        trials = self._noted((yield requests)) if requests else []
         return [replace(state, trial=trial) for state, trial in zip(states, trials, strict=True)]
 
     def _judged(self, batch: Sequence[Candidate]) -> Steps[list[State]]:
@@ -441,8 +484,8 @@ class Candidates:
         simulated again."""
         known = [{**self._in_worlds.get(key_of(state.draft), {}), **state.errors} for state in states]
         pairs = [(k, world) for k in range(len(states)) for world in worlds if world not in known[k]]
-        self.n_trials += len(pairs)
-        trials = (yield [Asked(states[k].draft, True, world) for k, world in pairs]) if pairs else []
+        self._spend(len(pairs))
+        trials = self._noted((yield [Asked(states[k].draft, True, world) for k, world in pairs])) if pairs else []
         for (k, world), trial in zip(pairs, trials, strict=True):
             known[k][world] = trial
         self._in_worlds.update((key_of(state.draft), errors) for state, errors in zip(states, known, strict=True))

@@ -98,10 +98,17 @@ class Draft:
         return np.concatenate([self.plan.mass_kg, self.sheet_kg])
 
     @cached_property
+    def shares(self) -> tuple[BoolArray, BoolArray, BoolArray]:
+        """For x, y and z, (m, m) whether two boxes share a length along this axis."""
+        ends = zip(self.corner_mm.T, self.high_mm.T, strict=True)
+        x, y, z = (shared_length(low, high) > TOLERANCE_MM for low, high in ends)
+        return x, y, z
+
+    @cached_property
     def on_top(self) -> BoolArray:
         """(m, m) whether the column's box lies directly on the row's box."""
-        low, high = self.corner_mm.T, (self.corner_mm + self.size_mm).T
-        shared = (shared_length(low[0], high[0]) > TOLERANCE_MM) & (shared_length(low[1], high[1]) > TOLERANCE_MM)
+        low, high = self.corner_mm.T, self.high_mm.T
+        shared = self.shares[0] & self.shares[1]
         lies = shared & meets(low[2], high[2], TOLERANCE_MM) & np.less.outer(low[2], low[2])
         present = np.isfinite(self.rank)
         on_top: BoolArray = lies & present & present[:, None]

@@ -284,15 +284,16 @@ def _pushes(draft: Draft, rules: Rules, target: Target, most_mm: float) -> Itera
 
 def _pushed(draft: Draft, box: int, dx_mm: float, dy_mm: float, *, alone: bool) -> set[int]:
     """Numbers of the boxes that move if a box does: the boxes on it (unless it is moved ``alone``), and the boxes in
-    the way, with all boxes on those."""
-    low, high = draft.corner_mm, draft.high_mm
-    way = np.array([dx_mm, dy_mm, 0.0])
+    the way, with all boxes on those. The way is along x or along y."""
+    axis, way_mm = (0, dx_mm) if dx_mm else (1, dy_mm)
+    low, high = draft.corner_mm[:, axis], draft.high_mm[:, axis]
+    in_line = draft.shares[1 - axis] & draft.shares[2] & np.isfinite(draft.rank)
     moved = np.arange(len(low)) == box
     front = moved if alone else moved | draft.bears[box]
     moved = front
     while front.any() and moved.sum() <= MOST_TOGETHER:
-        deep = np.minimum(high[front, None] + way, high) - np.maximum(low[front, None] + way, low)
-        hit = (deep > TOLERANCE_MM).all(axis=2).any(axis=0) & np.isfinite(draft.rank) & ~moved
+        deep = np.minimum.outer(high[front] + way_mm, high) - np.maximum.outer(low[front] + way_mm, low)
+        hit = ((deep > TOLERANCE_MM) & in_line[front]).any(axis=0) & ~moved
         front = hit if alone else (hit | draft.bears[hit].any(axis=0)) & ~moved
         moved = moved | front
     return set(np.flatnonzero(moved).tolist())
@@ -557,20 +558,16 @@ def _shared_mm2(x: float, y: float, size: FloatArray, corner: FloatArray, other:
 def _props(draft: Draft, rules: Rules, target: Target) -> Iterator[Proposal]:
     """Boxes with free tops are put under the overhang of a box, before this box is placed."""
     free = draft.is_bare
-    sizes = dict.fromkeys((*map(float, draft.size_mm[box]), float(draft.mass_kg[box])) for box in draft.order)
-    for size in sizes:
-        alike = [
-            box
-            for box in draft.order
-            if (*map(float, draft.size_mm[box]), float(draft.mass_kg[box])) == size
-            and free[box]
-            and box != target.box
-            and rules.built <= box < draft.plan.n_boxes
-        ]
-        for box in alike[-1:]:  # of several equal boxes, only the last is moved
-            for turn, corner in itertools.islice(resting_corners(draft, rules, box, target.box), MOST_PLACES // 2):
-                turned = bool(draft.turned[box]) != turn
-                yield (Place(box, corner, turned, target.box, after=False, differs=turn),)
+    sizes, mass_kg = draft.size_mm.tolist(), draft.mass_kg.tolist()
+    last_of: dict[tuple[float, ...], int | None] = {}  # of several equal boxes, only the last is moved
+    for box in draft.order:
+        is_free = free[box] and box != target.box and rules.built <= box < draft.plan.n_boxes
+        alike = (*sizes[box], mass_kg[box])
+        last_of[alike] = box if is_free else last_of.get(alike)
+    for box in (last for last in last_of.values() if last is not None):
+        for turn, corner in itertools.islice(resting_corners(draft, rules, box, target.box), MOST_PLACES // 2):
+            turned = bool(draft.turned[box]) != turn
+            yield (Place(box, corner, turned, target.box, after=False, differs=turn),)
 
 
 def _sheets(draft: Draft, thick_mm: float, kg_m2: float) -> Iterator[Proposal]:

@@ -147,7 +147,7 @@ def _judged(requests: Sequence[PileRequest], rules: Rules, sim: Simulation) -> l
     known = {key: before for key in for_statics if (before := different[key].before) is not None}
     unknown = [key for key in for_statics if key not in known]
     of_known = balances_with_last([piles[key] for key in known], [*known.values()], sim)
-    of_unknown = balances([piles[key] for key in unknown], sim)
+    of_unknown = balances([piles[key] for key in unknown], sim, with_loads=True)
     for key, balance in zip((*known, *unknown), (*of_known, *of_unknown), strict=True):
         judged[key] = JudgedPile(True, balance)
     return [judged[key] for key in keys]
@@ -193,8 +193,8 @@ class _Pile:
     def _keeps(self, box: int) -> Judging[bool]:
         """Put a box at its place, if it can keep this place. The method returns whether the box can keep its place."""
         pile, after = self._pile.in_order((*self._pile.order, box)), None
-        if box >= self._rules.built:
-            by_statics = self._way.strict and box not in self._held and bool(self._pile.order)
+        by_statics = self._way.strict and box not in self._held and bool(self._pile.order)
+        if box >= self._rules.built and (by_statics or not self._is_as_in_draft(pile)):
             before = (yield from self._known()) if by_statics else None
             ((is_allowed, after),) = yield PileRequest([pile], by_statics, before)
             if not is_allowed:
@@ -203,6 +203,11 @@ class _Pile:
                 return False
         self._pile, self._balance = pile, after
         return True
+
+    def _is_as_in_draft(self, pile: Draft) -> bool:
+        """Whether a pile has the first boxes of the draft, in their places. Such a pile is allowed, as the draft is."""
+        is_same = pile.corner_mm is self._draft.corner_mm
+        return is_same and pile.order == self._draft.order[: len(pile.order)]
 
     def _placed(self, box: int, later: Collection[int]) -> Judging[Place | None]:
         """Put a box at the best place; None: there is no place. The best place is the one with the least trouble

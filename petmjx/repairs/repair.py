@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import islice
 from typing import Any, Final
 
@@ -66,10 +66,13 @@ class Repaired:
             repair is known.
         share_before, share_after: shares of worlds with errors in which the two plans stand; None: the worlds were not
             simulated, or the time was up before all of them had ended.
-        n_trials: plans that were simulated.
+        n_trials: number of simulations of changed plans.
+        invalid: reason → number of those simulations that were invalid for this reason, such as ``iteration-limit``.
+            They count as falls.
         complete: whether the search came to its end. If the search is not complete, its time was up or its trials were
             spent, and a longer search might find smaller changes.
-        trials_spent: whether the search ended because its trials were spent before a repair with all boxes was found.
+        trials_spent: whether the trials were spent before a repair with all boxes was found, or before the search had
+            tested which changes are needed.
         built_falls: whether boxes that stand already (``built``) fall before others are placed. If built boxes fall, no
             repair was sought.
     """
@@ -83,6 +86,7 @@ class Repaired:
     share_after: Share | None
     n_trials: int
     complete: bool = True
+    invalid: Mapping[str, int] = field(default_factory=dict)
     trials_spent: bool = False
     built_falls: bool = False
 
@@ -140,8 +144,17 @@ class Repaired:
         text = f"{fails}; stands after {count_text(len(self.changes), 'change')}"
         if self.complete:
             return text
-        doubt = "all boxes might be kept" if self.trials_spent else "some may not be needed"
+        doubt = "all boxes might be kept" if self.trials_spent and self.left_out else "some may not be needed"
         return f"{text}; {self._limit} for the search were spent: {doubt}"
+
+    @property
+    def doubt(self) -> str:
+        """A line about simulations of changed plans that were invalid; empty without such simulations."""
+        if not self.invalid:
+            return ""
+        reasons = ", ".join(f"{number:,} {reason}" for reason, number in self.invalid.items())
+        n_invalid, n_trials = sum(self.invalid.values()), count_text(self.n_trials, "simulation")
+        return f"{n_invalid:,} of {n_trials} had no verdict and counted as falls: {reasons}"
 
     @property
     def _limit(self) -> str:
@@ -170,7 +183,7 @@ class Repaired:
             row[f"n_worlds_{name}"], row[f"n_standing_{name}"] = worlds, standing
             row[f"share_{name}"] = None if share is None else share.value
             row[f"low_{name}"], row[f"high_{name}"] = float(low), float(high)
-        return row | {"trials": self.n_trials, "complete": self.complete}
+        return row | {"trials": self.n_trials, "invalid_trials": sum(self.invalid.values()), "complete": self.complete}
 
 
 @dataclass(frozen=True, eq=False)
@@ -322,11 +335,16 @@ def _repaired(plans: Iterable[Plan], question: Question, options: RepairOptions)
         try:
             most = question.threads * PER_THREAD if question.is_wide else question.threads
             with closing(SearchProcesses(len(searches), most)) as processes:
-                if question.is_wide and options.profile is None:
-                    _begin(searches, question)
                 stream = TrialStream(question, limit, SEARCHED if options.worlds else 1.0)
-                processes.run([search for search in searches if not search.complete], stream)
-            _begin(searches, question)
+                if question.is_wide and options.profile is None:
+                    _judge(searches, question)
+                    processes.begin([search for search in searches if not search.complete])
+                    _score(searches, question)
+                    stream.scores = {one.plan.plan_id: one.before for one in searches if one.before is not None}
+                else:
+                    processes.begin(searches)
+                processes.run(stream)
+            _score(searches, question)
             results = _with_shares(searches, question, options, limit)
         except KeyboardInterrupt:  # the engine was stopped at an unknown point, so it simulates nothing more
             yield from (_repaired_by(search, _first(search), None, None) for search in searches if search.complete)
@@ -334,14 +352,23 @@ def _repaired(plans: Iterable[Plan], question: Question, options: RepairOptions)
         yield from results
 
 
-def _begin(searches: Sequence[Search], question: Question) -> None:
-    """Score the plans that were not scored yet. On a GPU, all plans are scored before the searches begin: while plans
-    are scored, no changed plans are judged, so a separate score for each search would keep the other searches
-    waiting."""
+def _judge(searches: Sequence[Search], question: Question) -> None:
+    """Judge all plans. A search whose plan stands ends, if the trial is a score."""
+    drafts = [Asked(Draft.of(search.plan, question.film_turns), is_judged=True) for search in searches]
+    for search, one, trial in zip(searches, drafts, question.trials(drafts), strict=True):
+        search.judged = trial
+        if question.is_known(one._replace(judged=trial)):
+            search.begin(trial)
+
+
+def _score(searches: Sequence[Search], question: Question) -> None:
+    """Score the plans that were not scored yet. On a GPU, all plans are scored together, while the searches propose
+    their first changes: while plans are scored, no changed plans are judged, so a separate score for each search would
+    keep the other searches waiting."""
     unknown = [search for search in searches if search.before is None]
     if not unknown:
         return
-    drafts = [Asked(Draft.of(search.plan, question.film_turns), is_judged=False) for search in unknown]
+    drafts = [Asked(Draft.of(one.plan, question.film_turns), is_judged=False, judged=one.judged) for one in unknown]
     for search, trial in zip(unknown, question.trials(drafts), strict=True):
         search.begin(trial)
 
@@ -385,6 +412,7 @@ def _repaired_by(search: Search, state: State | None, before: Share | None, afte
         share_before=before,
         share_after=after,
         n_trials=search.n_trials,
+        invalid=dict(search.invalid),
         complete=search.complete and not search.trials_spent,
         trials_spent=search.complete and search.trials_spent,
         built_falls=search.built_falls,

@@ -59,8 +59,8 @@ class RepairOptions(CheckedRecord):
     )
     trials: Annotated[int, within(1, 1_000_000), CliFlag("--trials", "N")] = Field(
         600,
-        description="largest number of changed plans that the search simulates for each plan; with a profile, a sixth "
-        "of this number; if boxes must be left out, half as many again",
+        description="largest number of simulations of changed plans, for each plan; with a profile, a sixth of this "
+        "number; if boxes must be left out, half as many again",
     )
     seconds: Annotated[float | None, within(0.1, 10_000_000), CliFlag("--seconds", "S", default="no limit")] = Field(
         None,

@@ -31,6 +31,7 @@ from petmjx.repairs.candidates import (
     Fault,
     Node,
     State,
+    TrialsSpent,
     batch_of,
     n_counted,
     shortest,
@@ -39,7 +40,7 @@ from petmjx.repairs.candidates import (
 from petmjx.repairs.changes import Film, Kind, LeaveOut, applied
 from petmjx.repairs.drafts import Draft, key_of
 from petmjx.repairs.proposals import lifted_with
-from petmjx.repairs.requests import ERROR_WORLDS, Steps, Together, Trial
+from petmjx.repairs.requests import ERROR_WORLDS, Asked, Steps, Together, Trial
 
 BEAM: Final = 4
 """Number of changed plans that are changed further at once."""
@@ -64,6 +65,13 @@ for a simulation. Further faults come to light when the counted faults are mende
 ALONE: Final = 0.15
 """Share of all trials in which only single changes are tried. If no repair is found in these trials, the plan probably
 has many faults, so it is built anew."""
+
+MANY_FAULTS: Final = 6.0
+"""If at least this number of changes is expected for a plan, single changes are tried only in the share
+``ALONE_IF_MANY`` of the trials. With fewer expected changes, repairs would become longer."""
+
+ALONE_IF_MANY: Final = 0.04
+"""As ``ALONE``, for plans with many faults: on a GPU, two rounds."""
 
 LATE_AT_ONCE: Final = 2 * AT_ONCE
 """Number of changed plans that are judged at once after single changes alone (``ALONE``) were in vain."""
@@ -134,10 +142,6 @@ without this change, so the more changes repairs have, the fewer repairs are com
 without one change are also scored, unless the repair has more changes than the limit. On a GPU, they are only judged:
 scores of plans that fall would keep all searches waiting."""
 
-PER_DRIVE: Final = 6
-"""A plan that is scored with a drive counts as this many trials. With a drive, every plan is scored, because no short
-simulation can judge it."""
-
 
 @dataclass(eq=False)
 class Search(Candidates):
@@ -145,19 +149,21 @@ class Search(Candidates):
 
     Attributes:
         plan: the plan.
+        judged: the trial of the unchanged plan, when only judged; None if not known before the search begins.
         before: the score of the unchanged plan, which may be known before the search begins; None before its simulation
             has ended.
         repairs: the repairs, the best first. The best repair may have additional changes for worlds with errors; the
             others have the fewest changes with which the plan stands. Empty: there is no repair. Each change of a
             repair is needed: without it, the plan falls, is not allowed, or stands in too few worlds with errors.
-        n_trials: number of plans that were simulated.
+        n_trials: number of simulations of changed plans.
         complete: whether the search has ended. Before the search ends, repairs may have needless changes.
-        trials_spent: whether all trials were spent before a repair with all boxes was found, although further changes
-            could be tried.
+        trials_spent: whether the trials were spent before a repair with all boxes was found, although further changes
+            could be tried, or before the search had tested which changes are needed.
         built_falls: whether boxes that stand already (``built``) fall before others are placed. If built boxes fall, no
             repair is sought.
     """
 
+    judged: Trial | None = None
     before: Trial | None = None
     repairs: tuple[State, ...] = ()
     complete: bool = False
@@ -165,8 +171,12 @@ class Search(Candidates):
     built_falls: bool = False
 
     def take(self, other: Search) -> None:
-        """Take over the results that the same search has reached in another process."""
-        self.before, self.repairs, self.n_trials = other.before, other.repairs, other.n_trials
+        """Take over the results that the same search has reached in another process. If the unchanged plan stands, as
+        this search already knows, there are no results."""
+        if self.complete:
+            return
+        self.before, self.repairs, self.n_trials = other.before or self.before, other.repairs, other.n_trials
+        self.invalid = other.invalid
         self.complete, self.trials_spent, self.built_falls = other.complete, other.trials_spent, other.built_falls
 
     @property
@@ -190,7 +200,11 @@ class Search(Candidates):
     def run(self) -> Steps[None]:
         """Yields drafts to be simulated, and is sent their trials."""
         is_driven, is_scored = self.options.profile is not None, self.before is not None
+        if self.judged is not None:
+            self._remember([self._start], [self.judged])
         (trial,) = yield from self._simulated([self._start], judged=not is_driven)
+        self.n_trials = 0  # the plan itself does not count
+        self.invalid.clear()
         if is_driven:
             self.begin(trial)
         elif trial.stands and not is_scored:
@@ -200,7 +214,10 @@ class Search(Candidates):
         if not (self._stands or self.built_falls):
             # if the plan fell when judged, this trial shows where to change it: changed plans are judged, too
             known = trial if is_scored and not trial.stands else self.before or trial
-            yield from self._mended(State(self._start, (), known))
+            try:
+                yield from self._mended(State(self._start, (), known))
+            except TrialsSpent:  # the best repairs so far are the results
+                self.trials_spent = True
             if self.before is None:
                 yield from self._begun(trial)
             assert self.before is not None
@@ -209,12 +226,13 @@ class Search(Candidates):
         self._seen.clear()
         self._known.clear()
         self._falls.clear()
+        self._balances.clear()
         self.complete = True
 
     def _begun(self, judged: Trial) -> Steps[None]:
         """Score the unchanged plan, and record its score at once, because the time may be up before the search ends."""
-        (scored,) = yield from self._scored([State(self._start, (), judged)])
-        self.begin(scored.trial)
+        (trial,) = yield [Asked(self._start, is_judged=False, judged=judged)]
+        self.begin(trial)
 
     def _begun_with_built(self, judged: Trial) -> Steps[None]:
         """Score the unchanged plan, and the boxes that are already built as a plan of their own. The method is called
@@ -233,11 +251,12 @@ class Search(Candidates):
         if Kind.FILM in kinds:
             standing = yield from self._wrapped(start)
         promising, kinds_with_all_boxes = [Node(start)], kinds - {Kind.FILM, Kind.LEAVE_OUT}
-        most = self.options.trials if self.options.profile is None else self.options.trials // PER_DRIVE
+        most = self._most_trials
         if not standing and kinds_with_all_boxes:
             standing, promising = yield from self._changed(promising, kinds_with_all_boxes, most)
         if not standing and Kind.LEAVE_OUT in kinds and not self._stands:
             self._seen.clear()
+            self._most_trials += most // 2
             standing, promising = yield from self._changed(promising, kinds - {Kind.FILM}, most // 2)
             if not standing:
                 standing = yield from self._stripped(promising[0].state)
@@ -284,14 +303,14 @@ class Search(Candidates):
         """Two lists: plans that stand after changes of these kinds, and the most promising of the plans that still
         fall."""
         options = self.options
-        last, alone = self.n_trials + most_trials, self.n_trials + int(ALONE * most_trials)
+        first, last = self.n_trials, self.n_trials + min(most_trials, self._n_left)
         end, nodes = last, list(start)
         ways = Counter(_kind_of(node.state) for node in nodes)
         standing: list[State] = []
         judged: list[State] = []  # states that stand
         doubtful: list[State] = []  # states that may fall when scored (``_is_doubtful``)
         is_late = is_widened = False
-        n_rounds = 0
+        n_rounds = len(WIDE_AT_ONCE) if Kind.LEAVE_OUT in kinds else 0  # the last resort comes after many rounds
         queues: list[list[Candidate]] = []
         while self.n_trials < last and not self._stands:
             nodes.sort(key=lambda node: node.key)
@@ -300,12 +319,13 @@ class Search(Candidates):
                 fewest = len(standing[0].changes)
                 limit = fewest + (SURPLUS if is_widened else 0.0)
                 useful = [n for n in nodes if len(n.state.changes) < fewest - 1 and n.n_promised < limit]
-            if not (standing or is_late) and self.n_trials >= alone:
+            alone = ALONE_IF_MANY if self._has_many_faults(start[0], kinds) else ALONE
+            if not (standing or is_late) and self.n_trials - first >= int(alone * most_trials):
                 is_late = True
                 standing = yield from self._nearly(nodes, doubtful)
                 if standing:
                     break
-                if Kind.PLACE in kinds:
+                if Kind.PLACE in kinds and options.profile is None:
                     last = min(last, self.n_trials + int(BUILT_ANEW * most_trials))
             at_once = self._at_once(n_rounds, is_late=is_late)
             unchanged = [node for node in nodes if node.queue and not node.state.changes]
@@ -313,7 +333,8 @@ class Search(Candidates):
                 is_widened, useful, at_once = True, unchanged, self._scale * PAIRS_AT_ONCE
                 last = min(end, self.n_trials + int(PAIRS * most_trials))
             queues = self._queues(useful, kinds, anew=is_late)
-            batch = batch_of(queues, min(at_once, last - self.n_trials))
+            # one trial is kept: a repair is scored
+            batch = batch_of(queues, min(at_once, last - self.n_trials, self._n_left - 1))
             n_rounds += 1
             if not batch:  # no queue is left, or fewer trials are left than there are queues
                 break
@@ -349,11 +370,18 @@ class Search(Candidates):
         if standing and self.options.worlds and options.profile is None:
             fewest = len(standing[0].changes)
             nodes = sorted((n for n in nodes if len(n.state.changes) == fewest - 1), key=lambda node: node.key)
-            further = yield from self._judged(batch_of(self._queues(nodes, kinds, anew=False), MORE_TO_COMPARE))
+            count = min(MORE_TO_COMPARE, self._n_left)
+            further = yield from self._judged(batch_of(self._queues(nodes, kinds, anew=False), count))
             judged += [state for state in further if state.trial.stands and not self._is_doubtful(state)]
             standing = yield from self._compared(standing, [one for one in judged if len(one.changes) == fewest])
         nodes.sort(key=lambda node: (node.n_expected, node.key))
         return standing, [Node(node.state, node.faults) for node in nodes[:BEAM]]
+
+    def _has_many_faults(self, start: Node, kinds: frozenset[Kind]) -> bool:
+        """Whether single changes hardly help a plan. This is not asked about the last resort, and with a drive, whose
+        faults are not counted one by one."""
+        is_asked = self.options.profile is None and Kind.LEAVE_OUT not in kinds
+        return is_asked and MANY_FAULTS <= start.n_expected < math.inf
 
     def _rivals(self, queues: Sequence[list[Candidate]], states: Sequence[State], count: int) -> list[Candidate]:
         """Remove from the queues at most ``count`` candidates, and return them. The search may choose one of them
@@ -410,7 +438,8 @@ class Search(Candidates):
         if self.options.profile is not None:
             return []
         falling = [node.state for node in nodes if node.n_faults <= 1]
-        chosen = sorted(doubtful if self.is_wide else falling, key=lambda state: len(state.changes))[:MOST_NEARLY]
+        chosen = sorted(doubtful if self.is_wide else falling, key=lambda state: len(state.changes))
+        chosen = chosen[: min(MOST_NEARLY, self._n_left)]
         doubtful[:] = [state for state in doubtful if state not in chosen]
         scored = yield from self._scored(chosen)
         return shortest([state for state in scored if state.trial.stands])
@@ -455,7 +484,12 @@ class Search(Candidates):
             box = _lost(draft, trial)
             lifted = lifted_with(draft, box)
             faults.append(Fault.of(box, len(lifted)))
-            if len(faults) > MOST_LIFTED or min(lifted) < self.rules.built or len(lifted) == len(draft.order):
+            if (
+                self._n_left < 2
+                or len(faults) > MOST_LIFTED
+                or min(lifted) < self.rules.built
+                or len(lifted) == len(draft.order)
+            ):
                 break
             draft = replace(draft, order=tuple(box for box in draft.order if box not in lifted))
             (trial,) = yield from self._simulated([draft], judged=True)
@@ -505,6 +539,7 @@ class Search(Candidates):
         scored, as far as needed. The second list has the states that stand when scored, without their needless changes.
         ``is_known``: as in ``_confirmed``."""
         every, confirmed = yield from self._confirmed(states, is_known=is_known)
+        self.repairs = self.repairs or tuple(shortest(confirmed))
         return every, (yield from self._pruned(confirmed, judged=True))
 
     def _confirmed(self, states: Sequence[State], *, is_known: bool) -> Steps[tuple[list[State], list[State]]]:
@@ -524,7 +559,7 @@ class Search(Candidates):
         if self.options.profile is not None:
             return every, [states[k] for k in queue]
         for begin in range(0, len(queue), CONFIRMED_AT_ONCE):
-            chosen = queue[begin : begin + CONFIRMED_AT_ONCE]
+            chosen = queue[begin : begin + min(CONFIRMED_AT_ONCE, self._n_left)]
             for k, state in zip(chosen, (yield from self._scored([states[k] for k in chosen])), strict=True):
                 every[k] = state
             confirmed = [every[k] for k in chosen if every[k].trial.stands]
@@ -562,7 +597,7 @@ class Search(Candidates):
             return
         self._seen.clear()
         nodes, best = [Node(state) for state in compared], compared[0]
-        last = self.n_trials + int(STRENGTHENED * options.trials)
+        last = self.n_trials + min(int(STRENGTHENED * options.trials), self._n_left)
         while nodes and best.n_good < wanted and self.n_trials < last:
             node = min(nodes, key=lambda node: (node.n_rounds - node.state.n_good, node.state.cost))
             if node.queue is None:
@@ -571,13 +606,19 @@ class Search(Candidates):
                 nodes.remove(node)
                 continue
             node.n_rounds += 1
-            batch = batch_of([node.queue], self._scale * MORE_TO_COMPARE)
-            better = yield from self._stronger(node.state, batch, wanted)
-            nodes += [Node(state) for state in better]
-            if better and (most := max(better, key=lambda state: state.n_good)).n_good > best.n_good:
-                (most,) = yield from self._scored([most])
-                best = most if most.trial.stands else best
+            batch = batch_of([node.queue], min(self._scale * MORE_TO_COMPARE, self._n_left))
+            try:
+                better = yield from self._stronger(node.state, batch, wanted)
+                nodes += [Node(state) for state in better]
+                better.sort(key=lambda state: (-state.n_good, state.cost))
+                if better and better[0].n_good > best.n_good:
+                    (most,) = yield from self._scored(better[:1])
+                    best = most if most.trial.stands else best
+            except TrialsSpent:
+                self.trials_spent = True
+                break
         if best is not compared[0]:
+            self.repairs = (best, *compared)
             best = yield from self._needed(best, min(wanted, best.n_good))
             self.repairs = (best, *compared)
 
@@ -636,6 +677,8 @@ class Search(Candidates):
         while size > 1:
             changes = shorter.changes
             change_lists = [(*changes[:k], *changes[k + size :]) for k in range(0, len(changes), size)]
+            if self._n_left <= len(change_lists):
+                break
             standing = [one for one in (yield from self._trials_of(change_lists, judged=True)) if one.trial.stands]
             if standing:
                 shorter = min(standing, key=lambda one: one.cost)

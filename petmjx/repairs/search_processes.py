@@ -15,18 +15,18 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Final, Protocol
 
-from petmjx.engines.subprocess.task_pipe import Child, next_of, own_pipes
+from petmjx.engines.subprocess.task_pipe import Child, Forks, Pipes, next_of, own_pipes
 from petmjx.repairs.requests import Asked, OutOfTime, Steps, Together, TrialAnswer
 from petmjx.repairs.search import Search
 
-PLANS_EACH: Final = 4
-"""Smallest number of plans per process. A process needs half a second of CPU time to start, so fewer plans are not
-worth a further process."""
+LEAST_PLANS: Final = 8
+"""Fewer plans are not worth further processes: the first process needs half a second of CPU time to start."""
 
-PER_THREAD: Final = 3
+PER_THREAD: Final = 8
 """Largest number of processes per CPU thread, if a GPU simulates. Each process runs its searches in turn, and searches
 differ much in length. With more processes than threads, the operating system shares the threads among the searches that
-are left, and threads do not wait while searches wait for trials. A process takes about 30 MB."""
+are left, and threads do not wait while searches wait for trials. The processes are copies of one process (``Forks``),
+so a further process takes some hundredths of a second to start, and a few MB."""
 
 NICE: Final = 5
 """Niceness (lower priority) of the processes. The process that has the engine keeps its priority, because it must keep
@@ -121,38 +121,58 @@ class Tasks:
 
 
 class SearchProcesses:
-    """Processes that run searches. The processes start at once, so this process can meanwhile do other work.
+    """Processes that run searches.
 
     Args:
-        n_searches: largest number of searches. If there are too few for two processes, this process runs all searches.
+        n_searches: largest number of searches. If there are fewer than ``LEAST_PLANS``, this process runs all searches.
+            Otherwise a first process starts at once, while this process can do other work. The number of the others
+            follows from the searches.
         most: largest number of processes.
     """
 
     def __init__(self, n_searches: int, most: int) -> None:
-        n_processes = min(most, n_searches // PLANS_EACH)
-        self._children = [Child(__name__) for _ in range(n_processes if n_processes > 1 else 0)]
+        self._most = most
+        self._forks = Forks(__name__) if Forks.are_possible and most > 1 and n_searches >= LEAST_PLANS else None
+        self._children: list[Child] = []
+        self._working: list[Pipes] = []
+        self._parts: list[list[Search]] = [[]]
 
-    def run(self, searches: Sequence[Search], simulator: Simulator) -> None:
-        """Run searches to their ends, or until the time is up."""
-        children = self._children[: len(searches) // PLANS_EACH]
-        if len(children) < 2:
-            _run_here(searches, simulator)
-            return
-        parts = [list(searches[k :: len(children)]) for k in range(len(children))]
-        for child, part in zip(children, parts, strict=True):
+    def begin(self, searches: Sequence[Search]) -> None:
+        """Let processes begin these searches. They go on until they need trials. Plans with many boxes take longest, so
+        they are in different processes, and begin first."""
+        n_processes = min(self._most, len(searches)) if len(searches) >= LEAST_PLANS else 1
+        searches = sorted(searches, key=lambda search: -search.plan.n_boxes)
+        self._parts = [searches[k::n_processes] for k in range(n_processes)]
+        if n_processes > 1:
+            self._working = [self._child() for _ in range(n_processes)]
+        for child, part in zip(self._working, self._parts, strict=False):
             child.tasks.put(pickle.dumps(part))
-        for number in _Server(children, parts, simulator).serve():
-            _run_here(parts[number], simulator)
+
+    def run(self, simulator: Simulator) -> None:
+        """Run the searches to their ends, or until the time is up."""
+        if not self._working:
+            _run_here(self._parts[0], simulator)
+            return
+        for number in _Server(self._working, self._parts, simulator).serve():
+            _run_here(self._parts[number], simulator)
 
     def close(self) -> None:
         """End the processes."""
+        if self._forks is not None:
+            self._forks.end()
         for child in self._children:
             child.end()
+
+    def _child(self) -> Pipes:
+        if self._forks is not None:
+            return self._forks.fork()
+        self._children.append(Child(__name__))
+        return self._children[-1]
 
 
 def _run_here(searches: Sequence[Search], simulator: Simulator) -> None:
     """Run searches side by side in this process."""
-    tasks = Tasks(search.run() for search in searches)
+    tasks = Tasks(search.run() for search in searches if not search.complete)
     tasks.send_to(simulator)
     with suppress(OutOfTime):
         for answer in simulator.answers():
@@ -168,7 +188,7 @@ class _Server:
     have ended, the interrupt is raised again. A second interrupt is raised at once.
     """
 
-    def __init__(self, children: Sequence[Child], parts: Sequence[list[Search]], simulator: Simulator) -> None:
+    def __init__(self, children: Sequence[Pipes], parts: Sequence[list[Search]], simulator: Simulator) -> None:
         self._children, self._parts, self._simulator = children, parts, simulator
         self._working = set(range(len(children)))
         self._dead: list[int] = []

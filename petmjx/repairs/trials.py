@@ -32,6 +32,7 @@ from petmjx.options.run_options import AUTO, Confidence, RunOptions, sorted_opti
 from petmjx.options.simulation import Check, Schedule, Simulation, Thresholds
 from petmjx.packers.pack_flow import TableEngine
 from petmjx.plans.plan import Plan
+from petmjx.repairs.balance import are_plain, arrays_of
 from petmjx.repairs.common_placements import CommonPlacements, Placement, World
 from petmjx.repairs.drafts import BoolArray, Draft
 from petmjx.repairs.repair_options import RepairOptions
@@ -46,7 +47,7 @@ from petmjx.runs.sweep_study import SweepStudy
 from petmjx.world.job import Job
 from petmjx.world.profiles.profile import Strength
 from petmjx.world.profiles.profile_registry import resolve
-from petmjx.world.scene import Scene, build_scenes
+from petmjx.world.scene import Scene, build_scenes, plain_scenes
 from petmjx.world.variants import apply_all
 
 OF_RUN: Final = ("engine", "threads", "lanes", "world_timeout_s")
@@ -231,11 +232,11 @@ class Question:
         jobs: list[Job | None] = [None] * len(asked)
         for has_errors in {key[0] for key in of_draft}:
             groups = [numbers for (errors, _), numbers in of_draft.items() if errors is has_errors]
-            plans = [asked[numbers[0]].draft.as_plan() for numbers in groups]
-            exact = build_scenes(plans, self._error_sweep.simulation if has_errors else self.sim)
-            for numbers, plan, scene in zip(groups, plans, exact, strict=True):
+            drafts = [asked[numbers[0]].draft for numbers in groups]
+            exact = scenes_of(drafts, self._error_sweep.simulation if has_errors else self.sim)
+            for numbers, draft, scene in zip(groups, drafts, exact, strict=True):
                 worlds = [asked[number].world for number in numbers]
-                scenes = self._with_errors(plan, scene, worlds) if has_errors else repeat(scene)
+                scenes = self._with_errors(draft.plan, scene, worlds) if has_errors else repeat(scene)
                 for number, its_scene in zip(numbers, scenes, strict=False):
                     jobs[number] = Job(its_scene, has_errors=True)
         return jobs
@@ -404,9 +405,13 @@ class TrialStream:
     Args:
         limit: the time limit of the repairs. None: no limit.
         share: share of the time limit after which the stream ends, from 0 to 1.
+
+    Attributes:
+        scores: plan id → score of the unchanged plan. Such a plan is not scored again.
     """
 
     def __init__(self, question: Question, limit: TimeLimit | None = None, share: float = 1.0) -> None:
+        self.scores: dict[str, Trial] = {}
         self._question, self._limit, self._share = question, limit or TimeLimit(), share
         self._queues: dict[object, _Queue] = {}
         self._complete: deque[_Request] = deque()
@@ -423,9 +428,8 @@ class TrialStream:
         self._n_open += 1
         numbered: dict[object, list[tuple[int, Job | None]]] = {}
         for number, (one, job) in enumerate(zip(drafts, self._question.jobs(drafts), strict=True)):
-            if self._question.is_known(one):
-                assert one.judged is not None
-                self._take(request, number, one.judged)
+            if (known := self._known(one)) is not None:
+                self._take(request, number, known)
                 continue
             lane = None if job is None else self._question.lane(one, job)
             key = None if lane is None else (id(lane.engine), id(lane.sim))
@@ -435,6 +439,14 @@ class TrialStream:
             numbered.setdefault(key, []).append((number, job))
         for kind, jobs in numbered.items():
             self._queues[kind].entries.append((request, jobs))
+
+    def _known(self, one: Asked) -> Trial | None:
+        """The score of a draft that need not be simulated; None if it must be simulated."""
+        if self._question.is_known(one):
+            return one.judged
+        score = None if one.is_judged else self.scores.get(one.draft.plan.plan_id)
+        unchanged = Draft.of(one.draft.plan, self._question.film_turns)
+        return score if score is not None and one.draft.key == unchanged.key else None
 
     def answers(self) -> Iterator[TrialAnswer | None]:
         """The answers, until no request is left. An answer None means that the engine pauses, so further requests can
@@ -516,6 +528,16 @@ class TrialStream:
         while self._complete:
             self._n_open -= 1
             yield self._complete.popleft().answer
+
+
+def scenes_of(drafts: Sequence[Draft], sim: Simulation) -> list[Scene]:
+    """The scenes of drafts. Plain scenes (``has_plain_scene``) are made from arrays, which takes a fraction of the
+    time."""
+    is_plain = are_plain(drafts, sim)
+    plain = [draft for draft, plain in zip(drafts, is_plain, strict=True) if plain]
+    of_plain = plain_scenes(*arrays_of(plain), sim) if plain else iter(())
+    others = build_scenes((draft.as_plan() for draft, plain in zip(drafts, is_plain, strict=True) if not plain), sim)
+    return [next(of_plain if plain else others) for plain in is_plain]
 
 
 def _quick(sim: Simulation) -> Simulation:

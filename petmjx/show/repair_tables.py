@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Final
 
@@ -40,7 +41,16 @@ def _plan_lines(repaired: Repaired) -> Iterator[RenderableType]:
     for number, words in enumerate(repaired.words, start=1):
         yield line(f"  {number}. {words}")
     if repaired.stands:
-        yield line(f"  cost {repaired.cost:.2f}{_shares(repaired)}", style="dim")
+        margin = f"; margin {text}" if (text := margin_text(repaired)) else ""
+        yield line(f"  cost {repaired.cost:.2f}{margin}{_shares(repaired)}", style="dim")
+    if repaired.doubt:
+        yield line(f"  {repaired.doubt}", style="yellow")
+
+
+def margin_text(repaired: Repaired) -> str:
+    """The margin of a repaired plan as text, such as "0.98"; empty: there is none."""
+    trial = repaired.trial_after
+    return "" if trial is None or math.isnan(trial.margin) else f"{trial.margin:.2f}"
 
 
 def _shares(repaired: Repaired) -> str:

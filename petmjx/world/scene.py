@@ -337,17 +337,28 @@ def _slabs(
         corner_mm, size_mm: (n, 3) corners and extents of the boxes of all plans, plan after plan.
         begins: (p,) row of the first box of each plan.
     """
-    extent, physics, n = extent_m(sim.carrier), sim.physics, len(begins)
+    physics = sim.physics
+    for place, half_size in zip(*slab_places(corner_mm, size_mm, begins, sim), strict=True):
+        yield Body.solid(place, half_size, physics.carrier_mass_kg, physics.carrier_friction)
+
+
+def slab_places(
+    corner_mm: NDArray[np.float64], size_mm: NDArray[np.float64], begins: NDArray[np.intp], sim: Simulation
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(p, 3) middles and (p, 3) half extents of the carriers of plans, m, if the carrier is a slab.
+
+    Args:
+        corner_mm, size_mm, begins: as for ``_slabs``.
+    """
+    extent, n = extent_m(sim.carrier), len(begins)
     if extent is None:
         low_mm = np.minimum.reduceat(corner_mm[:, :2], begins)
         extent_mm = np.maximum.reduceat((corner_mm + size_mm)[:, :2], begins) - low_mm
         corner, size = low_mm / MM_PER_M, extent_mm / MM_PER_M
     else:
         corner, size = np.zeros((n, 2)), np.tile(np.array(extent), (n, 1))
-    thick = np.full((n, 1), physics.carrier_half_height_m)
-    half_size, place = np.hstack([size / 2, thick]), np.hstack([corner + size / 2, -thick])
-    for k in range(n):
-        yield Body.solid(place[k], half_size[k], physics.carrier_mass_kg, physics.carrier_friction)
+    thick = np.full((n, 1), sim.physics.carrier_half_height_m)
+    return np.hstack([corner + size / 2, -thick]), np.hstack([size / 2, thick])
 
 
 def half_size_and_target(

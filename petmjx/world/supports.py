@@ -29,7 +29,7 @@ from petmjx.world.friction_pairs import LARGER
 from petmjx.world.history import CARRIER
 from petmjx.world.pushing_forces import ON_EDGE_M, on_edges, pulls, pushes
 from petmjx.world.rectangle_hulls import HullTable, hull_table
-from petmjx.world.scene import Scene, carrier_of
+from petmjx.world.scene import Scene, carrier_of, half_size_and_target, slab_places
 
 IntArray = NDArray[np.intp]
 
@@ -518,11 +518,47 @@ def find_bearings(
             for all scenes, or (s,) one for each scene. The gap can exceed ``TOUCH_M``, since a box may lean onto a
             lower body.
     """
-    boxes = Boxes.of(scenes, targets)
+    boxes, decks = Boxes.of(scenes, targets), _decks([scene.carrier for scene in scenes])
+    return _find_bearings(boxes, decks, most_gap_m, scenes)
+
+
+def find_plain_bearings(
+    size_mm: FloatArray, corner_mm: FloatArray, mass_kg: FloatArray, counts: Sequence[int], sim: Simulation
+) -> Bearing:
+    """The contacts in several plans with ``has_plain_scene``, as ``find_bearings`` finds them in the scenes of the
+    plans. No ``Scene`` is made, which takes a third of the time.
+
+    Args:
+        size_mm, corner_mm: (n, 3) extents and corners of the boxes of all plans, plan after plan, mm.
+        mass_kg: (n,) masses of these boxes, kg.
+        counts: number of boxes of each plan.
+    """
+    n, first = len(mass_kg), np.concatenate([[0], np.cumsum(counts)])
+    half_size, target = half_size_and_target(size_mm, corner_mm, sim)
+    carrier_mass = np.full(n, sim.physics.carrier_mass_kg)
+    boxes = Boxes(first, target, half_size, mass_kg, np.zeros((n, 3)), carrier_mass, np.zeros((n, 2, 2)))
+    place, half = slab_places(corner_mm, size_mm, first[:-1], sim)
+    decks = (place - half)[:, :2], (place + half)[:, :2], np.ones(len(counts), np.intp)
+    return _find_bearings(boxes, decks, TOUCH_M, ())
+
+
+def _find_bearings(
+    boxes: Boxes,
+    decks: tuple[FloatArray, FloatArray, IntArray],
+    most_gap_m: float | FloatArray,
+    scenes: Sequence[Scene],
+) -> Bearing:
+    """The contacts of ``find_bearings``.
+
+    Args:
+        decks: the result of ``_decks``.
+        most_gap_m: as for ``find_bearings``.
+        scenes: the scenes, if some of them have sheets or pallets among their boxes.
+    """
     low, high, counts = boxes.target - boxes.half_size, boxes.target + boxes.half_size, np.diff(boxes.first)
-    scene_of = np.repeat(np.arange(len(scenes)), counts)
-    gap_m = np.broadcast_to(most_gap_m, len(scenes))[scene_of]
-    deck_low, deck_high, boards = _decks([scene.carrier for scene in scenes])
+    scene_of = np.repeat(np.arange(len(counts)), counts)
+    gap_m = np.broadcast_to(most_gap_m, len(counts))[scene_of]
+    deck_low, deck_high, boards = decks
     lies = np.flatnonzero(low[:, 2] <= gap_m)
     lying, board = np.repeat(lies, boards[scene_of[lies]]), spans(boards, scene_of[lies])
     below, above = _touching(scene_of, low[:, 2], high[:, 2], gap_m)

@@ -19,9 +19,11 @@ from support.plans import make_plan, make_world, stack
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.outcome_checks import outcome_checks
 from petmjx.engines.subprocess.check_pool import CHECK_WAIT_S, MOST_WAITING, CheckPool
-from petmjx.engines.subprocess.task_pipe import next_of
+from petmjx.engines.subprocess.task_pipe import Fork, Forks, next_of
 from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.options.simulation import Simulation
+from petmjx.repairs.repair_options import RepairOptions
+from petmjx.repairs.search import Search
 from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
 
 SIM = Simulation()
@@ -204,3 +206,31 @@ def test_after_ctrl_c_all_that_hang_are_waited_for_a_moment_together(
     for key in range(4):
         assert told([outcomes[key, job] for job in range(len(JOBS))]) == expected(raw), "nothing that came is lost"
     assert pids(check_pool) == []
+
+
+@pytest.mark.skipif(not Forks.are_possible, reason="this system cannot copy processes")
+def test_copies_of_a_process_run_beside_each_other_and_end_with_it() -> None:
+    """Each copy asks for the trials of its own plan. If the processes are killed, the run learns that the copies have
+    died, and that there are no further ones."""
+    forks = Forks("petmjx.repairs.search_processes")
+    try:
+        copies = [forks.fork() for _ in range(3)]
+        for k, one in enumerate(copies):
+            plan = make_plan(f"{k}", stack(2))
+            one.tasks.put(pickle.dumps([Search(plan, SIM, RepairOptions(worlds=0))]))
+        for k, one in enumerate(copies):
+            ((_, (asked,)),), has_ended = one.answers.get(timeout=60)
+            assert (asked.draft.plan.plan_id, has_ended) == (f"{k}", False)
+        copies[0].end()
+        assert one_is_dead(copies[0])
+        assert forks._popen is not None
+        os.killpg(forks._popen.pid, signal.SIGKILL)
+        assert one_is_dead(copies[1])
+        assert one_is_dead(copies[2])
+        assert one_is_dead(forks.fork())
+    finally:
+        forks.end()
+
+
+def one_is_dead(copy: Fork) -> bool:
+    return copy.answers.get(timeout=60) in (None, ([], True)) or copy.answers.get(timeout=60) is None

@@ -30,7 +30,7 @@ from petmjx.repairs.rebuilds import Failure, rebuilds
 from petmjx.repairs.repair import Repaired
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.requests import Asked, OutOfTime, Steps, Together, Trial, TrialAnswer
-from petmjx.repairs.search import ALONE, BUILT_ANEW, SURPLUS, WIDE_AT_ONCE, Search
+from petmjx.repairs.search import ALONE, ALONE_IF_MANY, BUILT_ANEW, MANY_FAULTS, SURPLUS, WIDE_AT_ONCE, Search
 from petmjx.repairs.search_processes import SearchProcesses, Tasks
 from petmjx.repairs.trials import Question, TimeLimit, TrialStream
 
@@ -158,7 +158,7 @@ STAIR: Sequence[Box] = tuple(((400, 300, 200), (300 * k, 0, 200 * k), 5) for k i
 def test_built_boxes_that_fall_are_told_without_a_search() -> None:
     result = repaired(STAIR, built=2)
     assert result.headline.endswith("no repair was sought: the boxes that are built already fall by themselves")
-    assert (result.built_falls, result.complete, result.n_trials) == (True, True, 3)
+    assert (result.built_falls, result.complete, result.n_trials) == (True, True, 1)
     assert result.plan is result.before
 
 
@@ -989,39 +989,60 @@ def test_a_search_on_a_gpu_goes_on_in_wider_rounds(monkeypatch: pytest.MonkeyPat
     search = Search(make_plan(boxes=stack(6)), Simulation(), RepairOptions(worlds=0), is_wide=True)
     search.begin(falls)
     node = Node(State(Draft.of(search.plan), (), falls), (Fault(0, 1.0),))
-    standing, _ = result_of(search._changed([node], search.options.kinds, 600), lambda some: [falls] * len(some))
+    kinds = search.options.kinds - {Kind.LEAVE_OUT}
+    standing, _ = result_of(search._changed([node], kinds, 600), lambda some: [falls] * len(some))
     assert standing == []
     assert tuple(widths) == (*WIDE_AT_ONCE, WIDE_AT_ONCE[-1])
     assert WIDE_AT_ONCE[0] < WIDE_AT_ONCE[-1] == search._at_once(30, is_late=False)
+    widths.clear()
+    result_of(search._changed([node], search.options.kinds, 600), lambda some: [falls] * len(some))
+    assert set(widths) == {WIDE_AT_ONCE[-1]}, "boxes are left out after many rounds, so the first round is wide, too"
 
 
-def test_on_a_gpu_all_plans_are_scored_before_their_searches(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A plan that stands when scored is not searched, although it falls when judged."""
-    plans = [make_plan("falls", boxes=COUNTERWEIGHT), make_plan("leans", boxes=COUNTERWEIGHT), make_plan("stands")]
-    judge, scores, requests = Question.trials, list[list[str]](), list[tuple[str, bool, bool]]()
+def test_on_a_gpu_all_plans_are_scored_together_while_their_searches_begin(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plan that stands when judged is not scored. A plan that stands when scored has no repair, although it falls
+    when judged. All this is the same in processes, in which searches begin before their plans are scored."""
+    names = ["falls", "leans", "stands"]
+    few = [
+        make_plan(name, boxes=[((300, 300, 100), (0, 0, 0), 1)] if name == "stands" else COUNTERWEIGHT)
+        for name in names
+    ]
+    many = [replace(plan, plan_id=f"{plan.plan_id} {k}") for plan in few for k in range(4)]
+    calls: list[list[tuple[str, bool]]] = []
+    judge, make_jobs = Question.trials, Question.jobs
 
     def trials(question: Question, asked: Sequence[Asked], limit: TimeLimit | None = None) -> list[Trial]:
-        assert not any(one.is_judged for one in asked)
-        scores.append([one.draft.plan.plan_id for one in asked])
-        known = dict(zip((one.draft.plan.plan_id for one in asked), judge(question, asked, limit), strict=True))
-        known["leans"] = known["leans"]._replace(verdict="stable")
-        return [*known.values()]
+        calls.append([(one.draft.plan.plan_id[:6].strip(), one.is_judged) for one in asked])
+        return [
+            trial._replace(verdict="stable") if one.draft.plan.plan_id[:5] == "leans" and not one.is_judged else trial
+            for one, trial in zip(asked, judge(question, asked, limit), strict=True)
+        ]
 
     def jobs(question: Question, asked: Sequence[Asked]) -> list[Any]:
-        requests.extend((one.draft.plan.plan_id, one.is_judged, one.draft.order == (0, 1, 2, 3)) for one in asked)
+        if not asked[0].is_judged and asked[0].draft.order == (0, 1, 2, 3):
+            scored.append(len(asked))
         return make_jobs(question, asked)
 
-    make_jobs = Question.jobs
+    scored: list[int] = []
     monkeypatch.setattr(Question, "is_wide", True)
     monkeypatch.setattr(Question, "trials", trials)
     monkeypatch.setattr(Question, "jobs", jobs)
-    falls, leans, stands = petmjx.repair(plans, engine="mjx-warp-cpu", worlds=0, trials=40).each
-    assert scores == [["falls", "leans", "stands"]]
-    assert (falls.trial_before.stands, len(falls.changes), falls.stands) == (False, 1, True)
-    assert (leans.changes, leans.n_trials, leans.complete) == ((), 0, True)
-    assert (stands.changes, stands.n_trials) == ((), 0)
-    of_searches = requests[len(plans) :]
-    assert {name for name, *_ in of_searches} == {"falls"}
+    rows = []
+    for plans in (few, many):
+        calls.clear()
+        scored.clear()
+        n = len(plans) // 3
+        repairs = petmjx.repair(plans, engine="mjx-warp-cpu", threads=2, worlds=0, trials=40).each
+        judged, of_scores = calls
+        assert judged == [(name, True) for name in names for _ in range(n)]
+        assert of_scores == [(name, False) for name in names[:2] for _ in range(n)]
+        assert scored[0] == 2 * n, "all plans together"
+        rows.append([(r.trial_before.stands, r.words, r.stands, r.n_trials, r.complete) for r in repairs[::n]])
+        falls, leans, stands = repairs[::n]
+        assert (falls.trial_before.stands, len(falls.changes), falls.stands) == (False, 1, True)
+        assert (leans.changes, leans.n_trials, leans.complete) == ((), 0, True)
+        assert (stands.changes, stands.n_trials) == ((), 0)
+    assert rows[0] == rows[1]
 
 
 def test_other_ways_to_change_a_plan_come_between_the_amounts_of_one_way() -> None:
@@ -1077,7 +1098,8 @@ def test_searches_in_several_processes_end_as_in_one() -> None:
     for processes in (1, 2):
         searches = [Search(plan, Simulation(), RepairOptions(worlds=0)) for plan in plans]
         with closing(SearchProcesses(len(searches), processes)) as some:
-            some.run(searches, Simulated(ask))
+            some.begin(searches)
+            some.run(Simulated(ask))
         ends.append([([state.changes for state in s.repairs], s.n_trials, s.before, s.complete) for s in searches])
     assert ends[0] == ends[1]
     assert all(changes for changes, *_ in ends[0])
@@ -1091,8 +1113,10 @@ def test_searches_in_several_processes_end_as_in_one() -> None:
             trial._replace(verdict="stable") if draft.plan.plan_id == "0" else trial for (draft, *_), trial in trials
         ]
 
-    with closing(SearchProcesses(len(searches), 2)) as some, pytest.raises(KeyboardInterrupt):
-        some.run(searches, Simulated(ask_until_stopped))
+    with closing(SearchProcesses(len(searches), 2)) as some:
+        some.begin(searches)
+        with pytest.raises(KeyboardInterrupt):
+            some.run(Simulated(ask_until_stopped))
     assert [search.complete for search in searches[::2]] == [True, False, False, False]
 
 
@@ -1157,20 +1181,94 @@ def test_a_search_whose_trials_are_spent_says_so() -> None:
     assert (all_tried.complete, all_tried.trials_spent, len(all_tried.left_out)) == (True, False, 3)
 
 
-@pytest.mark.parametrize("forbid", [(), ("place",)])
-def test_plans_are_built_anew_in_a_share_of_the_trials(forbid: tuple[str, ...]) -> None:
-    """Whatever is changed, the last box of a plan falls. If no box may be put elsewhere, no plan is built anew."""
+@pytest.mark.parametrize("is_wide", [False, True])
+@pytest.mark.parametrize("worlds", [0, 8])
+def test_a_search_makes_no_more_trials_than_allowed(is_wide: bool, worlds: int) -> None:
+    """Two boxes fall, and box 5 stands in half of the worlds with errors. The trials are spent in every part of the
+    search. A search that has found a repair keeps it."""
+    plan = make_plan(boxes=[*TWO_FAULTS, *stack(1, at_mm=(0.0, 1200.0))])
+
+    def trial_of(one: Asked) -> Trial:
+        (balance,) = balances([one.draft], Simulation())
+        falls = [box for box in (1, 4) if box in balance.box] or [5] * (one.world % 2)
+        if not falls:
+            return Trial("stable", "", None, (), 6, 6, 1.0, is_score=True)
+        return Trial("unstable", "tilt", falls[0], (falls[0],), falls[0] + 1, falls[0] + 1, -1.0)
+
+    n_repaired = 0
+    for trials in (1, 2, 3, 5, 8, 13, 25, 60, 200, 600):
+        search = Search(plan, Simulation(), RepairOptions(worlds=worlds, trials=trials), is_wide=is_wide)
+        result_of(search.run(), lambda some: [trial_of(one) for one in some])
+        has_left_out = any(change.kind is Kind.LEAVE_OUT for state in search.repairs for change in state.changes)
+        assert search.n_trials <= (trials if not has_left_out and search.repairs else trials + trials // 2)
+        assert search.complete
+        n_repaired += bool(search.repairs)
+    assert n_repaired > 6
+    assert not search.trials_spent
+
+
+def test_simulations_without_a_verdict_are_told(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """The solver may use so few iterations that only short plans come to an end."""
+    file = tmp_path / "plans.json"
+    petmjx.save_plans([make_plan(boxes=COUNTERWEIGHT)], file)
+    how = ["--engine", "mujoco", "--threads", "1", "--worlds", "0", "--trials", "6"]
+    assert main(["repair", str(file), *how]) == 0
+    assert "had no verdict" not in (out := capsys.readouterr().out)
+    assert "cost 2.00; margin 1.00" in out
+    assert main(["repair", str(file), *how, "--iteration-limit", "300"]) == 0
+    assert "5 of 6 simulations had no verdict and counted as falls: 5 iteration-limit" in " ".join(
+        capsys.readouterr().out.split()
+    )
+    result = repaired(COUNTERWEIGHT, trials=6, iteration_limit=300)
+    assert (result.row()["trials"], result.row()["invalid_trials"]) == (6, 5)
+
+
+def test_a_repair_with_few_trials_is_told_as_such() -> None:
+    few = repaired(COUNTERWEIGHT, trials=3)
+    assert (few.stands, few.n_trials <= 4, few.complete) == (True, True, False)
+    assert few.headline.endswith("the trials for the search were spent: all boxes might be kept")
+    undone = replace(few, changes=(Move(0, 1.0, 0.0), Move(1, 1.0, 0.0)))
+    assert undone.headline.endswith("the trials for the search were spent: some may not be needed")
+
+
+@pytest.mark.parametrize(("forbid", "profile"), [((), None), (("place",), None), ((), "eumos-40509")])
+def test_plans_are_built_anew_in_a_share_of_the_trials(forbid: tuple[str, ...], profile: str | None) -> None:
+    """Whatever is changed, the last box of a plan falls. If no box may be put elsewhere, no plan is built anew. With a
+    profile, all trials may be spent."""
     plan = make_plan(boxes=[*stack(6), *stack(6, 30.0, at_mm=(0.0, 500.0))])
     falls = Trial("unstable", "tilt", 11, (11,), 12, 11, -1.0)
-    search = Search(plan, Simulation(), RepairOptions(worlds=0, forbid=forbid), is_wide=True)
+    options = RepairOptions(worlds=0, forbid=forbid, profile=profile, trials=1206)
+    search = Search(plan, Simulation(), options, is_wide=True)
     search.begin(falls)
     node = Node(State(Draft.of(plan), (), falls), (Fault(11, 1.0),))
-    kinds = search.options.kinds - {Kind.LEAVE_OUT}
+    kinds = search.options.kinds - {Kind.LEAVE_OUT, Kind.FILM}
     standing, _ = result_of(search._changed([node], kinds, 200), lambda some: [falls] * len(some))
     assert standing == []
     assert search.trials_spent
     most = int(ALONE * 200) + WIDE_AT_ONCE[-1] + int(BUILT_ANEW * 200)
-    assert search.n_trials == 200 if forbid else search.n_trials <= most < 200
+    assert search.n_trials == 200 if forbid or profile else search.n_trials <= most < 200
+
+
+@pytest.mark.parametrize("weight", [MANY_FAULTS - 0.25, MANY_FAULTS])
+def test_plans_with_many_faults_are_built_anew_earlier(weight: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever is changed, the last box of a plan falls."""
+    plan, began = make_plan(boxes=[*stack(6), *stack(6, 30.0, at_mm=(0.0, 500.0))]), list[int]()
+    falls, build = Trial("unstable", "tilt", 11, (11,), 12, 11, -1.0), Search._anew
+
+    def noted(search: Search, *rest: Any) -> list[list[Candidate]]:
+        began.append(search.n_trials)
+        return build(search, *rest)
+
+    monkeypatch.setattr(Search, "_anew", noted)
+    for is_wide in (False, True):
+        began.clear()
+        search = Search(plan, Simulation(), RepairOptions(worlds=0), is_wide=is_wide)
+        search.begin(falls)
+        node = Node(State(Draft.of(plan), (), falls), (Fault(11, weight),))
+        kinds = search.options.kinds - {Kind.LEAVE_OUT}
+        result_of(search._changed([node], kinds, 600), lambda some: [falls] * len(some))
+        least = int((ALONE_IF_MANY if weight >= MANY_FAULTS else ALONE) * 600)
+        assert least <= began[0] <= least + WIDE_AT_ONCE[-1]
 
 
 def test_a_load_that_nothing_bears_has_no_weakness() -> None:

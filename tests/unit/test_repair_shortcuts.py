@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import combinations, islice
 
 import numpy as np
@@ -16,7 +16,7 @@ from petmjx.options.simulation import Simulation
 from petmjx.packers.sample_plans import MOST_SAMPLES, generate
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_validation import parse_plan
-from petmjx.repairs.balance import Balance, balances, balances_with_last, scenes_of
+from petmjx.repairs.balance import Balance, balances, balances_with_last
 from petmjx.repairs.changes import Exchange, Move, Place, applied
 from petmjx.repairs.drafts import TOLERANCE_MM, Draft, Rules, key_of
 from petmjx.repairs.proposals import (
@@ -31,7 +31,9 @@ from petmjx.repairs.proposals import (
 )
 from petmjx.repairs.rebuilds import Failure, rebuilds
 from petmjx.repairs.repair_options import RepairOptions
-from petmjx.world.scene import OF_BOXES, build_scene
+from petmjx.repairs.trials import scenes_of
+from petmjx.world.scene import OF_BOXES, build_scene, has_plain_scene
+from petmjx.world.supports import find_bearings, find_plain_bearings
 
 SIM, OPTIONS = Simulation(), RepairOptions()
 SEED = 33412
@@ -198,7 +200,7 @@ def test_the_balance_with_one_more_box_follows_from_the_one_before(some_plans: l
     n_beyond = 0
     for draft in [*map(Draft.of, some_plans), *map(_shifted, some_plans)]:
         piles = [replace(draft, order=draft.order[:n]) for n in range(1, len(draft.order) + 1)]
-        whole = balances(piles, SIM)
+        whole = balances(piles, SIM, with_loads=True)
         known: list[Balance] = whole[:1]
         for pile in piles[1:]:
             known += balances_with_last([pile], known[-1:], SIM)
@@ -228,7 +230,21 @@ def test_plans_are_built_anew_side_by_side_as_alone(some_plans: list[Plan]) -> N
 
 
 def test_statics_takes_plain_drafts_and_others_together() -> None:
-    """The scenes of plain drafts are made from arrays: they are those of their plans."""
+    """The balance of a plain draft is computed from arrays, and is the same beside others."""
+    plain = Draft.of(make_plan(boxes=stack(3, 60.0)))
+    with_sheet = plain.with_sheet(np.array([400.0, 300.0, 3.0]), np.array([0.0, 0.0, 200.0]), 0.06, 1)
+    assert with_sheet is not None
+    heavy = Draft.of(replace(plain.plan, mass_center_mm=np.tile([140.0, 0.0, 0.0], (3, 1))))
+    drafts = [with_sheet, plain, heavy, replace(plain, order=(0, 2))]
+    together = balances(drafts, SIM)
+    for draft, one in zip(drafts, together, strict=True):
+        (alone,) = balances([draft], SIM)
+        assert (alone.trouble, alone.weakness) == (one.trouble, one.weakness)
+        assert (alone.order.tolist(), alone.box.tolist()) == (one.order.tolist(), one.box.tolist())
+    assert together[1].trouble != together[2].trouble
+
+
+def test_scenes_of_plain_drafts_are_those_of_their_plans() -> None:
     plain = Draft.of(make_plan(boxes=stack(3, 60.0)))
     with_sheet = plain.with_sheet(np.array([400.0, 300.0, 3.0]), np.array([0.0, 0.0, 200.0]), 0.06, 1)
     assert with_sheet is not None
@@ -240,3 +256,18 @@ def test_statics_takes_plain_drafts_and_others_together() -> None:
             assert np.array_equal(getattr(scene, name), getattr(expected, name)), name
         assert np.array_equal(scene.carrier.half_size, expected.carrier.half_size)
         assert len(scene.pieces) == len(expected.pieces)
+
+
+@pytest.mark.parametrize("sim", [SIM, Simulation(carrier="euro-pallet")])
+def test_contacts_of_plain_plans_are_those_of_their_scenes(some_plans: list[Plan], sim: Simulation) -> None:
+    assert all(has_plain_scene(plan, sim) for plan in some_plans)
+    scenes = [build_scene(plan, sim) for plan in some_plans]
+    expected = find_bearings(scenes, [scene.target for scene in scenes])
+    arrays = (
+        np.concatenate([getattr(plan, name) for plan in some_plans]) for name in ("size_mm", "corner_mm", "mass_kg")
+    )
+    bearing = find_plain_bearings(*arrays, [plan.n_boxes for plan in some_plans], sim)
+    for name in ("upper", "lower", "low", "high"):
+        assert np.array_equal(getattr(bearing, name), getattr(expected, name)), name
+    for field in fields(bearing.boxes):
+        assert np.array_equal(getattr(bearing.boxes, field.name), getattr(expected.boxes, field.name)), field.name

@@ -5,10 +5,12 @@ answers to its standard output.
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import pickle
 import queue
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -21,34 +23,63 @@ from petmjx.common.processes import collect_rarely
 ANSWER_WAIT_S: Final = 0.25
 """Longest uninterrupted wait for an answer, s. Signals are handled after each wait."""
 
+KILL_WAIT_S: Final = 5.0
+"""Longest wait for processes to be killed by the process from which they were copied, s."""
+
 _NO_GPU: Final = {"JAX_PLATFORMS": "cpu", "CUDA_VISIBLE_DEVICES": ""}
 
 
-class Child:
-    """A process beside the run, with its pipes. Threads of this process write the tasks and read the answers.
-
-    Args:
-        module: the module whose function ``main`` the process runs.
+class Pipes:
+    """The tasks and answers of a process beside the run. Threads of this process write the tasks and read the answers.
 
     Attributes:
         tasks: queue of pickled tasks; the entry None ends the queue.
         answers: queue of answers; the last entry is None.
     """
 
-    def __init__(self, module: str) -> None:
+    def __init__(self) -> None:
         self.tasks: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         self.answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
+
+    def _begin(self, tasks: IO[bytes], answers: IO[bytes]) -> None:
+        """Start the threads of these pipes."""
+        for target, pipe in ((self._write, tasks), (self._read, answers)):
+            threading.Thread(target=target, args=(pipe,), name="petmjx-pipe", daemon=True).start()
+
+    def _write(self, tasks: IO[bytes]) -> None:
+        with contextlib.suppress(OSError), tasks as pipe:
+            while (task := self.tasks.get()) is not None:
+                pipe.write(task)
+                pipe.flush()
+
+    def _read(self, answers: IO[bytes]) -> None:
+        with answers as pipe:
+            while (answer := next_of(pipe)) is not None:
+                self.answers.put(answer)
+        self.answers.put(None)
+
+
+class Child(Pipes):
+    """A process beside the run, with its pipes.
+
+    Args:
+        module: the module whose function ``main`` the process runs.
+    """
+
+    def __init__(self, module: str) -> None:
+        super().__init__()
         self._popen: subprocess.Popen[bytes] | None = None
         try:
             self._popen = subprocess.Popen(
-                [sys.executable, "-c", f"from {module} import main; main()"],
-                env={**own_environment(), **_NO_GPU},
+                _command(module, "main()"),
+                env=_environment(),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
             )
-            for target in (self._write, self._read):
-                threading.Thread(target=target, args=(self._popen,), name="petmjx-pipe", daemon=True).start()
+            assert self._popen.stdin is not None
+            assert self._popen.stdout is not None
+            self._begin(self._popen.stdin, self._popen.stdout)
         except (OSError, RuntimeError):  # memory is short, or no interpreter can be started
             self.answers.put(None)
 
@@ -67,19 +98,121 @@ class Child:
             self._popen.kill()
             self._popen.wait()
 
-    def _write(self, popen: subprocess.Popen[bytes]) -> None:
-        assert popen.stdin is not None
-        with contextlib.suppress(OSError), popen.stdin as pipe:
-            while (task := self.tasks.get()) is not None:
-                pipe.write(task)
-                pipe.flush()
 
-    def _read(self, popen: subprocess.Popen[bytes]) -> None:
-        assert popen.stdout is not None
-        with popen.stdout as pipe:
-            while (answer := next_of(pipe)) is not None:
-                self.answers.put(answer)
-        self.answers.put(None)
+class Fork(Pipes):
+    """A process beside the run, forked by the process of ``Forks``."""
+
+    def __init__(self, connection: socket.socket | None) -> None:
+        super().__init__()
+        fds: list[int] = []
+        try:
+            if connection is None:
+                raise OSError
+            fds += os.pipe()
+            fds += os.pipe()
+            its_tasks, tasks, answers, its_answers = fds
+            socket.send_fds(connection, [b"f"], [its_tasks, its_answers])
+            self._begin(os.fdopen(tasks, "wb"), os.fdopen(answers, "rb"))
+            fds = [its_tasks, its_answers]
+        except (OSError, RuntimeError):  # memory is short, or the other process has died
+            self.answers.put(None)
+        for fd in fds:
+            os.close(fd)
+
+    def end(self) -> None:
+        """End the pipe of tasks: a process that waits for a task ends."""
+        self.tasks.put(None)
+
+
+class Forks:
+    """Processes beside the run that are copies of one process. A copy starts in a hundredth of the time in which an
+    interpreter starts and imports its modules.
+
+    Args:
+        module: the module whose function ``main`` the processes run.
+
+    Attributes:
+        are_possible: whether this system can copy processes. On macOS, system libraries may fail in a copy.
+    """
+
+    are_possible: Final = sys.platform == "linux"
+
+    def __init__(self, module: str) -> None:
+        self._popen: subprocess.Popen[bytes] | None = None
+        self._connection: socket.socket | None = None
+        self._forks: list[Fork] = []
+        own, its = socket.socketpair()
+        try:
+            self._popen = subprocess.Popen(
+                _command(module, f"from {__name__} import copy; copy(main)"),
+                env=_environment(),
+                stdin=its.fileno(),
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                process_group=0,  # so that all copies can be killed at once
+            )
+            self._connection = own
+        except OSError:  # memory is short, or no interpreter can be started
+            own.close()
+        its.close()
+
+    def fork(self) -> Fork:
+        """A further process. If it cannot be started, its answers end at once."""
+        self._forks.append(Fork(self._connection))
+        return self._forks[-1]
+
+    def end(self) -> None:
+        """Kill all processes."""
+        for fork in self._forks:
+            fork.end()
+        if self._connection is not None:
+            self._connection.close()
+        if self._popen is not None:
+            try:
+                self._popen.wait(KILL_WAIT_S)
+            except subprocess.TimeoutExpired:
+                os.killpg(self._popen.pid, signal.SIGKILL)
+                self._popen.wait()
+
+
+def copy(main: Callable[[], None]) -> None:
+    """The program of the process of ``Forks``: for each pair of pipes that arrives at the socket which is the standard
+    input, start a copy of this process that runs the function ``main`` with these pipes. When the socket is closed, the
+    process kills its copies, and ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    copies: list[int] = []  # a copy that has ended keeps its number until ``waitpid``, so no other process is killed
+    gc.collect()
+    gc.freeze()  # collections in a copy write to no objects of this process, so these objects need no second memory
+    with socket.socket(fileno=os.dup(0)) as connection:
+        while True:
+            message, fds, *_ = socket.recv_fds(connection, 1, 2)
+            if not message:
+                for pid in copies:
+                    os.kill(pid, signal.SIGKILL)
+                for pid in copies:
+                    os.waitpid(pid, 0)
+                os._exit(0)
+            with contextlib.suppress(OSError):  # memory is short: the pipes are closed, so the run learns of it
+                copies.append(os.fork())
+                if not copies[-1]:
+                    break
+            for fd in fds:
+                os.close(fd)
+    for fd, standard in zip(fds, (0, 1), strict=True):
+        os.dup2(fd, standard)
+        os.close(fd)
+    try:
+        main()
+    finally:
+        os._exit(0)
+
+
+def _command(module: str, call: str) -> list[str]:
+    return [sys.executable, "-c", f"from {module} import main; {call}"]
+
+
+def _environment() -> dict[str, str]:
+    return {**own_environment(), **_NO_GPU}
 
 
 Item = TypeVar("Item")

@@ -15,7 +15,7 @@ from petmjx.options.simulation import Simulation
 from petmjx.repairs.repair import Repaired, Repairs
 from petmjx.show.pages.html_page import escaped_html, page
 from petmjx.show.pages.still_svg import still_svg
-from petmjx.show.repair_tables import share_text
+from petmjx.show.repair_tables import margin_text, share_text
 from petmjx.version import __version__
 
 
@@ -99,11 +99,14 @@ def _picture(title: str, story: Story, marked: Collection[int], numbers: list[in
 
 
 def _facts(repaired: Repaired) -> str:
-    """A line with the cost of the repair, the shares of worlds with errors in which the plan stands, and the number of
-    plans that were simulated."""
+    """A line with the cost of the repair, the margin, the shares of worlds with errors in which the plan stands, and
+    the number of plans that were simulated."""
     facts = [("cost", f"{repaired.cost:.2f}")] if repaired.stands else []
+    facts += [("margin", text)] if (text := margin_text(repaired)) else []
     for name, share in (("before", repaired.share_before), ("after", repaired.share_after)):
         if share is not None:
             facts.append((f"worlds with errors that stand {name}", share_text(share)))
     facts.append(("plans simulated", f"{repaired.n_trials:,}"))
+    if repaired.doubt:
+        facts.append(("without a verdict", repaired.doubt))
     return f'<p class="small faint">{"; ".join(f"{name} <b>{escaped_html(text)}</b>" for name, text in facts)}</p>'
