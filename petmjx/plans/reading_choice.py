@@ -270,11 +270,11 @@ def choose_reading(
     tie = TIE + _FEW_MORE * (len(best.rows) < _FEW_BOXES)
     is_weak = best.layout_cost > WEAK
     lead = max(tie, WEAK_LEAD * is_weak)
-    close = [
-        other for other in judged[1:] if other.cost < best.cost + lead and not same_layouts(best.layouts, other.layouts)
-    ]
-    if close:
-        readings = [_reading(one, columns, wishes) for one in (best, *close)]
+    others = [other for other in judged[1:] if not same_layouts(best.layouts, other.layouts)]
+    turned = [other for other in others if _may_be_turned(best, other)]
+    close = [other for other in others if other.cost < best.cost + lead]
+    if rivals := close or [other for other in turned if other.candidate.prior < best.candidate.prior]:
+        readings = [_reading(one, columns, wishes) for one in (best, *rivals)]
         raise AmbiguousFile(tie_text(readings, is_weak), readings[:4])
     if _is_impossible(best, columns, wishes):
         reading = _reading(best, columns, wishes)
@@ -286,6 +286,8 @@ def choose_reading(
     (reading,) = readings
     if (rival := _other_mass(best)) is not None:
         reading = replace(reading, notes=(f"weights may be in {rival}, too (--units)",))
+    if turned:
+        reading = replace(reading, notes=(*reading.notes, f"{turned[0].candidate.up} may be upwards, too (--up)"))
     if wishes.anchor and not wishes.exact:
         reading = replace(reading, notes=(*reading.notes, *_changes_by_anchor(reading, columns, wishes, sample)))
     alternatives = tuple(_reading(one, columns, wishes) for one in judged[1:4])
@@ -305,14 +307,28 @@ def _changes_by_anchor(reading: Reading, columns: BoxColumns, wishes: Wishes, sa
     return []
 
 
+def _may_be_turned(best: _Judged, other: _Judged) -> bool:
+    """Whether the vertical axis of another reading may be right: neither names, nor odd boxes, nor the support of
+    boxes, nor a known carrier show which axis is the vertical. The order of boxes, walls and the footprint of the load
+    are weak evidence. If only they speak against the usual vertical, the user is asked; if they speak for it, both axes
+    are named."""
+    is_known = not np.isnan(best.layouts[0].container[:2]).any()
+    firm, other_firm = (one.layout_cost + is_known * one.units[0].cost for one in (best, other))
+    return (
+        other.candidate.up != best.candidate.up
+        and other.candidate.prior < best.candidate.prior + TIE
+        and other.units[0].length == best.units[0].length
+        and other.evidence.n_odd <= best.evidence.n_odd
+        and other_firm < firm + TIE
+    )
+
+
 def _is_doubtful(best: _Judged) -> bool:
     """Whether another axis may be the vertical, or coordinates may be those of another corner. This may be
     so if, in the most plausible reading, boxes overlap, float, are outside or are listed from one side to the other, or
     if the sizes do not lie along the axes that name them."""
-    evidence = best.evidence
-    is_odd = evidence.n_overlapping + evidence.n_floating + evidence.n_outside > 0
     is_exchanged = best.candidate.geometry.axes == XYZ and best.candidate.pair != (0, 1, 2)
-    return is_odd or is_exchanged or best.order_cost > 0
+    return best.evidence.n_odd > 0 or is_exchanged or best.order_cost > 0
 
 
 _LEAST_OVERLAPPING: Final = 6

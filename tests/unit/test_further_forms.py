@@ -1195,11 +1195,32 @@ def test_a_flat_layer_is_not_read_as_a_wall(tmp_path: Path, up: str) -> None:
     rows = [[box[axis] for axis in order] + [box[axis + 3] for axis in order] for box in boxes]
     text = "\n".join(["X,Y,Z,Size X,Size Y,Size Z", *(",".join(map(str, row)) for row in rows)])
     plan_set = load(tmp_path, "layer.csv", text, units="mm")
-    assert bool(plan_set.plans) == (up != "x")
+    assert bool(plan_set.plans) == (up == "z")
     np.testing.assert_allclose([plan.corner_mm[:, 2] for plan in plan_set], 0)
     assert all("can be read in two ways" in skipped.message for skipped in plan_set.skipped)
     (plan,) = load(tmp_path, "layer.csv", text, units="mm", up=up).plans
     np.testing.assert_allclose(plan.corner_mm[:, 2], 0)
+
+
+@pytest.mark.parametrize(("up", "is_asked"), [("z", True), ("y", False)])
+def test_a_block_that_may_stand_on_another_side_is_asked_or_both_verticals_are_named(
+    tmp_path: Path, up: str, is_asked: bool
+) -> None:
+    """Equal boxes listed stack by stack. The order speaks for y if z is upwards, and for z if y is upwards."""
+    size = (500, 380, 220)
+    boxes = [(500 * x, 380 * y, 220 * z) for y, x, z in np.ndindex(4, 3, 2)]
+    order = {"z": (0, 1, 2), "y": (0, 2, 1)}[up]
+    rows = [[*(box[axis] for axis in order), *(size[axis] for axis in order), 9] for box in boxes]
+    text = "x,y,z,dx,dy,dz,mass\n" + "".join(",".join(map(str, row)) + "\n" for row in rows)
+    plan_set = load(tmp_path, "block.csv", text, units="mm,kg")
+    if is_asked:
+        assert "say which with --up" in str(plan_set.skipped)
+    else:
+        (reading,) = plan_set.readings.values()
+        assert reading.up == "z"
+        assert "y may be upwards, too (--up)" in reading.notes
+    (plan,) = load(tmp_path, "block.csv", text, units="mm,kg", up=up).plans
+    assert plan.size_mm[:, 2].tolist() == [220] * 24
 
 
 def test_the_container_beside_a_list_shows_the_vertical(tmp_path: Path) -> None:
