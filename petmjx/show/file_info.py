@@ -11,6 +11,7 @@ from typing import Any, Final
 from petmjx.common.errors import InputError, PlanWarning
 from petmjx.common.text import count_text, first_names, printable, printable_name, three_digits
 from petmjx.options.run_options import OF_ORDERS, RunOptions
+from petmjx.plans.convention_checks import find_conventions
 from petmjx.plans.item_columns import TWO_WAYS
 from petmjx.plans.item_joins import has_named_places
 from petmjx.plans.item_units_and_quantities import OrderReading
@@ -85,7 +86,11 @@ def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
     skipped_lines = [skipped.message for skipped in plan_set.skipped if skipped.source == source]
     is_read = plans or any(REPEATED in line for line in skipped_lines)
     form = "petmjx's own form" if is_read else "cannot be read"
-    lines = [line for line in plan_set.conventions if reading is None and source in line]
+    odd = [layout for layout in plan_set.warnings if layout.source == source]
+    lines = []
+    if reading is None:
+        of_file = [line for line in plan_set.conventions if source in line]
+        lines = [*of_file, *find_conventions(plans, odd, None)]
     record: dict[str, Any] = {
         "file": source,
         "form": form if reading is None else reading.form,
@@ -96,8 +101,8 @@ def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
         "largest_mm": [max(sizes[axis::3]) for axis in range(3)] if plans else [],
         "skipped": skipped_lines,
         "odd": [
-            *(str(odd) for odd in plan_set.warnings if odd.source == source),
             *lines,
+            *map(str, odd),
             *(() if reading is None else reading.odd),
         ],
         "reading": None,
