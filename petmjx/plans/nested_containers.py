@@ -19,11 +19,11 @@ STACKS: Final = word_set("stack stacks tower towers column columns pile piles bl
 """Words for parts of a plan that stand beside each other."""
 _NAMES: Final = (
     "plan_id", "planId", "order_id", "orderId", "pallet_id", "palletId", "container_id", "containerId", "bin_id",
-    "binId", "load_id", "loadId",
+    "binId", "load_id", "loadId", "plan",
     "id", "ID", "name", "partno", "bin", "pallet", "container", "index", "number", "no",
 )  # fmt: skip
 """Fields that name a plan, most reliable first."""
-_N_OF_PLANS: Final = 12
+_N_OF_PLANS: Final = 13
 """Number of fields at the beginning of ``_NAMES`` that name a plan wherever they are in a file."""
 CONTAINERS: Final = word_set(
     "container containers bin bins pallet pallets truck trucks carrier carriers vehicle box_size bin_size binsize "

@@ -2108,6 +2108,24 @@ def test_rows_of_numbers_of_several_plans_are_all_read(tmp_path: Path) -> None:
     assert "6 boxes in order-b[] not read: only the list with the most boxes is" in reading.notes
 
 
+def test_numbers_that_name_plans_are_kept_as_texts(tmp_path: Path) -> None:
+    boxes = [dict(zip(FIELDS, [400 * (k % 2), 300 * (k // 2), 0, 400, 300, 200, 5], strict=True)) for k in range(4)]
+    for value, names in (
+        ({"7": boxes}, ["7"]),
+        ({"7": boxes, "0012": boxes}, ["7", "0012"]),
+        ({"plan": 7, "boxes": boxes}, ["7"]),
+        ({"order_id": 4711, "boxes": boxes}, ["4711"]),
+        ([{"id": 7, "boxes": boxes}, {"id": 9, "boxes": boxes}], ["7", "9"]),
+        ([{"plan": 7.0, **box} for box in boxes], ["7"]),
+        ([{"pallet": 7, **box} for box in boxes], ["load/7"]),
+        ([{"pallet": 1, **box} for box in boxes], ["load"]),
+        ({"1": boxes, "2": boxes}, ["load/1", "load/2"]),
+        ({"²": boxes, "3": boxes}, ["²", "3"]),
+    ):
+        plans = load(tmp_path, "load.json", json.dumps(value), units="mm,kg", up="z")
+        assert [plan.plan_id for plan in plans] == names
+
+
 def test_sizes_are_not_read_in_a_unit_without_a_name(tmp_path: Path) -> None:
     """With a wrong anchor, sizes of a tenth would not overlap."""
     boxes = [(600 * (k % 2), 400 * (k // 2 % 2), 300 * (k // 4 + 1)) for k in range(8)]
