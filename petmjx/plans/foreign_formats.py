@@ -103,12 +103,17 @@ def _blank(match: re.Match[str]) -> str:
     return match[1] if match.re.groups and match[1] else blanked(match[0])
 
 
-def without_comments(data: bytes | bytearray) -> bytearray | None:
-    """JSON with blanks in place of comments; None if it has none, or is too large for a file that people comment."""
-    if len(data) > MOST_BYTES or (b"//" not in data and b"/*" not in data):
+def plain_json(data: bytes | bytearray) -> bytearray | None:
+    """JSON with blanks in place of comments and of commas behind last values; None if it has none, or is too large for
+    a file that people edit."""
+    if len(data) > MOST_BYTES:
         return None
-    plain = _COMMENT.sub(_blank, data.decode("utf-8", "surrogateescape")).encode("utf-8", "surrogateescape")
+    plain = _plain_text(data.decode("utf-8", "surrogateescape")).encode("utf-8", "surrogateescape")
     return None if plain == data else bytearray(plain)
+
+
+def _plain_text(text: str) -> str:
+    return _LAST_COMMA.sub(_blank, _COMMENT.sub(_blank, text))
 
 
 def _decoded_json(text: str) -> Any:
@@ -120,7 +125,7 @@ def _decoded_json(text: str) -> Any:
     try:
         return decoded_json(text)
     except InputError:
-        if (plain := _LAST_COMMA.sub(_blank, _COMMENT.sub(_blank, text))) == text:
+        if (plain := _plain_text(text)) == text:
             raise
     return decoded_json(plain)
 
