@@ -86,8 +86,8 @@ def same(a: Plan, b: Plan) -> bool:
 
 
 def check(sample: Sample, damaged: bytes) -> bool:
-    """Compare the reading of a damaged copy with that of Python's JSON decoder, which gets no commas behind last values.
-    Returns whether the copy is still JSON."""
+    """Compare the reading of a damaged copy with that of Python's JSON decoder, which does not get commas behind last
+    values. Returns whether the copy is still JSON."""
     plan_set = sample.load(damaged)
     read = {plan.plan_id: plan for plan in plan_set}
     assert len(read) == len(plan_set)
