@@ -14,7 +14,7 @@ from petmjx.common.unreadable_files import foreign_kind, program_kind
 from petmjx.plans.column_names import words_of
 from petmjx.plans.file_formats import NoBoxes, NoGeometry, nul_fault
 from petmjx.plans.header_and_total_rows import geometric_names
-from petmjx.plans.known_forms import MOST_BYTES, BoxSource, rows_of, with_known_form, with_named_units
+from petmjx.plans.known_forms import MOST_BYTES, X3D, BoxSource, rows_of, with_known_form, with_named_units
 from petmjx.plans.nested_containers import LAYERS
 from petmjx.plans.nested_json import box_lists, decoded_json
 from petmjx.plans.numpy_arrays import loaded_array, loaded_arrays, sources_of_arrays
@@ -178,7 +178,7 @@ def _sources_of_markup(text: str) -> list[BoxSource]:
         return sources_of_tables(tables_of_page(text), "a web page (HTML)")
     try:
         if sources := _sources_of_value(value_of_xml(text), "XML"):
-            return sources
+            return [replace(source, form=X3D) for source in sources] if re.search(r"<X3D[\s>]", text) else sources
     except InputError:
         pass
     raise NoBoxes(kind)

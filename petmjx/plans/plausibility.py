@@ -417,6 +417,14 @@ _LOAD_MM: Final = (1340.0, 1320.0)
 """Largest extents of a load on a pallet along x and y, longer side first. The values are the extents of the largest
 pallets plus an overhang of a tenth."""
 _HIGHEST_MM: Final = 3000.0
+
+
+def fits_a_carrier(load_mm: FloatArray) -> bool:
+    """Whether a load with these extents along x, y and z fits the largest usual carrier, a trailer."""
+    level, largest = np.sort(load_mm[:2]), np.sort(np.max(_DECKS_MM, axis=0))
+    return bool(load_mm[2] <= _HIGHEST_MM and (level <= (1 + _NEAR) * largest).all())
+
+
 _SMALLEST_SIDE_MM, _LARGEST_SIDE_MM = 50.0, 1500.0
 """Limits of the geometric mean of the sides of boxes on pallets."""
 _OF_PALLET_MM: Final = (580.0, 1500.0, 380.0, 1320.0)

@@ -15,7 +15,6 @@ from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.column_extraction import LAST_CELLS, XYZ
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS
-from petmjx.plans.plan_fields import FARTHEST_MM
 from petmjx.plans.plausibility import (
     Layout,
     are_other_points,
@@ -23,6 +22,7 @@ from petmjx.plans.plausibility import (
     converted_share,
     deck_cost,
     density_cost,
+    fits_a_carrier,
     footprint_cost,
     is_wall,
     layout_cost,
@@ -374,10 +374,11 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
 
 
 def _within_reach(judged: _Judged) -> bool:
-    """Whether all coordinates, in the most plausible units, are at most ``FARTHEST_MM`` from 0. If coordinates were
-    read in a larger unit than sizes, boxes could be so far apart that they cannot overlap."""
+    """Whether each load, in the most plausible units, fits the largest usual carrier. If coordinates were read in a
+    larger unit than sizes, boxes could be so far apart that they cannot overlap."""
     factor = LENGTH_UNITS[judged.units[0].length]
-    return all(float(np.abs(layout.low).max()) * factor <= FARTHEST_MM for layout in judged.layouts)
+    extents = [(load.low + load.size).max(axis=0) - load.low.min(axis=0) for load in judged.layouts]
+    return all(fits_a_carrier(extent * factor) for extent in extents)
 
 
 def _likely_units(best: _Judged, wishes: Wishes) -> list[_Units]:

@@ -155,6 +155,22 @@ TABLES = {
     ),
     "Portuguese": table("Caixa,X,Y,Z,Comprimento,Largura,Altura,Peso", named, mark=";"),
     "Dutch": table("Doos,X,Y,Z,Lengte,Breedte,Hoogte,Gewicht", named, mark=";"),
+    **{
+        language: table(f"Kod,X,Y,Z,{names}", named, mark=";")
+        for language, names in {
+            "Czech": "Délka,Šířka,Výška,Hmotnost",
+            "Danish": "Længde,Bredde,Højde,Vægt",
+            "Norwegian": "Lengde,Bredde,Høyde,Vekt",
+            "Swedish": "Längd,Bredd,Höjd,Vikt",
+            "Finnish": "Pituus,Leveys,Korkeus,Paino",
+            "Hungarian": "Hosszúság,Szélesség,Magasság,Súly",
+            "Romanian": "Lungime,Lățime,Înălțime,Greutate",
+        }.items()
+    },
+    "numbers of rows in a column Br": table(
+        "Br,Box,X,Y,Z,Duljina,Širina,Visina,Težina", lambda k, box: [k + 1, *named(k, box)], mark=";"
+    ),
+    "names of SAP": table("MATNR,XPOS,YPOS,ZPOS,LAENG,BREIT,HOEHE,BRGEW", named, mark=";"),
     "planes of boxes": table(
         "Index;Plane Origin;X Axis;Y Axis;Box Size;Mass".replace(";", ","),
         lambda k, box: [
@@ -2124,6 +2140,28 @@ def test_numbers_that_name_plans_are_kept_as_texts(tmp_path: Path) -> None:
     ):
         plans = load(tmp_path, "load.json", json.dumps(value), units="mm,kg", up="z")
         assert [plan.plan_id for plan in plans] == names
+
+
+def test_x3d_scenes_have_y_upwards_and_their_rotations_are_refused(tmp_path: Path) -> None:
+    def scene(rotation: str) -> str:
+        shapes = [
+            f'<Transform translation="{x / 1000} {(z + height / 2) / 1000} {y / 1000}"{rotation * TURNED[number]}>'
+            f'<Shape><Box size="{length / 1000} {height / 1000} {width / 1000}"/></Shape></Transform>'
+            for number, (x, y, z, length, width, height, _) in enumerate(PILE[:4])
+        ]
+        return f"<X3D><Scene>{''.join(shapes)}</Scene></X3D>"
+
+    (plan,) = load(tmp_path, "scene.x3d", scene("")).plans
+    assert plan.size_mm.tolist() == [[600, 400, 300]] * 4
+    (skipped,) = load(tmp_path, "scene.x3d", scene(' rotation="0 1 0 1.5708"')).skipped
+    assert "rotation" in skipped.message
+
+
+def test_coordinates_are_not_read_in_a_unit_in_which_no_carrier_is_large_enough(tmp_path: Path) -> None:
+    """Heights in centimetres, all other lengths in millimetres: in centimetres, no boxes would overlap."""
+    rows = [[number, *box[:2], box[2] / 10, *box[3:]] for number, box in enumerate(PILE)]
+    text = f"name,x,y,z,{SIZES},kg\n" + "".join(",".join(map(str, row)) + "\n" for row in rows)
+    assert not load(tmp_path, "load.csv", text).plans
 
 
 def test_sizes_are_not_read_in_a_unit_without_a_name(tmp_path: Path) -> None:
