@@ -23,6 +23,7 @@ import pytest
 import petmjx
 from petmjx.common.units import FloatArray
 from petmjx.plans.column_names import split_unit
+from petmjx.plans.input_conventions import ANCHORS
 from petmjx.plans.order_reader import read_orders
 from petmjx.plans.printed_values import printed_values
 from petmjx.plans.raw_cells import cell_number
@@ -1237,6 +1238,49 @@ def test_a_block_that_may_stand_on_another_side_is_asked_or_both_verticals_are_n
         assert "y may be upwards, too (--up)" in reading.notes
     (plan,) = load(tmp_path, "block.csv", text, units="mm,kg", up=up).plans
     assert plan.size_mm[:, 2].tolist() == [220] * 24
+
+
+def test_the_order_of_py3dbp_does_not_decide_which_axis_is_vertical(tmp_path: Path) -> None:
+    """py3dbp fills a container along x, then y, then z, whichever axis is the vertical."""
+    rows = [f"b,200,300,250,6,{200 * x},{300 * y},{250 * z},0" for z, y, x in np.ndindex(3, 2, 3)]
+    text = "\n".join(["name,width,height,depth,weight,x,y,z,rotation_type", *rows])
+    (skipped,) = load(tmp_path, "packed.csv", text, units="mm,kg").skipped
+    assert "say which with --up" in skipped.message
+
+
+def test_a_flat_layer_of_positions_rotations_and_scales_has_y_upwards(tmp_path: Path) -> None:
+    places = [[200 + 400 * (k % 3), 100, 150 + 300 * (k // 3)] for k in range(6)]
+    boxes = [{"position": place, "rotation": [0, 0, 0], "scale": [400, 200, 300]} for place in places]
+    (reading,) = load(tmp_path, "layer.json", json.dumps(boxes), units="mm").readings.values()
+    assert reading.up == "y"
+
+
+def test_a_container_may_be_a_list_of_length_width_and_height_beside_coordinates_with_y_upwards(tmp_path: Path) -> None:
+    boxes = [
+        {"size": [600, 500, 400], "position": [600 * (k % 2), 500 * (k // 4), 400 * (k // 2 % 2)]} for k in range(12)
+    ]
+    (plan,) = load(tmp_path, "load.json", json.dumps({"container": [1200, 800, 1500], "boxes": boxes})).plans
+    assert plan.size_mm[0].tolist() == [600, 400, 500]
+
+
+@pytest.mark.parametrize("anchor", ["corner-x", "corner-y", "corner-z"])
+def test_corners_are_also_considered_if_x_is_upwards(tmp_path: Path, anchor: str) -> None:
+    point = np.array(ANCHORS[anchor])
+    rows = [
+        [*(np.array([z, x, y]) + point * [height, length, width]), height, length, width, kg]
+        for x, y, z, length, width, height, kg in PILE
+    ]
+    text = "x,y,z,dx,dy,dz,kg\n" + "".join(",".join(map(str, row)) + "\n" for row in rows)
+    for plan in load(tmp_path, "load.csv", text, units="mm,kg"):
+        assert plan.size_mm[:, 2].tolist() == [box[5] for box in PILE]
+
+
+def test_lengths_above_widths_are_those_of_items(tmp_path: Path) -> None:
+    """Boxes with gaps, so that they fit both as given and turned. Every second one is turned."""
+    rows = [f"{500 * (k % 2)},{500 * (k // 2 % 3)},{200 * (k // 6)},400,300,200,{k % 2},6" for k in range(12)]
+    text = "\n".join(["x,y,z,length,width,height,rotated,mass", *rows])
+    (plan,) = load(tmp_path, "load.csv", text, units="mm,kg").plans
+    assert plan.size_mm[:2].tolist() == [[400, 300, 200], [300, 400, 200]]
 
 
 def test_the_container_beside_a_list_shows_the_vertical(tmp_path: Path) -> None:
