@@ -120,9 +120,9 @@ class ColumnExtraction:
 
     def _mean_by_cells(self) -> None:
         """Determine meanings of columns from their cells. A column "order" without numbers has customers' orders, not a
-        packing order. A column that numbers the rows has no sizes: "Br" is a number in Croatian, and a width in German.
-        Whatever the name of a column, cells with a unit of mass are weights, and cells such as "WLH"
-        (which size lies along which axis) or 90° are rotations."""
+        packing order. A column that counts rows has no sizes ("Br" is "number" in Croatian). Whatever the name of a
+        column, cells with a unit of mass are weights, and cells such as "WLH" (which size lies along which axis) or 90°
+        are rotations."""
         self.row_units: dict[bool, list[str]] = {}
         self.unit_columns: list[str] = []
         self.axis_columns: dict[str, int] = {}  # "x" or "y" → column of vectors along this axis of a box

@@ -13,7 +13,6 @@ import sys
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Final
 
 import numpy as np
@@ -264,9 +263,8 @@ class _Search:
         for way in sorted(ways, key=lambda way: way is not self.last):
             if (everything or self.common(way.looks)) and _explains(way, plan, n_odd):
                 if way in _ANCHORS and way is not self.last:
-                    way = min(
-                        (other for other in _ANCHORS if _explains(other, plan, n_odd)), key=partial(_shift_mm, plan)
-                    )
+                    anchors = [other for other in _ANCHORS if _explains(other, plan, n_odd)]
+                    way = min(anchors, key=lambda one: float(np.abs(one.layout_of(plan)[0][:, :2].min(axis=0)).sum()))
                 self.last = way
                 return way
         self.unexplained += ways is LAYOUTS
@@ -354,12 +352,6 @@ def _explains(way: Convention, plan: Plan, n_odd: int) -> bool:
         return False
     left = check_layout(plan.plan_id, plan.source, corner, size)
     return left.n_floating + left.n_overlapping_pairs <= n_odd // 10
-
-
-def _shift_mm(plan: Plan, way: Convention) -> float:
-    """How far from the corner of the deck a plan's load begins, mm, if the plan is read in another convention."""
-    corner, _ = way.layout_of(plan)
-    return float(np.abs(corner[:, :2].min(axis=0)).sum())
 
 
 def _overlapping_less(plan: Plan, size: FloatArray) -> NDArray[np.bool_]:

@@ -52,7 +52,7 @@ foam, and the upper limit above the density of iron parts."""
 _OF_DECKS_MM: Final = ((380.0, 580.0), (1320.0, 1500.0))
 """Limits of the sides of a pallet, mm: the smallest short and long side, and the largest short and long side."""
 _HIGHEST_DECK_MM: Final = 250.0
-_AHEAD: Final = 0.49
+_LEAST_HEIGHT_SHARE: Final = 0.49
 """Along the vertical axis, the coordinate of a box on a pallet is larger than that of the pallet by at least this share
 of the pallet's height. If coordinates are those of centres, the difference for a thin box is little more than half of
 the pallet's height."""
@@ -208,7 +208,7 @@ def named_decks(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]]) -> 
         thickness, width, _ = sides[deck].tolist()
         if not thickness <= FLAT * width or not (sides[deck, 1:] >= sides[others, 1:].max(axis=0)).all():
             return set(), ""
-        ahead = geometry.place[others] - geometry.place[deck] > _AHEAD * thickness
+        ahead = geometry.place[others] - geometry.place[deck] > _LEAST_HEIGHT_SHARE * thickness
         axes &= {axis for axis, index in (("y", 1), ("z", 2)) if ahead[:, index].all()}
         decks.add(deck)
     return (decks, axes.pop()) if len(axes) == 1 else (set(), "")
