@@ -77,9 +77,8 @@ def role_of(axis: str) -> str:
 
 def _count_rows(numbers: Sequence[float]) -> bool:
     """Whether numbers count rows from 0 or 1, perhaps anew in each plan."""
-    return numbers[:4] in ([0, 1, 2, 3], [1, 2, 3, 4]) and all(
-        after in (before + 1, numbers[0]) for before, after in pairwise(numbers)
-    )
+    counts = all(b in (a + 1, numbers[0]) for a, b in pairwise(numbers))
+    return counts and numbers[:4] in ([0, 1, 2, 3], [1, 2, 3, 4])
 
 
 class ColumnExtraction:

@@ -104,8 +104,7 @@ def _blank(match: re.Match[str]) -> str:
 
 
 def plain_json(data: bytes | bytearray) -> bytearray | None:
-    """JSON with blanks in place of comments and of commas behind last values; None if it has none, or is too large for
-    a file that people edit."""
+    """JSON with blanks for comments and for commas behind last values; None if it has none, or is too large."""
     if len(data) > MOST_BYTES:
         return None
     plain = _plain_text(data.decode("utf-8", "surrogateescape")).encode("utf-8", "surrogateescape")

@@ -137,6 +137,8 @@ other box."""
 _NEGATIVE_COORDINATE_COST: Final = 1.0
 """Cost of a reading in which corners of boxes have negative coordinates and no container is known. In such a reading,
 the origin is not a corner of the deck."""
+_ANY_ODD: Final = 1.0
+"""Smallest cost of odd boxes, also if one of many boxes is odd."""
 _FIRST_ODD, _MORE_ODD = 3.0, 1.5
 """Largest cost of a layout with one odd box (such as a box that overlaps another), and largest additional cost of each
 further odd box. The cost is limited, because one plan in 20 has a box that its packer placed wrongly, and because in a
@@ -150,7 +152,8 @@ def _odd_cost(odd: NDArray[np.bool_], weight: float) -> float:
         weight: cost if all boxes are odd.
     """
     count = int(np.count_nonzero(odd))
-    return min(weight * count / len(odd), _FIRST_ODD + _MORE_ODD * (count - 1)) if count else 0.0
+    share_cost = max(weight * count / len(odd), _ANY_ODD)
+    return min(share_cost, _FIRST_ODD + _MORE_ODD * (count - 1)) if count else 0.0
 
 
 def _contacts(
