@@ -108,12 +108,12 @@ class Articles:
             article, group: the box's article and product group in the plan; "" if the plan gives none.
             material: the box's material in the plan; "" if the plan gives none.
         """
-        entry = self.by_article.get(article, _NOTHING)
-        merged = entry.filled_up(self.by_group.get(group, _NOTHING) if group else _NOTHING)
-        return merged.filled_up(self.by_material.get(material_key(material or merged.material or ""), _NOTHING))
+        entry = self.by_article.get(article, _EMPTY_ARTICLE)
+        merged = entry.filled_up(self.by_group.get(group, _EMPTY_ARTICLE) if group else _EMPTY_ARTICLE)
+        return merged.filled_up(self.by_material.get(material_key(material or merged.material or ""), _EMPTY_ARTICLE))
 
 
-_NOTHING: Final = Article()
+_EMPTY_ARTICLE: Final = Article()
 
 
 def material_key(name: str) -> str:

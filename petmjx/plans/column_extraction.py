@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -74,6 +75,12 @@ def role_of(axis: str) -> str:
     return {"0": "1st size", "1": "2nd size", "2": "3rd size"}.get(axis, axis if axis in SIZE_WORDS else f"{axis} size")
 
 
+def _count_rows(numbers: Sequence[float]) -> bool:
+    """Whether numbers count rows from 0 or 1, perhaps anew in each plan."""
+    counts = all(b in (a + 1, numbers[0]) for a, b in pairwise(numbers))
+    return counts and numbers[:4] in ([0, 1, 2, 3], [1, 2, 3, 4])
+
+
 class ColumnExtraction:
     """The columns of one source, while their meanings are being determined."""
 
@@ -112,8 +119,9 @@ class ColumnExtraction:
 
     def _mean_by_cells(self) -> None:
         """Determine meanings of columns from their cells. A column "order" without numbers has customers' orders, not a
-        packing order. Whatever the name of a column, cells with a unit of mass are weights, and cells such as "WLH"
-        (which size lies along which axis) or 90° are rotations."""
+        packing order. A column that counts rows has no sizes ("Br" is "number" in Croatian). Whatever the name of a
+        column, cells with a unit of mass are weights, and cells such as "WLH" (which size lies along which axis) or 90°
+        are rotations."""
         self.row_units: dict[bool, list[str]] = {}
         self.unit_columns: list[str] = []
         self.axis_columns: dict[str, int] = {}  # "x" or "y" → column of vectors along this axis of a box
@@ -150,6 +158,8 @@ class ColumnExtraction:
                 numbers = [number.value for cell in cells if (number := cell_number(cell, self.table.decimal))]
                 if of_order and "plan" not in kinds and len(set(numbers)) * 2 <= len(cells):
                     self.meanings[index] = ColumnMeaning("plan")
+                elif meaning.kind == "size" and _count_rows(numbers):
+                    self.meanings[index] = ColumnMeaning("number")
             elif (
                 "weight" not in kinds
                 and all(map(self._is_mass, cells))

@@ -1,8 +1,9 @@
-"""Column names in other tools' files (``ColumnMeaning``): words of six languages, units, axes and anchors.
+"""Column names in other tools' files (``ColumnMeaning``): words of several languages, units, axes and anchors.
 
 A name may be the header of a sheet ("Länge [mm]", "Pos. X", "Gewicht (kg)"), or the path of a value in JSON
 ("position.x", "stackable.dx", "WHD[0]"). Words in English, German, French, Spanish, Italian and Polish are known, with
-and without accents, and so are the letters that usually stand for sizes (L, B, H).
+and without accents, and so are the letters that usually stand for sizes (L, B, H). In further European
+languages and in Turkish, the words for sizes and weights are known.
 """
 
 from __future__ import annotations
@@ -80,11 +81,11 @@ def word_set(text: str) -> frozenset[str]:
 
 _SIZES: Final = {
     "length": "length len lgth lng lengths lange laenge longueur long longitud largo lunghezza lungh lung dlugosc dlug "
-    "dl comprimento lengte uzunluk",
+    "dl comprimento lengte lengde uzunluk laeng delka laengde langd pituus hosszusag lungime duljina",
     "width": "width wid wdth wth widths wide breite breit br largeur larg ancho anchura anch larghezza largh szerokosc "
-    "szer largura breedte genislik",
+    "szer largura breedte genislik sirka bredde bredd leveys szelesseg latime sirina",
     "height": "height hgt hght heights high hoehe hohe ho hauteur haut alto altura altezza alt wysokosc wys hoogte "
-    "yukseklik",
+    "yukseklik vyska hojde hoyde hojd korkeus magassag inaltime visina",
     "depth": "depth depths deep tiefe profondeur prof profundidad fondo profondita glebokosc gleb diepte derinlik",
 }
 _X, _Y, _Z = ("x", "y", "z")
@@ -148,7 +149,7 @@ _UNPLACED: Final = word_set(
 _WORDS: Final[dict[Kind, frozenset[str]]] = {
     "weight": word_set(
         "weight weights mass masses masse gewicht gew poids peso pesos waga masa ciezar wt wg wgt bruttogewicht kg "
-        "agirlik"
+        "agirlik hmotnost vaegt vekt vikt paino suly greutate tezina brgew"
     ),
     "density": word_set("density dichte densite densidad densita gestosc"),
     "volume": word_set("volume vol volumen volumes objetosc objem kubatur"),
@@ -281,6 +282,8 @@ def plain_text(text: str) -> str:
         .replace("ß", "ss")
         .replace("µ", "u")
         .replace("ı", "i")
+        .replace("æ", "ae")
+        .replace("ø", "o")
         .replace("°", " deg ")
     )
     return "".join(letter for letter in unicodedata.normalize("NFKD", text) if not unicodedata.combining(letter))

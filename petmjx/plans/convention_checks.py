@@ -126,7 +126,21 @@ def _anchor_convention(anchor: str, looks: str) -> Convention:
     return Convention(looks, f"give anchor {anchor}", lambda corner, size: (corner - share * size, size))
 
 
-CENTRES: Final = _anchor_convention("centre", "coordinates look like those of centres, not of corners")
+_ANCHORS: Final = (
+    _anchor_convention("centre", "coordinates look like those of centres, not of corners"),
+    _anchor_convention("base-centre", "x and y look like those of centres, not of corners"),
+    _anchor_convention("far-corner", "coordinates look like those of the corners with the largest x, y and z"),
+    _anchor_convention("top-centre", "coordinates look like those of the centres of tops"),
+    *(
+        _anchor_convention(
+            f"corner-{axes}", f"coordinates look like those of the corners with the largest {' and '.join(axes)}"
+        )
+        for axes in ("x", "y", "xy", "z", "xz", "yz")
+    ),
+)
+"""The conventions in which coordinates describe another point of a box. If several of them explain a plan, that one is
+used in which the load begins closest to the corner of the deck."""
+CENTRES: Final = _ANCHORS[0]
 _TURNED: Final = (
     "lengths and widths of boxes that are turned by their orientation look swapped",
     "give the item's own length and width beside an orientation, or extents along x and y and no orientation",
@@ -146,16 +160,7 @@ box floats or overlaps, but the plan reaches beyond the carrier."""
 LAYOUTS: Final[tuple[Convention, ...]] = (
     Convention(*_TURNED, lambda corner, size: (corner, size[:, [1, 0, 2]]), least_odd=1, of_turned=True),
     Convention(*_TURNED, lambda corner, size: (corner, size[:, [1, 0, 2]]), of_turned=True, of_some=True),
-    CENTRES,
-    _anchor_convention("base-centre", "x and y look like those of centres, not of corners"),
-    _anchor_convention("far-corner", "coordinates look like those of the corners with the largest x, y and z"),
-    _anchor_convention("top-centre", "coordinates look like those of the centres of tops"),
-    *(
-        _anchor_convention(
-            f"corner-{axes}", f"coordinates look like those of the corners with the largest {' and '.join(axes)}"
-        )
-        for axes in ("x", "y", "xy", "z", "xz", "yz")
-    ),
+    *_ANCHORS,
     Convention(
         "z looks counted from the floor, not from the top of the carrier",
         "subtract {lowest:g} mm from each z",
@@ -257,6 +262,9 @@ class _Search:
         everything = self.unexplained < MOST_UNEXPLAINED or self.unexplained % ONE_IN == 0
         for way in sorted(ways, key=lambda way: way is not self.last):
             if (everything or self.common(way.looks)) and _explains(way, plan, n_odd):
+                if way in _ANCHORS and way is not self.last:
+                    anchors = [other for other in _ANCHORS if _explains(other, plan, n_odd)]
+                    way = min(anchors, key=lambda one: float(np.abs(one.layout_of(plan)[0][:, :2].min(axis=0)).sum()))
                 self.last = way
                 return way
         self.unexplained += ways is LAYOUTS

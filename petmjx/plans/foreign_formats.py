@@ -14,7 +14,7 @@ from petmjx.common.unreadable_files import foreign_kind, program_kind
 from petmjx.plans.column_names import words_of
 from petmjx.plans.file_formats import NoBoxes, NoGeometry, nul_fault
 from petmjx.plans.header_and_total_rows import geometric_names
-from petmjx.plans.known_forms import MOST_BYTES, BoxSource, rows_of, with_known_form, with_named_units
+from petmjx.plans.known_forms import MOST_BYTES, X3D, BoxSource, rows_of, with_known_form, with_named_units
 from petmjx.plans.nested_containers import LAYERS
 from petmjx.plans.nested_json import box_lists, decoded_json
 from petmjx.plans.numpy_arrays import loaded_array, loaded_arrays, sources_of_arrays
@@ -103,12 +103,16 @@ def _blank(match: re.Match[str]) -> str:
     return match[1] if match.re.groups and match[1] else blanked(match[0])
 
 
-def without_comments(data: bytes | bytearray) -> bytearray | None:
-    """JSON with blanks in place of comments; None if it has none, or is too large for a file that people comment."""
-    if len(data) > MOST_BYTES or (b"//" not in data and b"/*" not in data):
+def plain_json(data: bytes | bytearray) -> bytearray | None:
+    """JSON with blanks for comments and for commas behind last values; None if it has none, or is too large."""
+    if len(data) > MOST_BYTES:
         return None
-    plain = _COMMENT.sub(_blank, data.decode("utf-8", "surrogateescape")).encode("utf-8", "surrogateescape")
+    plain = _plain_text(data.decode("utf-8", "surrogateescape")).encode("utf-8", "surrogateescape")
     return None if plain == data else bytearray(plain)
+
+
+def _plain_text(text: str) -> str:
+    return _LAST_COMMA.sub(_blank, _COMMENT.sub(_blank, text))
 
 
 def _decoded_json(text: str) -> Any:
@@ -120,7 +124,7 @@ def _decoded_json(text: str) -> Any:
     try:
         return decoded_json(text)
     except InputError:
-        if (plain := _LAST_COMMA.sub(_blank, _COMMENT.sub(_blank, text))) == text:
+        if (plain := _plain_text(text)) == text:
             raise
     return decoded_json(plain)
 
@@ -173,7 +177,7 @@ def _sources_of_markup(text: str) -> list[BoxSource]:
         return sources_of_tables(tables_of_page(text), "a web page (HTML)")
     try:
         if sources := _sources_of_value(value_of_xml(text), "XML"):
-            return sources
+            return [replace(source, form=X3D) for source in sources] if re.search(r"<X3D[\s>]", text) else sources
     except InputError:
         pass
     raise NoBoxes(kind)

@@ -21,7 +21,7 @@ from petmjx.plans.known_forms import PACKINGSOLVER, BoxSource
 from petmjx.plans.raw_cells import cell_number, cell_text
 from petmjx.plans.raw_tables import RawTable
 
-_MATCHED: Final = 0.9
+_LEAST_MATCHED_SHARE: Final = 0.9
 """A table of items belongs to the boxes if at least this share of the boxes has an item in the table."""
 _MEASURES: Final = word_set(
     "size sizes position positions low high quaternion euler weight density volume quantity sequence"
@@ -185,7 +185,7 @@ def _agree(rows: Sequence[int | None], one: Sequence[Sequence[float]], two: Sequ
     """Whether the sizes ``one`` of nearly all boxes are the sizes ``two`` of their items, whose rows are ``rows``."""
     pairs = [(one[row], two[item]) for row, item in enumerate(rows) if item is not None]
     alike = sum(len(a) == len(b) and bool(np.allclose(a, b)) for a, b in pairs)
-    return alike >= _MATCHED * max(len(rows), 1)
+    return alike >= _LEAST_MATCHED_SHARE * max(len(rows), 1)
 
 
 def _rows_by_number(table: RawTable, other: RawTable) -> list[int | None] | None:
@@ -213,7 +213,7 @@ def _naming_columns(table: RawTable) -> list[int]:
 def _rows_by_name(table: RawTable, other: RawTable) -> list[int | None] | None:
     """For each box, the row of its item: the row that has the same value as the box in a column of names. Of all pairs
     of a column of boxes and a column of items, the pair whose values agree most often is used."""
-    best, most = None, _MATCHED * max(len(table.rows), 1)
+    best, most = None, _LEAST_MATCHED_SHARE * max(len(table.rows), 1)
     box_columns = _naming_columns(table)
     for item_column in _naming_columns(other):
         names: dict[str, int] = {}

@@ -42,7 +42,7 @@ _PALLET_MM: Final = (300.0, 1700.0)
 are packed on a Euro pallet instead."""
 
 _LENGTH_PRIOR: Final = {"mm": 0.0, "cm": 0.0, "m": 0.0, "in": 0.7, "ft": 3.0}
-_MIXED: Final = 1.5
+_MIXED_UNITS_COST: Final = 1.5
 """Cost of a reading that mixes systems of units (inches with kilograms, or pounds with metric lengths), if no names
 give the units."""
 _DENSEST_KG_M3: Final = 1e6
@@ -334,7 +334,7 @@ class _OrderBuilder:
         densities = densities[(densities > 0) & (densities < _DENSEST_KG_M3)]
         if len(densities):
             cost += density_cost(float(np.median(densities)))
-        return cost + _MIXED * ((length in ("in", "ft")) != (mass == "lb"))
+        return cost + _MIXED_UNITS_COST * ((length in ("in", "ft")) != (mass == "lb"))
 
     def _shown(self, unit: str, good: NDArray[np.bool_]) -> str:
         sides = np.median(self.columns.size[good], axis=0) * LENGTH_UNITS[unit]
@@ -439,7 +439,7 @@ class _OrderBuilder:
         lengths = (
             units.length if columns.weight is None or columns.weight_is_density else f"{units.length}, {units.mass}"
         )
-        names = [*columns.size_names, *(columns.columns[role] for role in _SHOWN if role in columns.columns)]
+        names = [*columns.size_names, *(columns.columns[role] for role in _ROLES_IN_NOTES if role in columns.columns)]
         boxes = sum(len(order.items) for _, order in good)
         kinds = list(dict.fromkeys(targets.values()))
         parts = [
@@ -454,5 +454,5 @@ class _OrderBuilder:
 
 
 _OWN_NAMES: Final = {"weight_kg", "quantity", "order_id", "plan_id", "article", "item_id"}
-_SHOWN: Final = ("weight", "total weight", "density", "quantity", "per layer", "layers", "plan")
+_ROLES_IN_NOTES: Final = ("weight", "total weight", "density", "quantity", "per layer", "layers", "plan")
 """Roles of the columns that are named, after the sizes, in the line that tells how a table of orders was read."""

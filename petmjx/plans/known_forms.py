@@ -81,6 +81,7 @@ SCENE: Final = KnownForm("a MuJoCo scene (MJCF)", "m", "kg", "centre", "z", "pla
 THREE_JS: Final = KnownForm("a three.js scene", anchor="centre", up="y", sizes="placed")
 UNITY: Final = KnownForm("Unity", up="y")
 GLTF: Final = KnownForm("a glTF scene", "m", anchor="centre", up="y", sizes="placed")
+X3D: Final = replace(GLTF, name="an X3D scene", sizes="")
 _OWN_NAMES: Final = frozenset(("plan_id", "sequence", "article", "orientation"))
 """Further columns of petmjx's tables. A table with petmjx's names for sizes, weights and coordinates counts as petmjx's
 own only if it also has one of these columns, because tables of other tools may have the same names for sizes and

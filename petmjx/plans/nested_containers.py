@@ -19,11 +19,11 @@ STACKS: Final = word_set("stack stacks tower towers column columns pile piles bl
 """Words for parts of a plan that stand beside each other."""
 _NAMES: Final = (
     "plan_id", "planId", "order_id", "orderId", "pallet_id", "palletId", "container_id", "containerId", "bin_id",
-    "binId", "load_id", "loadId",
+    "binId", "load_id", "loadId", "plan",
     "id", "ID", "name", "partno", "bin", "pallet", "container", "index", "number", "no",
 )  # fmt: skip
 """Fields that name a plan, most reliable first."""
-_N_OF_PLANS: Final = 12
+_N_OF_PLANS: Final = 13
 """Number of fields at the beginning of ``_NAMES`` that name a plan wherever they are in a file."""
 CONTAINERS: Final = word_set(
     "container containers bin bins pallet pallets truck trucks carrier carriers vehicle box_size bin_size binsize "
@@ -170,13 +170,13 @@ def _is_deck(sizes: Mapping[str, float], of_box: Mapping[str, float]) -> bool:
         return False
     (thickness, *base), (height, *base_of_box) = sorted(sizes.values()), sorted(of_box.values())
     ratios = [thickness / height, *(side / other for side, other in zip(base, base_of_box, strict=True))]
-    in_other_unit = max(ratios) <= _SAME * min(ratios)
-    return thickness <= FLAT * base[0] and min(ratios[1:]) > _SAME and not in_other_unit
+    in_other_unit = max(ratios) <= _LARGEST_EQUAL_RATIO * min(ratios)
+    return thickness <= FLAT * base[0] and min(ratios[1:]) > _LARGEST_EQUAL_RATIO and not in_other_unit
 
 
 FLAT: Final = 0.4
 """Largest ratio of a pallet's height to its width. A half pallet, 800 × 600 × 144 mm, has a ratio of 0.24."""
-_SAME: Final = 1.02
+_LARGEST_EQUAL_RATIO: Final = 1.02
 """Largest ratio of two sizes that count as the same, since files have rounded sizes."""
 _PLACES: Final = frozenset(("position", "positions", "low"))
 _OF_ARTICLES: Final = frozenset(("weight", "size", "sizes", "article", "item_id"))

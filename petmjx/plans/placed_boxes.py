@@ -46,13 +46,13 @@ _RELATIVE: Final = 1.5
 _LEAST_KG_M3: Final = 25.0
 """A column without a unit, and with a smaller median density, may be in another unit than kg/m³. Cartons of crisps have
 a density of 30 kg/m³ (1.9 lb/ft³), usual cartons 300 kg/m³ (19 lb/ft³)."""
-_LIGHTEST, _HEAVIEST = 2.0, 5000.0
-"""Median densities outside these limits, kg/m³, suggest wrong weights or lengths. The lower limit is below the density
-of foam, and the upper limit above the density of iron parts."""
+LIGHTEST_BOX_KG_M3, HEAVIEST_BOX_KG_M3 = 2.0, 5000.0
+"""Densities outside these limits, kg/m³, suggest wrong weights or lengths. The lower limit is below the density of
+foam, and the upper limit above the density of iron parts."""
 _OF_DECKS_MM: Final = ((380.0, 580.0), (1320.0, 1500.0))
 """Limits of the sides of a pallet, mm: the smallest short and long side, and the largest short and long side."""
 _HIGHEST_DECK_MM: Final = 250.0
-_AHEAD: Final = 0.49
+_LEAST_HEIGHT_SHARE: Final = 0.49
 """Along the vertical axis, the coordinate of a box on a pallet is larger than that of the pallet by at least this share
 of the pallet's height. If coordinates are those of centres, the difference for a thin box is little more than half of
 the pallet's height."""
@@ -208,7 +208,7 @@ def named_decks(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]]) -> 
         thickness, width, _ = sides[deck].tolist()
         if not thickness <= FLAT * width or not (sides[deck, 1:] >= sides[others, 1:].max(axis=0)).all():
             return set(), ""
-        ahead = geometry.place[others] - geometry.place[deck] > _AHEAD * thickness
+        ahead = geometry.place[others] - geometry.place[deck] > _LEAST_HEIGHT_SHARE * thickness
         axes &= {axis for axis, index in (("y", 1), ("z", 2)) if ahead[:, index].all()}
         decks.add(deck)
     return (decks, axes.pop()) if len(axes) == 1 else (set(), "")
@@ -306,7 +306,7 @@ def density_lines(columns: BoxColumns, size: FloatArray, mass: FloatArray) -> tu
     with np.errstate(invalid="ignore", divide="ignore"):
         density = mass / (size.prod(axis=1) / 1e9)
     density = density[np.isfinite(density)]
-    if columns.weight is None or not len(density) or _LIGHTEST <= np.median(density) <= _HEAVIEST:
+    if columns.weight is None or not len(density) or LIGHTEST_BOX_KG_M3 <= np.median(density) <= HEAVIEST_BOX_KG_M3:
         return ()
     line = f"boxes have {three_digits(float(np.median(density)))} kg/m³ in the median"
     return (f"{line}: weights or lengths in another unit? (--units)",)

@@ -238,14 +238,14 @@ _SIZE: Final = ("length_mm", "width_mm", "height_mm")
 _CORNER: Final = ("x_mm", "y_mm", "z_mm")
 NEEDED: Final = ("plan_id", "sequence", "article", *_SIZE, "weight_kg", *_CORNER)
 """Columns that every table must have."""
-_SELDOM: Final = ("material", "kind", *COM_FIELDS, *SPARSE)
-OPTIONAL: Final = ("item_id", "product_group", "orientation", "order_sequence", *_SELDOM)
+_RARE_COLUMNS: Final = ("material", "kind", *COM_FIELDS, *SPARSE)
+OPTIONAL: Final = ("item_id", "product_group", "orientation", "order_sequence", *_RARE_COLUMNS)
 """Columns that a table may have. ``order_sequence`` is BED-BPP's ``item.sequence``, the number within the order.
 Without this column, ``sequence`` is used instead."""
 _TEXTS: Final = ("article", "item_id", "product_group", "material", "kind")
 NAMES: Final = ("plan_id", *_TEXTS)
 """Columns that have names, that is, texts. All columns that are not listed here have numbers."""
-_MAY_LACK: Final = ("item_id", "product_group", *_SELDOM)
+_COLUMNS_WITH_GAPS: Final = ("item_id", "product_group", *_RARE_COLUMNS)
 """Columns in which a value may be missing."""
 _ALIASES: Final = {
     name.replace("_mm", "/mm").replace("_kg", "/kg"): name for name in (*_SIZE, "weight_kg", *COM_FIELDS)
@@ -440,7 +440,7 @@ class _TableReader:
         is_bad = np.zeros(len(self.table.numbers), dtype=bool)
         for name, (_, usable) in (*self._texts.items(), *self._whole.items()):
             if name != "plan_id":
-                is_bad |= ~usable & ~self._missing[name] if name in _MAY_LACK else ~usable
+                is_bad |= ~usable & ~self._missing[name] if name in _COLUMNS_WITH_GAPS else ~usable
         for numbers in (*self._numbers.values(), *self._com.values()):
             is_bad |= np.isnan(numbers)
         for name, sparse in self._sparse.items():
@@ -543,7 +543,7 @@ class _TableReader:
         """The error text for a plan with bad rows. If several rows lack values, the text names all missing values;
         otherwise it names the first fault."""
         numbers = self.table.numbers
-        needed = {name: empty[rows] for name, empty in self._missing.items() if name not in _MAY_LACK}
+        needed = {name: empty[rows] for name, empty in self._missing.items() if name not in _COLUMNS_WITH_GAPS}
         missing = {name: numbers[rows[empty]].tolist() for name, empty in needed.items() if empty.any()}
         everywhere = missing_anywhere(missing, "row")
         if everywhere is not None:
@@ -553,7 +553,7 @@ class _TableReader:
 
     def _fault_of(self, row: np.int64) -> str | None:
         """The first fault of a row, in the order of the columns; None if there is none."""
-        missing = [name for name, empty in self._missing.items() if empty[row] and name not in _MAY_LACK]
+        missing = [name for name, empty in self._missing.items() if empty[row] and name not in _COLUMNS_WITH_GAPS]
         if missing:
             return missing_fault(missing)
         columns = self.table.columns

@@ -87,7 +87,7 @@ KINDS_IN_WORDS: Final = f"{', '.join(KINDS[:-1])} or {KINDS[-1]}"
 LONGEST_NAME: Final = 1000
 """Largest number of characters of a plan id, an item id, an article or a product group."""
 
-_LIKE: Final = {
+_UNIT_HINTS: Final = {
     ("millimetres", False): (1000.0, "metres? then give units m"),
     ("kilograms", False): (1000.0, "tonnes? then give units t"),
     ("kilograms", True): (0.001, "grams? then give units g"),
@@ -144,7 +144,7 @@ def positive_fault(field: str, value: Any, smallest: float, largest: float, unit
     if value <= 0:
         return f"{field} must be > 0, got {kind(value)}"
     if not smallest <= value <= largest:
-        factor, like = _LIKE.get((unit, value > largest), (0.0, ""))
+        factor, like = _UNIT_HINTS.get((unit, value > largest), (0.0, ""))
         likely = smallest <= factor * value <= largest
         return _out_of_range(field, value, smallest, largest, unit) + (f"; in {like}" if likely else "")
     return None

@@ -493,13 +493,13 @@ class _PlanLoader:
         if damaged or looks_like_own_json(data) or self._is_left_to_own(source, path, data):
             self._read_own_json(source, data, damaged)
 
-    def _read_own_json(self, source: str, data: bytearray, damaged: bool, *, has_comments: bool = True) -> None:
+    def _read_own_json(self, source: str, data: bytearray, damaged: bool, *, is_plain: bool = False) -> None:
         """Read the plans of a text in BED-BPP's form. If the text turns out not to be JSON, its plans are removed
         again.
 
         Args:
             damaged: see :meth:`_read_json`.
-            has_comments: whether the text may have comments, which are removed.
+            is_plain: whether comments, and commas behind last values, have already been removed.
         """
         n_good, n_skipped = len(self.found.plans), len(self.found.skipped)
         n_plans, unread = self.n_plans, self.unread.copy()
@@ -532,10 +532,10 @@ class _PlanLoader:
                     del self.source_of[plan.plan_id], self.found.numbers[plan.plan_id]
                 del self.found.plans[n_good:], self.found.skipped[n_skipped:]
                 self.n_plans, self.unread, self.unlisted = n_plans, unread, 0
-                from petmjx.plans.foreign_formats import without_comments
+                from petmjx.plans.foreign_formats import plain_json
 
-                if has_comments and (plain := without_comments(data)) is not None:
-                    self._read_own_json(source, plain, damaged=False, has_comments=False)
+                if not is_plain and (plain := plain_json(data)) is not None:
+                    self._read_own_json(source, plain, damaged=False, is_plain=True)
                 else:
                     self._skip(source, None, f"{source}: {error}", error)
                 return

@@ -133,7 +133,8 @@ class PalletSearch:
 
 def plan_names(columns: BoxColumns, source: str, notes: list[str]) -> list[str]:
     """(n,) the name of the plan of each row. If the names are numbers of containers, the file's name comes before
-    them, so that plans of different files have different names.
+    them, so that plans of different files have different names. Numbers of containers come from a column with a word
+    for containers, or count: 1, 2 … Other numbers are ids.
     """
     parts, column = columns.source.boxes.parts, columns.plan
     if column is not None and len(set(column)) * 2 > columns.n_boxes + 2 and len(set(column)) > 1:
@@ -146,9 +147,11 @@ def plan_names(columns: BoxColumns, source: str, notes: list[str]) -> list[str]:
     words = words_of(columns.columns.get("plan", ""))
     if "plan" in words or "order" in words:  # the names are names of plans, not numbers of containers
         return [name or stem for name in names]
-    if len(set(names)) == 1 and names[0].isdigit():
+    if set(names) in ({"0"}, {"1"}):
         return [stem] * len(names)  # there is only one container
-    return [f"{stem}/{name}" if name.isdigit() else name or stem for name in names]
+    numbers = sorted(int(name) for name in set(names) if name.isdecimal())
+    is_counted = bool(words) or numbers in (list(range(len(numbers))), list(range(1, len(numbers) + 1)))
+    return [f"{stem}/{name}" if is_counted and name.isdecimal() else name or stem for name in names]
 
 
 # The packing order.

@@ -21,7 +21,7 @@ _TEXTS: Final = ("item_ids", "articles", "product_groups")
 """Text fields that plans in BED-BPP's JSON usually have."""
 
 _DEFAULTS: Final[dict[str, Any]] = {field.name: field.default for field in fields(Plan)}
-_RARE: Final = tuple(name for name in _DEFAULTS if name not in (*_ARRAYS, *_TEXTS, "plan_id", "source"))
+_RARE_FIELDS: Final = tuple(name for name in _DEFAULTS if name not in (*_ARRAYS, *_TEXTS, "plan_id", "source"))
 """Fields that few plans have."""
 
 _SET_FIELD: Final = object.__setattr__  # the only means of setting a field, since the class is frozen
@@ -100,4 +100,4 @@ class JoinedPlans(NamedTuple):
 
 def _is_usual(plan: Plan) -> bool:
     """Whether a plan has only the fields that the plans of BED-BPP's JSON usually have."""
-    return plan.orientation is not None and all(getattr(plan, name) is _DEFAULTS[name] for name in _RARE)
+    return plan.orientation is not None and all(getattr(plan, name) is _DEFAULTS[name] for name in _RARE_FIELDS)

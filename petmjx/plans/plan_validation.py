@@ -44,9 +44,9 @@ _SIZES: Final = ("length/mm", "width/mm", "height/mm")
 _NUMBERS_OF_ITEM: Final = (*_SIZES, "weight/kg")
 _NEEDED: Final = ("article", "id", *_NUMBERS_OF_ITEM, "sequence")
 _SPARSE_OF_ITEM: Final = tuple(name for name in SPARSE if name != "approach_deg")
-_MORE: Final = frozenset({"material", "kind", *COM_FIELDS_JSON, *_SPARSE_OF_ITEM})
+_RARE_FIELDS: Final = frozenset({"material", "kind", *COM_FIELDS_JSON, *_SPARSE_OF_ITEM})
 """Fields that few plans have."""
-_ITEM_FIELDS: Final = frozenset({*_NEEDED, "product_group", *_MORE})
+_ITEM_FIELDS: Final = frozenset({*_NEEDED, "product_group", *_RARE_FIELDS})
 _OF_PLACEMENT: Final = ("item", "orientation", "flb_coordinates")
 _PLACEMENT_FIELDS: Final = frozenset({*_OF_PLACEMENT, "approach_deg"})
 _NUMBERS: Final = {int, float}
@@ -132,7 +132,7 @@ def _parse_columns(
         groups = ["" if (group := item.get("product_group")) is None else group for item in items]
         approaches = [placement.get("approach_deg") for placement in value]
         corner_lengths = set(map(len, corners))
-        has_extra = not all(map(_MORE.isdisjoint, items))
+        has_extra = not all(map(_RARE_FIELDS.isdisjoint, items))
         materials = [_value_or_default(item, "material", "") for item in items] if has_extra else []
         kinds = [_value_or_default(item, "kind", "") for item in items] if has_extra else []
         offsets = (

@@ -134,7 +134,7 @@ all boxes."""
 _LEAST_AT_FLOOR: Final = 3
 """A level above the lowest box counts as the floor only if at least this number of boxes stand on the level and on no
 other box."""
-_NEGATIVE: Final = 1.0
+_NEGATIVE_COORDINATE_COST: Final = 1.0
 """Cost of a reading in which corners of boxes have negative coordinates and no container is known. In such a reading,
 the origin is not a corner of the deck."""
 _ANY_ODD: Final = 1.0
@@ -193,7 +193,7 @@ def _outside(
         begin, end = low[:, :2].min(axis=0), high[:, :2].max(axis=0)
         around = bool((begin < -tolerance).all() and (end > tolerance).all())
         # if the origin is a corner of the deck, coordinates are rarely negative
-        cost = _NEGATIVE if (begin < -tolerance).any() else 0.0
+        cost = _NEGATIVE_COORDINATE_COST if (begin < -tolerance).any() else 0.0
         return np.zeros(len(low), bool), cost, "middle" if around else "given"
     # loads may overhang pallets, so an overhang of up to 2 % of a side is no evidence against a reading
     slack = np.maximum(tolerance, 0.02 * container[:2])
@@ -268,19 +268,19 @@ def _cost_in_order(layouts: Sequence[Layout], direction: int) -> float:
         rises += (steps > tolerance).sum(axis=0)
         n_late += _n_late(low[:_SMALL_LOAD], size[:_SMALL_LOAD], tolerance)
     fewest = min((falls[axis] for axis in (0, 1) if rises[axis]), default=math.inf)
-    is_ordered = fewest <= _ORDERED * sum(len(layout.low) - 1 for layout in layouts)
+    is_ordered = fewest <= _MOST_FALLS * sum(len(layout.low) - 1 for layout in layouts)
     more = float(falls[2] - fewest) / math.sqrt(falls[2] + fewest) if is_ordered and falls[2] > fewest else 0.0
-    return min(_FALLS * more + _LATE * n_late, _ON_SIDE)
+    return min(_FALL_COST * more + _LATE_BOX_COST * n_late, _LARGEST_ORDER_COST)
 
 
-_ON_SIDE: Final = 2.4
+_LARGEST_ORDER_COST: Final = 2.4
 """Largest cost of an order. The cost is limited because some loads are built up from one side: in 14 of 200 plans of
 ``baseline`` (``order_cost``), and in 7 of 200 of ``balanced``, the height falls more often than a level coordinate."""
-_FALLS: Final = 1.5
+_FALL_COST: Final = 1.5
 """Cost of an order for each standard deviation by which the height falls more often than a level coordinate."""
-_ORDERED: Final = 0.2
+_MOST_FALLS: Final = 0.2
 """Boxes are listed along a level axis only if their coordinates fall in at most this share of the steps."""
-_LATE: Final = 0.8
+_LATE_BOX_COST: Final = 0.8
 """Cost of each box that is listed before a box on which it rests. No plan of ``order_cost`` has such a box. If the
 plans are read along another vertical axis, 42 to 46 % (``baseline``) and 66 to 69 % (``balanced``) have one."""
 
@@ -383,13 +383,13 @@ def footprint_cost(footprint_mm: FloatArray, free_mm: float, unit: str) -> float
     """
     long, short = float(footprint_mm.max()), float(footprint_mm.min())
     if _fills(long, short, free_mm, unit):
-        return _FULL
+        return _FULL_PALLET_COST
     if any(long <= (1 + _NEAR) * side and short <= (1 + _NEAR) * other for side, other in _DECKS_MM[:_PALLETS]):
         return 0.0
     return 1.0 + min(_squared(long, 1200.0, _DECK_SPREAD), 6.0)
 
 
-_FULL: Final = -0.8
+_FULL_PALLET_COST: Final = -0.8
 """Cost of a footprint that leaves no room for one more box on a usual pallet."""
 _MOST_FREE: Final = 0.15
 """A footprint fills a pallet only if it leaves free at most this share of each side."""
@@ -417,6 +417,14 @@ _LOAD_MM: Final = (1340.0, 1320.0)
 """Largest extents of a load on a pallet along x and y, longer side first. The values are the extents of the largest
 pallets plus an overhang of a tenth."""
 _HIGHEST_MM: Final = 3000.0
+
+
+def fits_a_carrier(load_mm: FloatArray) -> bool:
+    """Whether a load with these extents along x, y and z fits the largest usual carrier, a trailer."""
+    level, largest = np.sort(load_mm[:2]), np.sort(np.max(_DECKS_MM, axis=0))
+    return bool(load_mm[2] <= _HIGHEST_MM and (level <= (1 + _NEAR) * largest).all())
+
+
 _SMALLEST_SIDE_MM, _LARGEST_SIDE_MM = 50.0, 1500.0
 """Limits of the geometric mean of the sides of boxes on pallets."""
 _OF_PALLET_MM: Final = (580.0, 1500.0, 380.0, 1320.0)

@@ -23,7 +23,7 @@ _MOST_PRINTED: Final = 8 << 20
 """Largest text that is read, in characters."""
 _DEEPEST: Final = 30
 """Largest depth of brackets that is read."""
-_BEGINS: Final = re.compile(
+_VALUE_START: Final = re.compile(
     r"\s*(?:return\s*)?(?:&?[\[({]\s*){0,30}(?:&?[A-Za-z_][\w.\\]*(?: Object)?\s*)?&?[\[({]\s*"
     r"(?::[A-Za-z][\w-]*\s|[A-Za-z_$][\w$]*\s*(?::(?!:)|=)|\[['\"]?[\w:\\]+['\"]?\]\s*="
     r"|[A-Za-z_][\w.\\]*(?: Object)?\s*[\[({])"
@@ -37,7 +37,7 @@ letter shows JSON only if the word is true, false, null or NaN, since in EDN suc
 _OPEN: Final = re.compile(r"(?:Array\s*|[A-Za-z_][\w\\]* Object\s*|[#&]?([A-Za-z_][\w.:<>$]*)[ \t]*|&)?([\[({])")
 """A bracket, perhaps behind a name. PHP begins a new line between the name and the bracket. A pointer of Go begins with
 "&", a tag of EDN with "#"."""
-_CLOSES: Final = {"[": "]", "(": ")", "{": "}"}
+_CLOSING_BRACKETS: Final = {"[": "]", "(": ")", "{": "}"}
 _SEPARATORS: Final = re.compile(r"[\s,;]*")
 _GAP: Final = re.compile(
     r"(?:[\s,]++|;[^\S\n]*(?=\{:[\w-]+\s)[^\n]*|;;[^\n]*|;|//[^\n]*|/\*.*?\*/"
@@ -69,7 +69,7 @@ _NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?([fFdDL]?
 _PAIR: Final = re.compile(r"([A-Za-z][\w .#/-]{0,40}?) ?[:=]")
 _LONGEST_LINE: Final = 2_000
 """Longest line that is read as named values, in characters."""
-_SEARCHED: Final = 40
+_SEARCHED_LINES: Final = 40
 """Number of lines at the beginning of a text that show whether it has lines of named values."""
 _LEAST_PAIRS: Final = 5
 """Fewest named values of a line that describes a box."""
@@ -102,7 +102,7 @@ def printed_values(text: str) -> Any:
         text = f"{{{_RULES.sub('', text)}}}"
     elif are_messages := (_MESSAGES.match(text) is not None):
         text = f"{{{_FIELD.sub(_with_separator, text).replace(',', ' ', 1)}}}"
-    if len(text) > _MOST_PRINTED or _BEGINS.match(text) is None or _JSON_NAME.search(text):
+    if len(text) > _MOST_PRINTED or _VALUE_START.match(text) is None or _JSON_NAME.search(text):
         return None
     values = JsonLines()
     places: list[int] = []
@@ -159,7 +159,7 @@ def values_of_lines(text: str) -> JsonLines | None:
         InputError: a line between two lines of named values has no named values. The error names the line.
     """
     lines = text.splitlines()
-    first = [line for line in lines[:_SEARCHED] if line.strip()]
+    first = [line for line in lines[:_SEARCHED_LINES] if line.strip()]
     if sum(len(re.findall("[:=]", line)) >= _LEAST_PAIRS for line in first) * 2 <= len(first):
         return None
     records = [_pairs_of_line(line) for line in lines]
@@ -265,7 +265,7 @@ def _value(text: str, at: int, depth: int, decimal_marks: str = "") -> tuple[Any
     if depth > _DEEPEST:
         raise _fault(text, at, "brackets are nested too deeply")
     if (opened := _OPEN.match(text, at)) is not None:
-        value, end = _inside(text, opened.end(), opened[1] or "", _CLOSES[opened[2]], depth)
+        value, end = _inside(text, opened.end(), opened[1] or "", _CLOSING_BRACKETS[opened[2]], depth)
         # Some(5) of Rust is 5
         return (value[0] if opened[1] == "Some" and isinstance(value, list) and len(value) == 1 else value), end
     if (quoted := _QUOTED.match(text, at)) is not None:

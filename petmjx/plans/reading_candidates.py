@@ -28,13 +28,13 @@ _PERMUTATIONS: Final = np.array(list(permutations(range(3))))
 """Number of a permutation of the three sizes → which of the sizes lies along each axis. The permutations are numbered
 in alphabetical order, as in files of other programs: 0 is XYZ, 1 is XZY, and so on (``ROTATION_RULES``)."""
 _ANCHOR_PRIOR: Final = {"corner": 0.0, "centre": 1.0, "base-centre": 1.8, "far-corner": 2.5, "top-centre": 3.0}
-_OTHER_CORNER: Final = 3.0  # cost of a reading with coordinates of another corner
+_OTHER_CORNER_COST: Final = 3.0  # cost of a reading with coordinates of another corner
 _GUESSED_TURNS: Final = 2.0
 """Cost of a reading in which a column of unknown meaning has rotations."""
 _TURNED_ARRAY: Final = 0.6
 """Cost of sizes before turning in a table without names. Arrays mostly come from programs that train packers, and have
 sizes as placed."""
-_FIRM: Final = 3.0
+_FIRM_COST: Final = 3.0
 """Cost of a reading that contradicts what is known from the form of the file, the names of its columns, or the
 rotations."""
 
@@ -53,7 +53,7 @@ def level_axes(up: str) -> tuple[int, int]:
     return _UP[up][0], _UP[up][1]
 
 
-UNUSUAL_UP: Final = 2.0
+X_UP_COST: Final = 2.0
 """Cost of a reading with x upwards, before any numbers are considered."""
 
 
@@ -163,9 +163,9 @@ def _ups(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tuple[
     form = columns.source.form
     named_axis = form.up or geometry.named_up
     if named_axis:
-        return [(up, 0.0 if up == named_axis else _FIRM) for up in ("z", "y")]
+        return [(up, 0.0 if up == named_axis else _FIRM_COST) for up in ("z", "y")]
     if geometry.turn is not None and (axis := _turning_axis(geometry.turn)):
-        return [(up, 0.0 if up == axis else _FIRM) for up in ("z", "y")]
+        return [(up, 0.0 if up == axis else _FIRM_COST) for up in ("z", "y")]
     if form.rule == "py3dbp" or set(geometry.axes) == {"width", "height", "depth"}:
         return [("z", 0.2), ("y", 0.2)]
     listed = _order_in_file(columns, geometry)
@@ -173,7 +173,7 @@ def _ups(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tuple[
     if listed == ("length", "height", "width") or _is_of_scene(geometry):
         usual = [("y", 0.0), ("z", 0.7)]
     # the container shows whether x is the vertical
-    return [*usual, ("x", UNUSUAL_UP)] if columns.source.boxes.containers else usual
+    return [*usual, ("x", X_UP_COST)] if columns.source.boxes.containers else usual
 
 
 def candidates_on_side(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
@@ -183,7 +183,7 @@ def candidates_on_side(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidat
     form = columns.source.form
     if free and not (wishes.up or form.up or form.rule == "py3dbp" or columns.source.boxes.containers):
         for candidate in candidates(replace(columns, geometries=free), replace(wishes, up="x")):
-            yield replace(candidate, prior=candidate.prior + UNUSUAL_UP)
+            yield replace(candidate, prior=candidate.prior + X_UP_COST)
 
 
 def candidates_of_corners(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
@@ -194,7 +194,7 @@ def candidates_of_corners(columns: BoxColumns, wishes: Wishes) -> Iterator[Candi
     for corner in () if is_known else ANCHORS.keys() - _ANCHOR_PRIOR.keys():
         chosen = replace(columns, geometries=free), replace(wishes, anchor=corner)
         for candidate in chain(candidates(*chosen), candidates_on_side(*chosen)):
-            yield replace(candidate, prior=candidate.prior + _OTHER_CORNER)
+            yield replace(candidate, prior=candidate.prior + _OTHER_CORNER_COST)
 
 
 def _turning_axis(turn: FloatArray) -> str:
@@ -247,7 +247,7 @@ def _pairs(
         else:
             continue
         if columns.source.form.rule == "py3dbp" and pair != (0, 1, 2):
-            prior += _FIRM
+            prior += _FIRM_COST
         pairs.append(((pair[0], pair[1], pair[2]), prior))
     return pairs
 
@@ -285,8 +285,8 @@ def _rules(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tupl
         rules.append((rule, 0.5 * bool(number) * (rule != "swap back") + guess))
     if wishes.sizes == "item":
         return rules
-    placed = _FIRM if named_rule == "item" else 0.0
-    turned = _FIRM if named_rule == "placed" else 0.0
+    placed = _FIRM_COST if named_rule == "item" else 0.0
+    turned = _FIRM_COST if named_rule == "placed" else 0.0
     if not named_rule:
         hint = _sizes_by_article(columns, geometry) or _sizes_by_length(columns, geometry)
         placed, turned = placed + (2.5 if hint == "item" else 0.0), turned + (2.5 if hint == "placed" else 0.0)
@@ -317,7 +317,7 @@ def _sizes_by_article(columns: BoxColumns, geometry: Geometry) -> str:
 
 
 _LEAST_BY_LENGTH: Final = 3
-_MOSTLY_LONGER: Final = 0.9
+_LONGER_SHARE: Final = 0.9
 """Lengths and widths show whether sizes are those of placed boxes or of items only if two conditions hold. There must
 be at least this number of turned boxes, and of unturned boxes; and in at least this share of the unturned boxes, length
 must exceed width."""
@@ -339,9 +339,9 @@ def _sizes_by_length(columns: BoxColumns, geometry: Geometry) -> str:
             return ""
         shares.append(float(np.mean(length[group] > width[group])))
     turned_share, unturned_share = shares
-    if unturned_share < _MOSTLY_LONGER:
+    if unturned_share < _LONGER_SHARE:
         return ""
-    return "item" if turned_share >= _MOSTLY_LONGER else "placed" if turned_share <= 1 - _MOSTLY_LONGER else ""
+    return "item" if turned_share >= _LONGER_SHARE else "placed" if turned_share <= 1 - _LONGER_SHARE else ""
 
 
 def _anchors(geometry: Geometry, known: str, wishes: Wishes) -> list[tuple[str, float]]:
@@ -352,5 +352,5 @@ def _anchors(geometry: Geometry, known: str, wishes: Wishes) -> list[tuple[str, 
     if geometry.turn is not None and not known:
         return [("centre", 0.0), ("base-centre", 1.2), ("corner", 1.8), ("top-centre", 2.4)]
     if known:
-        return [(anchor, 0.0 if anchor == known else _FIRM + prior) for anchor, prior in _ANCHOR_PRIOR.items()]
+        return [(anchor, 0.0 if anchor == known else _FIRM_COST + prior) for anchor, prior in _ANCHOR_PRIOR.items()]
     return list(_ANCHOR_PRIOR.items())

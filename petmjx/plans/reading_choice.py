@@ -15,7 +15,6 @@ from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.column_extraction import LAST_CELLS, XYZ
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS
-from petmjx.plans.plan_fields import FARTHEST_MM
 from petmjx.plans.plausibility import (
     Layout,
     are_other_points,
@@ -23,6 +22,7 @@ from petmjx.plans.plausibility import (
     converted_share,
     deck_cost,
     density_cost,
+    fits_a_carrier,
     footprint_cost,
     is_wall,
     layout_cost,
@@ -50,11 +50,11 @@ with x upwards and with a higher cost are not considered."""
 WEAK_LEAD: Final = 3.0
 """A weak reading (see ``WEAK``) wins only if its cost is lower than the cost of every other reading by at least this
 value. If a plan really has odd boxes, even more boxes are odd in wrong readings."""
-_SHIFTED: Final = 3.6
+_OTHER_POINT_COST: Final = 3.6
 """Cost of a reading in which coordinates are those of corners, if they are probably those of other points
 (``are_other_points``). With coordinates of centres, the cost is half as large: perhaps they are those of tops, with y
 upwards."""
-_OF_WALL: Final = 2.0
+_WALL_COST: Final = 2.0
 """Cost of a reading in which boxes form a wall (``is_wall``). If y is as likely to be the vertical as z, and the file
 has more than a few boxes, the reading as a flat layer wins; else the user is asked for the vertical axis."""
 _MOST_BOXES: Final = 400
@@ -171,17 +171,17 @@ def _judge(columns: BoxColumns, wishes: Wishes, candidate: Candidate, sample: _S
     n_boxes = len(all_rows)
     evidence = Evidence(n_boxes, int(sums[0]), int(sums[1]), int(sums[2]), float(sums[3] / n_boxes))
     origin = max(set(origins), key=origins.count)
-    cost = sum(costs) / n_boxes + _UNEVEN * begin_at_different_heights(layouts)
+    cost = sum(costs) / n_boxes + _UNEQUAL_FLOOR_COST * begin_at_different_heights(layouts)
     judged = _Judged(candidate, cost, origin, evidence, tuple(layouts), all_rows)
     units = tuple(_units(judged, columns, wishes))
-    weight = _BY_AXES if columns.source.form.rule == "py3dbp" else 1.0
+    weight = _PY3DBP_ORDER_WEIGHT if columns.source.form.rule == "py3dbp" else 1.0
     return replace(judged, units=units, order_cost=_order_cost(judged, LENGTH_UNITS[units[0].length], weight))
 
 
-_UNEVEN: Final = 2.5
+_UNEQUAL_FLOOR_COST: Final = 2.5
 """Cost of a reading in which the plans of a file begin at different heights above the deck. All plans of a file measure
 heights from the same level."""
-_BY_AXES: Final = 0.4
+_PY3DBP_ORDER_WEIGHT: Final = 0.4
 """Weight with which the order of boxes counts in the cost of a reading, for files of py3dbp. The weight is low because
 py3dbp fills a container along x, then y, then z, whichever axis is the vertical."""
 
@@ -196,8 +196,8 @@ def _order_cost(judged: _Judged, mm: float, weight: float) -> float:
     anchor = judged.candidate.anchor
     is_close = judged.layout_cost <= 2 * WEAK  # readings with higher costs cannot win
     is_other = is_close and all(are_other_points(layout, mm, judged.candidate.point) for layout in judged.layouts)
-    shifted = _SHIFTED * is_other * (1.0 if "corner" in anchor else 0.5)
-    sideways = weight * order_cost(judged.layouts) + _OF_WALL * any(map(is_wall, judged.layouts))
+    shifted = _OTHER_POINT_COST * is_other * (1.0 if "corner" in anchor else 0.5)
+    sideways = weight * order_cost(judged.layouts) + _WALL_COST * any(map(is_wall, judged.layouts))
     return shifted + sideways
 
 
@@ -270,11 +270,12 @@ def choose_reading(
     tie = TIE + _FEW_MORE * (len(best.rows) < _FEW_BOXES)
     is_weak = best.layout_cost > WEAK
     lead = max(tie, WEAK_LEAD * is_weak)
+    turned = [other for other in judged[1:] if _may_be_turned(best, other)]
     close = [
         other for other in judged[1:] if other.cost < best.cost + lead and not same_layouts(best.layouts, other.layouts)
     ]
-    if close:
-        readings = [_reading(one, columns, wishes) for one in (best, *close)]
+    if rivals := close or [other for other in turned if other.candidate.prior < best.candidate.prior]:
+        readings = [_reading(one, columns, wishes) for one in (best, *rivals)]
         raise AmbiguousFile(tie_text(readings, is_weak), readings[:4])
     if _is_impossible(best, columns, wishes):
         reading = _reading(best, columns, wishes)
@@ -286,6 +287,8 @@ def choose_reading(
     (reading,) = readings
     if (rival := _other_mass(best)) is not None:
         reading = replace(reading, notes=(f"weights may be in {rival}, too (--units)",))
+    if turned:
+        reading = replace(reading, notes=(*reading.notes, f"{turned[0].candidate.up} may be upwards, too (--up)"))
     if wishes.anchor and not wishes.exact:
         reading = replace(reading, notes=(*reading.notes, *_changes_by_anchor(reading, columns, wishes, sample)))
     alternatives = tuple(_reading(one, columns, wishes) for one in judged[1:4])
@@ -305,14 +308,28 @@ def _changes_by_anchor(reading: Reading, columns: BoxColumns, wishes: Wishes, sa
     return []
 
 
+def _may_be_turned(best: _Judged, other: _Judged) -> bool:
+    """Whether the vertical of another reading may be right: neither names, odd boxes, contacts nor a known carrier
+    decide. The order of boxes, walls and the footprint of the load are weak evidence. If they speak against the usual
+    vertical, the user is asked; if they do not, a note names the other axis."""
+    is_known = not np.isnan(best.layouts[0].container[:2]).any()
+    firm, other_firm = (one.layout_cost + is_known * one.units[0].cost for one in (best, other))
+    return (
+        other.candidate.up != best.candidate.up
+        and other.candidate.prior < best.candidate.prior + TIE
+        and other.units[0].length == best.units[0].length
+        and other.evidence.n_odd <= best.evidence.n_odd
+        and other_firm < firm + TIE
+        and not same_layouts(best.layouts, other.layouts)
+    )
+
+
 def _is_doubtful(best: _Judged) -> bool:
     """Whether another axis may be the vertical, or coordinates may be those of another corner. This may be
     so if, in the most plausible reading, boxes overlap, float, are outside or are listed from one side to the other, or
     if the sizes do not lie along the axes that name them."""
-    evidence = best.evidence
-    is_odd = evidence.n_overlapping + evidence.n_floating + evidence.n_outside > 0
     is_exchanged = best.candidate.geometry.axes == XYZ and best.candidate.pair != (0, 1, 2)
-    return is_odd or is_exchanged or best.order_cost > 0
+    return best.evidence.n_odd > 0 or is_exchanged or best.order_cost > 0
 
 
 _LEAST_OVERLAPPING: Final = 6
@@ -358,10 +375,11 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
 
 
 def _within_reach(judged: _Judged) -> bool:
-    """Whether all coordinates, in the most plausible units, are at most ``FARTHEST_MM`` from 0. If coordinates were
-    read in a larger unit than sizes, boxes could be so far apart that they cannot overlap."""
+    """Whether each load, in the most plausible units, fits the largest usual carrier. If coordinates were read in a
+    larger unit than sizes, boxes could be so far apart that they cannot overlap."""
     factor = LENGTH_UNITS[judged.units[0].length]
-    return all(float(np.abs(layout.low).max()) * factor <= FARTHEST_MM for layout in judged.layouts)
+    extents = [(load.low + load.size).max(axis=0) - load.low.min(axis=0) for load in judged.layouts]
+    return all(fits_a_carrier(extent * factor) for extent in extents)
 
 
 def _likely_units(best: _Judged, wishes: Wishes) -> list[_Units]:

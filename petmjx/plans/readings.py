@@ -66,6 +66,11 @@ class Evidence:
     density_kg_m3: float = math.nan
     side_mm: float = math.nan
 
+    @property
+    def n_odd(self) -> int:
+        """Number of boxes that overlap, float or are outside; a box that is odd in two ways counts twice."""
+        return self.n_overlapping + self.n_floating + self.n_outside
+
     def of_units(self) -> str:
         """The typical size and density that the boxes have in the units of the reading, in words. The user can thus
         tell whether the units are right."""

@@ -265,6 +265,28 @@ def test_info_names_unused_columns_and_why_the_next_best_lost(tmp_path: Path) ->
     )
 
 
+@pytest.mark.parametrize("header", ["plan_id,sequence,article,", ""])
+def test_info_names_boxes_that_are_too_heavy_or_too_light(tmp_path: Path, header: str) -> None:
+    """In petmjx's own table, and in a table of another tool."""
+    names = f"{header}length_mm,width_mm,height_mm,weight_kg,x_mm,y_mm,z_mm"
+    for weights, line in (
+        ([5, 6, 5, 1000, 5, 5], "box 3{} has 1,000 kg, 41,667 kg/m³, not between 2 and 5,000 kg/m³"),
+        (
+            [5, 0.005, 5, 6, 0.01, 5],
+            "box 1{} has 0.005 kg, 0.208 kg/m³, not between 2 and 5,000 kg/m³; 2 such boxes in all",
+        ),
+        ([5, 6, 5, 50, 5, 5], None),
+    ):
+        rows = [
+            f"{f'load,{k},a{k},' if header else ''}400,300,200,{weight},{400 * (k % 3)},{300 * (k // 3)},0"
+            for k, weight in enumerate(weights)
+        ]
+        (tmp_path / "load.csv").write_text("\n".join([names, *rows]))
+        (info,), _ = file_infos([tmp_path / "load.csv"], {"up": "z"})
+        box = int(np.argmax(np.abs(np.log(np.array(weights) / 5))))
+        assert info["odd"] == ([f"plan load: {line.format(f' (a{box})' if header else '')}"] if line else [])
+
+
 def test_a_file_whose_boxes_mostly_overlap_is_refused(tmp_path: Path) -> None:
     """The option that names the point of the boxes tells that the boxes really overlap."""
     names = "name,corner x [mm],corner y [mm],corner z [mm],dx [mm],dy [mm],dz [mm],weight [kg]"

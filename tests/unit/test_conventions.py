@@ -25,6 +25,7 @@ from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
 from petmjx.packers.sample_plans import generate
 from petmjx.plans.bundled import bundled_path
+from petmjx.plans.input_conventions import ANCHORS
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_sources import gather_plans
 
@@ -265,6 +266,24 @@ def test_the_command_line_tells_and_takes_the_option(capsys: pytest.CaptureFixtu
     assert main(["convert", file, "-o", "c.json", "--units", "cm"]) == 0
     assert capsys.readouterr().err == ""
     np.testing.assert_allclose(petmjx.load_plans("c.json").plans[0].size_mm, SOUND.size_mm)
+
+
+@pytest.mark.parametrize("anchor", ["centre", "far-corner", "top-centre", "corner-z", "corner-xz", "corner-yz"])
+def test_the_anchor_is_named_with_which_the_load_begins_at_the_corner(
+    anchor: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In a block of equal boxes, no box floats or overlaps with any anchor that moves all boxes down to the deck."""
+    size = np.tile([400.0, 300.0, 200.0], (12, 1))
+    places = np.array(list(np.ndindex(3, 2, 2)))[:, ::-1] * size
+    rows = {"plan_id": "A", "sequence": range(12), "article": "box", MASS: 5.0}
+    table = pd.DataFrame(rows).assign(**dict(zip(SIZES, size.T, strict=True)))
+    for point, is_named in (("corner", False), (anchor, True)):
+        given = places + np.array(ANCHORS[point]) * size
+        table.assign(**dict(zip(CORNERS, given.T, strict=True))).to_csv("a.csv", index=False)
+        lines = gathered("a.csv")
+        assert [line.partition("give ")[2] for line in lines] == [f"anchor {anchor}"] * is_named
+    assert main(["info", "a.csv"]) == 0
+    assert f"give anchor {anchor}\n" in capsys.readouterr().out
 
 
 def brickwork(rng: np.random.Generator, layers: int) -> list[dict[str, Any]]:

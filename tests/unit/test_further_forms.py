@@ -23,6 +23,7 @@ import pytest
 import petmjx
 from petmjx.common.units import FloatArray
 from petmjx.plans.column_names import split_unit
+from petmjx.plans.input_conventions import ANCHORS
 from petmjx.plans.order_reader import read_orders
 from petmjx.plans.printed_values import printed_values
 from petmjx.plans.raw_cells import cell_number
@@ -155,6 +156,22 @@ TABLES = {
     ),
     "Portuguese": table("Caixa,X,Y,Z,Comprimento,Largura,Altura,Peso", named, mark=";"),
     "Dutch": table("Doos,X,Y,Z,Lengte,Breedte,Hoogte,Gewicht", named, mark=";"),
+    **{
+        language: table(f"Kod,X,Y,Z,{names}", named, mark=";")
+        for language, names in {
+            "Czech": "Délka,Šířka,Výška,Hmotnost",
+            "Danish": "Længde,Bredde,Højde,Vægt",
+            "Norwegian": "Lengde,Bredde,Høyde,Vekt",
+            "Swedish": "Längd,Bredd,Höjd,Vikt",
+            "Finnish": "Pituus,Leveys,Korkeus,Paino",
+            "Hungarian": "Hosszúság,Szélesség,Magasság,Súly",
+            "Romanian": "Lungime,Lățime,Înălțime,Greutate",
+        }.items()
+    },
+    "numbers of rows in a column Br": table(
+        "Br,Box,X,Y,Z,Duljina,Širina,Visina,Težina", lambda k, box: [k + 1, *named(k, box)], mark=";"
+    ),
+    "names of SAP": table("MATNR,XPOS,YPOS,ZPOS,LAENG,BREIT,HOEHE,BRGEW", named, mark=";"),
     "planes of boxes": table(
         "Index;Plane Origin;X Axis;Y Axis;Box Size;Mass".replace(";", ","),
         lambda k, box: [
@@ -1195,11 +1212,75 @@ def test_a_flat_layer_is_not_read_as_a_wall(tmp_path: Path, up: str) -> None:
     rows = [[box[axis] for axis in order] + [box[axis + 3] for axis in order] for box in boxes]
     text = "\n".join(["X,Y,Z,Size X,Size Y,Size Z", *(",".join(map(str, row)) for row in rows)])
     plan_set = load(tmp_path, "layer.csv", text, units="mm")
-    assert bool(plan_set.plans) == (up != "x")
+    assert bool(plan_set.plans) == (up == "z")
     np.testing.assert_allclose([plan.corner_mm[:, 2] for plan in plan_set], 0)
     assert all("can be read in two ways" in skipped.message for skipped in plan_set.skipped)
     (plan,) = load(tmp_path, "layer.csv", text, units="mm", up=up).plans
     np.testing.assert_allclose(plan.corner_mm[:, 2], 0)
+
+
+@pytest.mark.parametrize(("up", "is_asked"), [("z", True), ("y", False)])
+def test_a_block_that_may_stand_on_another_side_is_asked_or_both_verticals_are_named(
+    tmp_path: Path, up: str, is_asked: bool
+) -> None:
+    """Equal boxes listed stack by stack. The order speaks for y if z is upwards, and for z if y is upwards."""
+    size = (500, 380, 220)
+    boxes = [(500 * x, 380 * y, 220 * z) for y, x, z in np.ndindex(4, 3, 2)]
+    order = {"z": (0, 1, 2), "y": (0, 2, 1)}[up]
+    rows = [[*(box[axis] for axis in order), *(size[axis] for axis in order), 9] for box in boxes]
+    text = "x,y,z,dx,dy,dz,mass\n" + "".join(",".join(map(str, row)) + "\n" for row in rows)
+    plan_set = load(tmp_path, "block.csv", text, units="mm,kg")
+    if is_asked:
+        assert "say which with --up" in str(plan_set.skipped)
+    else:
+        (reading,) = plan_set.readings.values()
+        assert reading.up == "z"
+        assert "y may be upwards, too (--up)" in reading.notes
+    (plan,) = load(tmp_path, "block.csv", text, units="mm,kg", up=up).plans
+    assert plan.size_mm[:, 2].tolist() == [220] * 24
+
+
+def test_the_order_of_py3dbp_does_not_decide_which_axis_is_vertical(tmp_path: Path) -> None:
+    """py3dbp fills a container along x, then y, then z, whichever axis is the vertical."""
+    rows = [f"b,200,300,250,6,{200 * x},{300 * y},{250 * z},0" for z, y, x in np.ndindex(3, 2, 3)]
+    text = "\n".join(["name,width,height,depth,weight,x,y,z,rotation_type", *rows])
+    (skipped,) = load(tmp_path, "packed.csv", text, units="mm,kg").skipped
+    assert "say which with --up" in skipped.message
+
+
+def test_a_flat_layer_of_positions_rotations_and_scales_has_y_upwards(tmp_path: Path) -> None:
+    places = [[200 + 400 * (k % 3), 100, 150 + 300 * (k // 3)] for k in range(6)]
+    boxes = [{"position": place, "rotation": [0, 0, 0], "scale": [400, 200, 300]} for place in places]
+    (reading,) = load(tmp_path, "layer.json", json.dumps(boxes), units="mm").readings.values()
+    assert reading.up == "y"
+
+
+def test_a_container_may_be_a_list_of_length_width_and_height_beside_coordinates_with_y_upwards(tmp_path: Path) -> None:
+    boxes = [
+        {"size": [600, 500, 400], "position": [600 * (k % 2), 500 * (k // 4), 400 * (k // 2 % 2)]} for k in range(12)
+    ]
+    (plan,) = load(tmp_path, "load.json", json.dumps({"container": [1200, 800, 1500], "boxes": boxes})).plans
+    assert plan.size_mm[0].tolist() == [600, 400, 500]
+
+
+@pytest.mark.parametrize("anchor", ["corner-x", "corner-y", "corner-z"])
+def test_corners_are_also_considered_if_x_is_upwards(tmp_path: Path, anchor: str) -> None:
+    point = np.array(ANCHORS[anchor])
+    rows = [
+        [*(np.array([z, x, y]) + point * [height, length, width]), height, length, width, kg]
+        for x, y, z, length, width, height, kg in PILE
+    ]
+    text = "x,y,z,dx,dy,dz,kg\n" + "".join(",".join(map(str, row)) + "\n" for row in rows)
+    for plan in load(tmp_path, "load.csv", text, units="mm,kg"):
+        assert plan.size_mm[:, 2].tolist() == [box[5] for box in PILE]
+
+
+def test_lengths_above_widths_are_those_of_items(tmp_path: Path) -> None:
+    """Boxes with gaps, so that they fit both as given and turned. Every second one is turned."""
+    rows = [f"{500 * (k % 2)},{500 * (k // 2 % 3)},{200 * (k // 6)},400,300,200,{k % 2},6" for k in range(12)]
+    text = "\n".join(["x,y,z,length,width,height,rotated,mass", *rows])
+    (plan,) = load(tmp_path, "load.csv", text, units="mm,kg").plans
+    assert plan.size_mm[:2].tolist() == [[400, 300, 200], [300, 400, 200]]
 
 
 def test_the_container_beside_a_list_shows_the_vertical(tmp_path: Path) -> None:
@@ -2085,6 +2166,46 @@ def test_rows_of_numbers_of_several_plans_are_all_read(tmp_path: Path) -> None:
     plans = load(tmp_path, "rows.json", json.dumps({"order-a": rows, "order-b": rows[:6]}))
     (reading,) = plans.readings.values()
     assert "6 boxes in order-b[] not read: only the list with the most boxes is" in reading.notes
+
+
+def test_numbers_that_name_plans_are_kept_as_texts(tmp_path: Path) -> None:
+    boxes = [dict(zip(FIELDS, [400 * (k % 2), 300 * (k // 2), 0, 400, 300, 200, 5], strict=True)) for k in range(4)]
+    for value, names in (
+        ({"7": boxes}, ["7"]),
+        ({"7": boxes, "0012": boxes}, ["7", "0012"]),
+        ({"plan": 7, "boxes": boxes}, ["7"]),
+        ({"order_id": 4711, "boxes": boxes}, ["4711"]),
+        ([{"id": 7, "boxes": boxes}, {"id": 9, "boxes": boxes}], ["7", "9"]),
+        ([{"plan": 7.0, **box} for box in boxes], ["7"]),
+        ([{"pallet": 7, **box} for box in boxes], ["load/7"]),
+        ([{"pallet": 1, **box} for box in boxes], ["load"]),
+        ({"1": boxes, "2": boxes}, ["load/1", "load/2"]),
+        ({"²": boxes, "3": boxes}, ["²", "3"]),
+    ):
+        plans = load(tmp_path, "load.json", json.dumps(value), units="mm,kg", up="z")
+        assert [plan.plan_id for plan in plans] == names
+
+
+def test_x3d_scenes_have_y_upwards_and_their_rotations_are_refused(tmp_path: Path) -> None:
+    def scene(rotation: str) -> str:
+        shapes = [
+            f'<Transform translation="{x / 1000} {(z + height / 2) / 1000} {y / 1000}"{rotation * TURNED[number]}>'
+            f'<Shape><Box size="{length / 1000} {height / 1000} {width / 1000}"/></Shape></Transform>'
+            for number, (x, y, z, length, width, height, _) in enumerate(PILE[:4])
+        ]
+        return f"<X3D><Scene>{''.join(shapes)}</Scene></X3D>"
+
+    (plan,) = load(tmp_path, "scene.x3d", scene("")).plans
+    assert plan.size_mm.tolist() == [[600, 400, 300]] * 4
+    (skipped,) = load(tmp_path, "scene.x3d", scene(' rotation="0 1 0 1.5708"')).skipped
+    assert "rotation" in skipped.message
+
+
+def test_coordinates_are_not_read_in_a_unit_in_which_no_carrier_is_large_enough(tmp_path: Path) -> None:
+    """Heights in centimetres, all other lengths in millimetres: in centimetres, no boxes would overlap."""
+    rows = [[number, *box[:2], box[2] / 10, *box[3:]] for number, box in enumerate(PILE)]
+    text = f"name,x,y,z,{SIZES},kg\n" + "".join(",".join(map(str, row)) + "\n" for row in rows)
+    assert not load(tmp_path, "load.csv", text).plans
 
 
 def test_sizes_are_not_read_in_a_unit_without_a_name(tmp_path: Path) -> None:

@@ -269,6 +269,17 @@ def test_costs_of_layouts_count_what_is_odd() -> None:
     assert cost((0, 0, 100))[0] < cost((50, 0, 100))[0] < cost((0, 0, 150))[0]
 
 
+def test_one_odd_box_among_many_counts() -> None:
+    """One box floats above a layer of 80 boxes. As a share of all boxes, it would hardly count."""
+    size = np.full((81, 3), 100.0)
+    low = np.array([(100.0 * (k % 9), 100.0 * (k // 9), 0) for k in range(81)])
+    even, *_ = layout_cost(Layout(low, size, np.full(3, np.nan)))
+    low[40, 2] = 150
+    odd, _, (_, n_floating, _, _) = layout_cost(Layout(low, size, np.full(3, np.nan)))
+    assert n_floating == 1
+    assert odd - even >= 1.0
+
+
 def test_mirror_images_turns_and_shifts_are_the_same_layout() -> None:
     none = np.full(3, np.nan)
     low = np.array([[0.0, 0, 0], [400, 0, 0], [0, 0, 200]])
