@@ -19,7 +19,7 @@ from petmjx.plans.nested_containers import LAYERS
 from petmjx.plans.nested_json import box_lists, decoded_json
 from petmjx.plans.numpy_arrays import loaded_array, loaded_arrays, sources_of_arrays
 from petmjx.plans.printed_values import printed_values, values_of_blocks, values_of_lines
-from petmjx.plans.python_objects_and_texts import is_printed_object, python_values, source_of_printed
+from petmjx.plans.python_objects_and_py3dbp import is_printed_object, python_values, source_of_printed
 from petmjx.plans.raw_cells import cell_number
 from petmjx.plans.raw_tables import BoxList, RawTable, not_placed, rows_with_boxes, united, with_titles
 from petmjx.plans.scene_files import is_gltf, is_three_js, source_of_gltf, source_of_scene, source_of_three_js

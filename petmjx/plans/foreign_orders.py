@@ -22,7 +22,7 @@ from petmjx.plans.known_forms import BoxSource, rows_of
 from petmjx.plans.numpy_arrays import loaded_array
 from petmjx.plans.order_generator import Item, Order, target_named
 from petmjx.plans.order_texts import SET_ITEMS, order_source
-from petmjx.plans.python_objects_and_texts import sources_of_frame
+from petmjx.plans.python_objects_and_py3dbp import sources_of_frame
 from petmjx.plans.raw_cells import cell_number, cell_triple
 from petmjx.plans.raw_tables import BoxList, RawTable
 from petmjx.plans.workbooks import sheets_of_xlsx

@@ -344,7 +344,7 @@ class _PlanLoader:
         Raises:
             InputError: the table lacks columns.
         """
-        from petmjx.plans.python_objects_and_texts import sources_of_frame
+        from petmjx.plans.python_objects_and_py3dbp import sources_of_frame
         from petmjx.plans.table_files import frame_table
 
         foreign = partial(self._read_foreign, FRAME, partial(sources_of_frame, frame))
@@ -358,7 +358,7 @@ class _PlanLoader:
         Raises:
             InputError: the object contains no plans.
         """
-        from petmjx.plans.python_objects_and_texts import sources_of_object
+        from petmjx.plans.python_objects_and_py3dbp import sources_of_object
 
         if (fault := self._read_foreign(OBJECT, partial(sources_of_object, value))) is not None:
             raise InputError(f"{OBJECT}: {fault}") from None
@@ -367,7 +367,7 @@ class _PlanLoader:
     def _read_foreign_parquet(self, source: str, path: Path) -> InputError | None:
         """Read a Parquet file with other column names than petmjx's. Returns an error if the file cannot be read, else
         None."""
-        from petmjx.plans.python_objects_and_texts import sources_of_frame
+        from petmjx.plans.python_objects_and_py3dbp import sources_of_frame
         from petmjx.plans.table_files import parquet_frame
 
         return self._read_foreign(source, lambda: sources_of_frame(parquet_frame(path)))
