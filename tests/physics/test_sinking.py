@@ -116,6 +116,19 @@ def test_what_tips_over_in_any_contacts_is_not_simulated_again() -> None:
     assert [attempt.attempt for attempt in result.attempts] == [1]
 
 
+def test_boxes_beside_a_pile_change_nothing_about_it() -> None:
+    """A leaning pile of slender boxes stands by statics: its load acts 0.45 mm inside the edge of the lowest box. In the
+    contacts of attempts 1 and 6 the pile falls. Attempt 7 is made for the pile alone, and also if nine cartons stand on
+    the same pallet."""
+    masses_kg = (0.131, 0.044, 0.419, 0.033, 1.857)
+    pile: list[Box] = [((17, 17, 132), (300 + 2.23855 * k, 0, 132 * k), kg) for k, kg in enumerate(masses_kg)]
+    cartons: list[Box] = [((50, 50, 30), (60 * (k % 3), 60 * (k // 3), 0), 0.2) for k in range(9)]
+    for boxes in (pile, cartons + pile):
+        result = score(boxes, Simulation())
+        assert [(a.attempt, a.verdict) for a in result.attempts] == [(1, "unstable"), (6, "unstable"), (7, "stable")]
+        assert not result.outcome.flags & Flag.SINKING
+
+
 def test_contacts_that_still_give_way_leave_no_verdict() -> None:
     """A box of a hundredth of a gram carries half a ton. The ratio of the masses is fifty million."""
     result = score(one_on_another(0.00001, 500.0), Simulation())
