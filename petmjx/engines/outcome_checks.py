@@ -20,6 +20,7 @@ from petmjx.common.units import FloatArray
 from petmjx.engines.contact_penetration import note_penetration
 from petmjx.engines.contact_tilt import contact_tilt_suspects, n_loading, places_with_errors
 from petmjx.engines.knife_edges import AT_REST, BY_PLAN, NEAR_M, WHILE_BUILT, KnifeEdge, edges_when, sets_flag
+from petmjx.engines.metrics import BoxMetrics
 from petmjx.engines.mujoco.box_motion import tilt_deg
 from petmjx.engines.verdict import Flag, Outcome, Verdict, judge, margins_of
 from petmjx.options.physics import Cone
@@ -27,7 +28,7 @@ from petmjx.options.simulation import Check, Simulation
 from petmjx.world.edge_distances import Edges, LeastBuildingEdge, building_edges, first_least, loads_and_edges
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
-from petmjx.world.supports import TOUCH_M, Bearing, bearings_of
+from petmjx.world.supports import TOUCH_M, UPRIGHT, Bearing, bearings_of
 
 LEANS_DEG: Final = 2.0
 """Tilt at rest above which a box of a stable world counts as leaning, degrees. At a tilt of 2°, one side of a box of
@@ -118,7 +119,7 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation
     elliptic = sim.physics.cone is Cone.ELLIPTIC
     fallen = [k for k in valid if elliptic and outcomes[k].verdict is Verdict.UNSTABLE and scenes[k].soft is None]
     joined = _Joined(list(planned))
-    number_at_rest = {k: joined.add(scenes[k], outcomes[k].boxes.pos) for k in at_rest}
+    number_at_rest = {k: joined.add_at_rest(scenes[k], outcomes[k].boxes) for k in at_rest}
     number_fallen = {}
     for k in fallen:
         placed, moved = n_loading(outcomes[k]), jobs[k].has_errors
@@ -174,7 +175,7 @@ def edges_again(scene: Scene, outcome: Outcome) -> Iterator[KnifeEdge]:
     in_order, at_rest = not np.isnan(outcome.build_edge_m), not np.isnan(outcome.rest_edge_m)
     joined = _Joined([(scene, outcome.n_placed, in_order)])
     if at_rest:
-        joined.add(scene, outcome.boxes.pos)
+        joined.add_at_rest(scene, outcome.boxes)
     bearing, _, edges, (built,) = joined.edges()
     for when, (begin, end) in zip((BY_PLAN, AT_REST), pairwise(bearing.boxes.first.tolist()), strict=False):
         yield from edges_when(edges.by_load[begin:end], when)
@@ -196,12 +197,26 @@ class _Joined:
     """
 
     planned: Sequence[tuple[Scene, int, bool]]
-    elsewhere: list[tuple[Scene, FloatArray, int, float]] = field(default_factory=list)
+    elsewhere: list[tuple[Scene, FloatArray, int, float, FloatArray]] = field(default_factory=list)
 
-    def add(self, scene: Scene, pos: FloatArray, placed: int | None = None, most_gap_m: float = TOUCH_M) -> int:
-        """Add a scene with all of its boxes, or with only the first ``placed`` boxes. Returns the number of the scene
-        among all scenes, in the order ``planned``, ``elsewhere``."""
-        self.elsewhere.append((scene, pos, scene.n_boxes if placed is None else placed, most_gap_m))
+    def add(self, scene: Scene, pos: FloatArray, placed: int, most_gap_m: float) -> int:
+        """Add a scene with its first ``placed`` boxes, upright. Returns the number of the scene among all scenes, in
+        the order ``planned``, ``elsewhere``."""
+        upright = np.broadcast_to(UPRIGHT, pos.shape)
+        self.elsewhere.append((scene, pos, placed, most_gap_m, upright))
+        return len(self.planned) + len(self.elsewhere) - 1
+
+    def add_at_rest(self, scene: Scene, boxes: BoxMetrics) -> int:
+        """Add a scene with all of its boxes in their last poses. Returns the number of the scene among all scenes, in
+        the order ``planned``, ``elsewhere``.
+
+        Poses are rounded to float32, as in tables. Where a box that leans touches its support depends on differences of
+        micrometres, and the same distances must follow from the poses of a table.
+        """
+        pos, quat = (values.astype(np.float32).astype(float) for values in (boxes.pos, boxes.quat))
+        w, x, y, z = quat.T
+        up = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x**2 + y**2)], axis=-1)
+        self.elsewhere.append((scene, pos, scene.n_boxes, TOUCH_M, up))
         return len(self.planned) + len(self.elsewhere) - 1
 
     def edges(self) -> tuple[Bearing, FloatArray, Edges, list[LeastBuildingEdge]]:
@@ -209,8 +224,8 @@ class _Joined:
         distances of these loads from edges; and the smallest distances from edges while the planned scenes are
         built."""
         scenes, placed, are_built = zip(*self.planned, strict=True)
-        moved, pos, placed_moved, gaps_m = zip(*self.elsewhere, strict=True) if self.elsewhere else ((),) * 4
-        bearing = bearings_of(scenes, moved, pos, gaps_m)
+        moved, pos, placed_moved, gaps_m, up = zip(*self.elsewhere, strict=True) if self.elsewhere else ((),) * 5
+        bearing = bearings_of(scenes, moved, pos, gaps_m, up)
         load, *edges = loads_and_edges(bearing, [*placed, *placed_moved])
         n_built = [scene.n_boxes if is_built else 0 for scene, is_built in zip(scenes, are_built, strict=True)]
         return bearing, load, Edges(*edges), building_edges(bearing.of_range(0, len(scenes)), n_built)

@@ -481,6 +481,7 @@ def bearings_of(
     elsewhere: Sequence[Scene] = (),
     pos: Sequence[FloatArray] = (),
     most_gap_m: Sequence[float] = (),
+    up: Sequence[FloatArray] = (),
 ) -> Bearing:
     """The contacts of several scenes in one ``Bearing``, scene after scene.
 
@@ -489,12 +490,14 @@ def bearings_of(
         elsewhere: scenes whose boxes are at other places. The contacts of these scenes come after those of ``scenes``.
         pos: (n, 3) places of the boxes in each scene of ``elsewhere``, m.
         most_gap_m: ``most_gap_m`` of ``find_bearings`` for each scene of ``elsewhere``.
+        up: ``up`` of ``find_bearings`` for each scene of ``elsewhere``. If ``up`` is empty, all boxes stand upright.
     """
     if len({id(scene) for scene in scenes}) == 1 and not elsewhere:
         one = bearing_of(scenes[0])
         return one if len(scenes) == 1 else one.of_scenes(np.zeros(len(scenes), np.intp))[0]
     gaps_m = np.array([TOUCH_M] * len(scenes) + list(most_gap_m))
-    return find_bearings([*scenes, *elsewhere], [*(scene.target for scene in scenes), *pos], gaps_m)
+    upright = [np.broadcast_to(UPRIGHT, scene.target.shape) for scene in scenes] if len(up) else []
+    return find_bearings([*scenes, *elsewhere], [*(scene.target for scene in scenes), *pos], gaps_m, [*upright, *up])
 
 
 _SORTED_M: Final = 1e-4
@@ -502,8 +505,51 @@ _SORTED_M: Final = 1e-4
 amount, and the raised heights are rounded."""
 
 
+UPRIGHT: Final = (0.0, 0.0, 1.0)
+"""Unit vector along the vertical edges of a box that stands upright."""
+
+_MOST_TILT_COSINE: Final = 0.5
+"""Boxes that are tilted by more than 60°, whose vertical edges have a smaller vertical component than this value, are
+treated as if they stood upright: they no longer rest on the bases that they have in the plan."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Faces:
+    """The bottom and top faces of n boxes that may be tilted.
+
+    Attributes:
+        slope: (n, 2) slope of each box's bottom and top along x and y.
+        aside_m: (n, 2) horizontal vector from the middle of a box to the middle of its top face, m.
+        bottom, top: (n,) heights of the planes of each box's bottom and top at the x and y of the box's middle, m.
+        rise_m: (n,) largest height of a point of the bottom face above the middle of the face, m.
+    """
+
+    slope: FloatArray
+    aside_m: FloatArray
+    bottom: FloatArray
+    top: FloatArray
+    rise_m: FloatArray
+
+    @classmethod
+    def of(cls, boxes: Boxes, up: Sequence[FloatArray]) -> _Faces:
+        half, height = boxes.half_size, boxes.target[:, 2]
+        if not len(up):
+            flat = np.zeros((len(half), 2))
+            return cls(flat, flat, height - half[:, 2], height + half[:, 2], np.zeros(len(half)))
+        axis = np.concatenate(up)
+        stands = axis[:, 2] >= _MOST_TILT_COSINE  # False for NaN
+        axis = np.where(stands[:, None], axis, UPRIGHT)
+        slope = -axis[:, :2] / axis[:, 2:]
+        half_height = half[:, 2] / axis[:, 2]
+        rise_m = (np.abs(slope) * half[:, :2]).sum(axis=1)
+        return cls(slope, axis[:, :2] * half[:, 2:], height - half_height, height + half_height, rise_m)
+
+
 def find_bearings(
-    scenes: Sequence[Scene], targets: Sequence[FloatArray], most_gap_m: float | FloatArray = TOUCH_M
+    scenes: Sequence[Scene],
+    targets: Sequence[FloatArray],
+    most_gap_m: float | FloatArray = TOUCH_M,
+    up: Sequence[FloatArray] = (),
 ) -> Bearing:
     """The contacts between boxes and their supports in several scenes, in one ``Bearing``, scene after scene.
 
@@ -517,9 +563,12 @@ def find_bearings(
         most_gap_m: largest gap below a box's bottom across which the box still counts as lying on a body, m: one value
             for all scenes, or (s,) one for each scene. The gap can exceed ``TOUCH_M``, since a box may lean onto a
             lower body.
+        up: (n, 3) unit vectors along the vertical edges of the boxes in each scene. A tilted box touches a body below
+            it where the gap between the two faces is at most ``most_gap_m``, and a contact is the rectangle around
+            this part of the faces. If ``up`` is empty, all boxes stand upright.
     """
     boxes, decks = Boxes.of(scenes, targets), _decks([scene.carrier for scene in scenes])
-    return _find_bearings(boxes, decks, most_gap_m, scenes)
+    return _find_bearings(boxes, decks, most_gap_m, scenes, up)
 
 
 def find_plain_bearings(
@@ -547,33 +596,77 @@ def _find_bearings(
     decks: tuple[FloatArray, FloatArray, IntArray],
     most_gap_m: float | FloatArray,
     scenes: Sequence[Scene],
+    up: Sequence[FloatArray] = (),
 ) -> Bearing:
     """The contacts of ``find_bearings``.
 
     Args:
         decks: the result of ``_decks``.
-        most_gap_m: as for ``find_bearings``.
+        most_gap_m, up: as for ``find_bearings``.
         scenes: the scenes, if some of them have sheets or pallets among their boxes.
     """
     low, high, counts = boxes.target - boxes.half_size, boxes.target + boxes.half_size, np.diff(boxes.first)
+    faces_of_boxes = _Faces.of(boxes, up)
     scene_of = np.repeat(np.arange(len(counts)), counts)
     gap_m = np.broadcast_to(most_gap_m, len(counts))[scene_of]
     deck_low, deck_high, boards = decks
-    lies = np.flatnonzero(low[:, 2] <= gap_m)
+    bottom, top, rise_m = faces_of_boxes.bottom, faces_of_boxes.top, faces_of_boxes.rise_m
+    lies = np.flatnonzero(bottom - rise_m <= gap_m)
     lying, board = np.repeat(lies, boards[scene_of[lies]]), spans(boards, scene_of[lies])
-    below, above = _touching(scene_of, low[:, 2], high[:, 2], gap_m)
+    below, above = _touching(scene_of, bottom, top, gap_m, rise_m)
     face_low, face_high, faces = _top_faces(boxes, scenes, low, high)
+    if len(up):
+        aside_m = np.repeat(faces_of_boxes.aside_m, faces, axis=0)
+        face_low, face_high = face_low + aside_m, face_high + aside_m
     above, face, below = np.repeat(above, faces[below]), spans(faces, below), np.repeat(below, faces[below])
     upper = np.concatenate([lying, above])
     lower = np.concatenate([np.full(len(board), CARRIER), below])
-    low, high = low[:, :2].copy(), high[:, :2].copy()
+    low, high = low[:, :2] - faces_of_boxes.aside_m, high[:, :2] - faces_of_boxes.aside_m
     area_low = np.maximum(low.take(upper, axis=0), np.concatenate([deck_low[board], face_low.take(face, axis=0)]))
     area_high = np.minimum(high.take(upper, axis=0), np.concatenate([deck_high[board], face_high.take(face, axis=0)]))
+    if len(up):
+        area_low, area_high = _pressed(boxes, faces_of_boxes, upper, lower, area_low, area_high, gap_m)
     extent = area_high - area_low
     wide = np.flatnonzero((extent[:, 0] > _LEAST_OVERLAP_M) & (extent[:, 1] > _LEAST_OVERLAP_M))
     # lexsort is stable: contacts of a box with several boards keep their order
     order = wide[np.lexsort((lower[wide], upper[wide]))]
     return Bearing(boxes, upper[order], lower[order], area_low.take(order, axis=0), area_high.take(order, axis=0))
+
+
+def _pressed(
+    boxes: Boxes,
+    faces: _Faces,
+    upper: IntArray,
+    lower: IntArray,
+    low: FloatArray,
+    high: FloatArray,
+    most_gap_m: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """(c, 2) lowest and (c, 2) highest corners of the rectangles around those parts of the contacts' rectangles in
+    which the gap between the two faces is at most ``most_gap_m``, m. ``high`` is below ``low`` if no part
+    is left, or if two boxes overlap by more than ``TOUCH_M`` everywhere.
+
+    Args:
+        upper, lower: (c,) numbers of the two bodies of each contact.
+        low, high: (c, 2) corners of the rectangles in which the two faces are above each other, m.
+        most_gap_m: (n,) ``most_gap_m`` of ``find_bearings`` for each box.
+    """
+    on_box = lower != CARRIER
+    below = np.where(on_box, lower, 0)
+    # the gap is ``gap`` at the low corner, and grows by ``rise`` along x and y to the opposite sides of the rectangle
+    slope = faces.slope[upper] - np.where(on_box[:, None], faces.slope[below], 0.0)
+    gap = faces.bottom[upper] + (faces.slope[upper] * (low - boxes.target[upper, :2])).sum(axis=1)
+    gap -= np.where(on_box, faces.top[below] + (faces.slope[below] * (low - boxes.target[below, :2])).sum(axis=1), 0.0)
+    extent = high - low
+    rise = slope * extent
+    least, most = np.minimum(rise, 0.0), np.maximum(rise, 0.0)
+    room = most_gap_m[upper] - gap - least.sum(axis=1)
+    touches = (room >= 0.0) & (~on_box | (gap + most.sum(axis=1) >= -TOUCH_M))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.clip(np.where(rise != 0.0, room[:, None] / np.abs(rise), 1.0), 0.0, 1.0)
+    new_low = np.where(rise < 0.0, high - share * extent, low)
+    new_high = np.where(rise > 0.0, low + share * extent, high)
+    return new_low, np.where(touches[:, None], new_high, -np.inf)
 
 
 def deck_mm(plan: Plan, sim: Simulation) -> FloatArray:
@@ -625,7 +718,9 @@ def _top_faces(
     return np.concatenate(face_low), np.concatenate(face_high), counts
 
 
-def _touching(scene: IntArray, low: FloatArray, high: FloatArray, most_gap_m: FloatArray) -> tuple[IntArray, IntArray]:
+def _touching(
+    scene: IntArray, low: FloatArray, high: FloatArray, most_gap_m: FloatArray, rise_m: FloatArray
+) -> tuple[IntArray, IntArray]:
     """(p,) lower and (p,) upper boxes of pairs in the same scene whose vertical gap is small enough for a contact.
 
     Heights are sorted first, so that few pairs must be compared.
@@ -634,13 +729,18 @@ def _touching(scene: IntArray, low: FloatArray, high: FloatArray, most_gap_m: Fl
         scene: (n,) number of the scene of each box.
         low, high: (n,) heights of the boxes' bottoms and tops, m. Boxes whose heights are not finite have no contacts.
         most_gap_m: (n,) ``most_gap_m`` of ``find_bearings`` for each box.
+        rise_m: (n,) largest height of a point of each box's bottom or top above the height in ``low`` or ``high``, m.
     """
     rows = np.flatnonzero(np.isfinite(low) & np.isfinite(high))
-    scene, most_gap_m = scene[rows], most_gap_m[rows]
-    bottom, top, reach = low[rows], high[rows], TOUCH_M + most_gap_m.max(initial=0.0)
+    scene, rise_m = scene[rows], rise_m[rows]
+    most_rise_m = rise_m.max(initial=0.0)
+    most_gap_m, most_over_m = most_gap_m[rows] + rise_m, TOUCH_M + rise_m
+    bottom, top = low[rows], high[rows]
+    reach = TOUCH_M + most_gap_m.max(initial=0.0) + 2 * most_rise_m
     # Heights are raised by a different amount for each scene, so that boxes of different scenes are far apart.
     rise = scene * (np.maximum(bottom, top).max(initial=0.0) - np.minimum(bottom, top).min(initial=0.0) + 2 * reach)
-    least_m, most_m = bottom + rise - most_gap_m - _SORTED_M, bottom + rise + TOUCH_M + _SORTED_M
+    least_m = bottom + rise - most_gap_m - most_rise_m - _SORTED_M
+    most_m = bottom + rise + most_over_m + most_rise_m + _SORTED_M
     tops, bottoms = np.argsort(top + rise), np.argsort(least_m)
     in_order = (top + rise)[tops]
     begins = np.searchsorted(in_order, least_m[bottoms])
@@ -648,6 +748,7 @@ def _touching(scene: IntArray, low: FloatArray, high: FloatArray, most_gap_m: Fl
     above = np.repeat(bottoms, times)
     below = tops[np.arange(times.sum()) + np.repeat(begins - (np.cumsum(times) - times), times)]
     over = top[below] - bottom[above]
-    touching = (over <= TOUCH_M) & (over >= -most_gap_m[above]) & (bottom[below] < bottom[above])
+    touching = (over <= most_over_m[above] + rise_m[below]) & (over >= -most_gap_m[above] - rise_m[below])
+    touching &= bottom[below] < bottom[above]
     touching &= scene[below] == scene[above]
     return rows[below[touching]], rows[above[touching]]

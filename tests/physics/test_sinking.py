@@ -117,9 +117,9 @@ def test_what_tips_over_in_any_contacts_is_not_simulated_again() -> None:
 
 
 def test_boxes_beside_a_pile_change_nothing_about_it() -> None:
-    """A leaning pile of slender boxes stands by statics: its load acts 0.45 mm inside the edge of the lowest box. In the
-    contacts of attempts 1 and 6 the pile falls. Attempt 7 is made for the pile alone, and also if nine cartons stand on
-    the same pallet."""
+    """A leaning pile of slender boxes stands by statics: a load acts 0.45 mm inside the edge of the lowest box. In the
+    contacts of attempts 1 and 6, the pile falls. Attempt 7 is made for the pile alone, and also if nine cartons stand
+    on the same pallet."""
     masses_kg = (0.131, 0.044, 0.419, 0.033, 1.857)
     pile: list[Box] = [((17, 17, 132), (300 + 2.23855 * k, 0, 132 * k), kg) for k, kg in enumerate(masses_kg)]
     cartons: list[Box] = [((50, 50, 30), (60 * (k % 3), 60 * (k // 3), 0), 0.2) for k in range(9)]

@@ -204,6 +204,23 @@ def test_an_unstable_load_within_a_millimetre_is_tried_in_stiffer_contacts(insid
         assert noted.verdict is Verdict.UNSTABLE
 
 
+@pytest.mark.parametrize("lower_mm", [0.2, 1.0, 3.0, 8.0])
+@pytest.mark.parametrize("scale", [0.1, 1.0])
+def test_what_stands_has_its_loads_inside_edges_at_rest(lower_mm: float, scale: float) -> None:
+    """A beam on two supports of unequal height leans on both. By the plan, only the higher support bears it, but at
+    rest its load acts between the two supports."""
+    lower_mm, kg = scale * lower_mm, scale**3
+    beam: Box = ((500 * scale, 200 * scale, 50 * scale), (0, 0, 100 * scale), 8.0 * kg)
+    supports: list[Box] = [
+        ((150 * scale, 200 * scale, 100 * scale), (0, 0, 0), 5.0 * kg),
+        ((150 * scale, 200 * scale, 100 * scale - lower_mm), (350 * scale, 0, 0), 5.0 * kg),
+    ]
+    worlds = petmjx.score(make_plan("beam", [*supports, beam]), engine="mujoco").worlds
+    assert worlds.verdict[0] == "stable"
+    assert (worlds.plan_edge_m[0] < 0) == (lower_mm > 0.5)
+    assert worlds.rest_edge_m[0] > 0.03 * scale
+
+
 def test_a_verdict_against_a_load_within_a_millimetre_has_the_flag() -> None:
     """The flag is set if a box stands although its load is 0.8 mm beyond the edge, or falls although it is 0.8 mm
     inside. In the opposite cases, the flag is not set."""

@@ -182,6 +182,31 @@ def test_scenes_that_are_alike_are_looked_at_together() -> None:
         np.testing.assert_array_equal(twice.upper, np.concatenate([one.upper, one.upper + 6]))
 
 
+def test_a_tilted_box_bears_on_the_parts_of_its_supports_that_it_touches() -> None:
+    """One support is 2 mm higher than the other. A plank touches the inner edge of the higher support, at x = 100 mm,
+    and, with its own end, the lower support at x = 400 mm. It tilts by 2 mm over 300 mm, so its bottom is at most
+    0.5 mm above the supports within 75 mm of these two lines."""
+    scene = scene_of(
+        ((100, 800, 100), (0, 0, 0), 5.0), ((100, 800, 98), (300, 0, 0), 5.0), ((400, 800, 20), (0, 0, 100), 8.0)
+    )
+    slope = 2 / 300
+    up = np.array([[0, 0, 1], [0, 0, 1], np.array([slope, 0, 1]) / np.hypot(slope, 1)])
+    target = scene.target.copy()
+    target[2] = np.array([200, 400, 100 - 100 * slope]) * MM + up[2] * scene.half_size[2, 2]
+    upright, tilted = (find_bearings([scene], [target], TOUCH_M, directions) for directions in ([], [up]))
+    assert upright.upper.tolist() == [0, 1]  # the plank's middle is too high above the lower support
+    assert (tilted.upper.tolist(), tilted.lower.tolist()) == ([0, 1, 2, 2], [CARRIER, CARRIER, 0, 1])
+    np.testing.assert_allclose(tilted.low[2:, 0] / MM, [25.0, 325.0], atol=1e-6)
+    np.testing.assert_allclose(tilted.high[2:, 0] / MM, [100.0, 400.0], atol=1e-6)
+    np.testing.assert_allclose(tilted.low[:2], upright.low)
+    middle_mm = target[2, 0] / MM
+    assert tilted.edges_m(tilted.loads(3))[2] / MM == pytest.approx(middle_mm - 25, abs=1e-3)
+    # the mirrored plank touches the mirrored parts
+    mirrored = replace(scene, target=target * [-1, 1, 1])
+    other = find_bearings([mirrored], [mirrored.target], TOUCH_M, [up * [-1, 1, 1]])
+    assert other.edges_m(other.loads(3))[2] == pytest.approx(tilted.edges_m(tilted.loads(3))[2], abs=1e-12)
+
+
 def contacts_by_pairs(scene: Scene, gap_m: float) -> list[tuple[int, int, list[float], list[float]]]:
     """Upper body, lower body, and lowest and highest corner of each contact of a scene, found pair by pair."""
     carrier, half = scene.carrier, scene.half_size
