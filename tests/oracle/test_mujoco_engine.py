@@ -120,6 +120,16 @@ def test_a_violent_sample_counts_only_before_the_first_sign() -> None:
     assert metrics.first_sign_s == 2.0
 
 
+@pytest.mark.parametrize(("size_mm", "ang_acc", "is_violent"), [(20, 250, False), (20, 350, True), (400, 70, True)])
+def test_small_boxes_that_turn_as_fast_as_gravity_turns_them_are_not_violent(
+    size_mm: float, ang_acc: float, is_violent: bool
+) -> None:
+    """The half diagonal of a cube of 20 mm is 17.3 mm. Its corners accelerate by 7.5 and 10.5 m/s²."""
+    scene = make_scene([((size_mm, size_mm, size_mm), (0, 0, 0), 0.02)])
+    metrics = OracleMetrics(scene, Thresholds())
+    assert metrics.add_sample(*sample_of(scene, ang_acc=ang_acc)) is is_violent
+
+
 def test_verdicts_come_in_their_order() -> None:
     scene = leaning(2)
     metrics = OracleMetrics(scene, Thresholds())

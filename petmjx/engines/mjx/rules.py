@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from petmjx.engines.metrics import TIPPING_M_S2
 from petmjx.engines.mjx import box_motion as motion
 from petmjx.engines.mjx import hand, trembling
 from petmjx.engines.mjx.padded_template import PARKING_HEIGHT_M, parked_positions
@@ -250,7 +251,8 @@ class Rules:
         culprit = jnp.where(signs, excess.argmax(-1).astype(jnp.int32), m.culprit)
         lin = jnp.sqrt((qacc[..., :3] ** 2).sum(-1))
         ang = jnp.sqrt((qacc[..., 3:] ** 2).sum(-1))
-        violent = (sampled & ((lin > limits.lin_acc_m_s2) | (ang > limits.ang_acc_rad_s2))).any(-1) & (culprit < 0)
+        turns = (ang > limits.ang_acc_rad_s2) & (ang * motion.radius(worlds.half) > TIPPING_M_S2)
+        violent = (sampled & ((lin > limits.lin_acc_m_s2) | turns)).any(-1) & (culprit < 0)
         # Light boxes that land, and tipping boxes that hit something, reach up to 240 rad/s² for a few steps. So a
         # violent sample (accelerations above the thresholds) is an explosion only if the samples before it were
         # violent, too, for the time that a box needs to land. Samples right after a placement are no evidence of an

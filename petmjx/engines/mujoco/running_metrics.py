@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import STANDARD_GRAVITY, FloatArray
-from petmjx.engines.metrics import GONE_DESCENT, GONE_TILT, BoxMetrics
+from petmjx.engines.metrics import GONE_DESCENT, GONE_TILT, TIPPING_M_S2, BoxMetrics
 from petmjx.engines.mujoco.box_motion import excess, has_dropped, shift, tilt_deg
 from petmjx.engines.mujoco.top_forces import TopForceInputs, largest_top_forces
 from petmjx.options.simulation import Thresholds
@@ -151,8 +151,9 @@ class OracleMetrics:
         if k:
             self.add_look(time_s, pos, quat)
         limits = self._thresholds
-        too_fast = bool(np.any(lin > limits.lin_acc_m_s2) or np.any(ang > limits.ang_acc_rad_s2))
-        return too_fast and self.culprit < 0
+        radius = np.linalg.norm(self._scene.half_size[:k], axis=1)
+        turns = (ang > limits.ang_acc_rad_s2) & (ang * radius > TIPPING_M_S2)
+        return bool(np.any((lin > limits.lin_acc_m_s2) | turns)) and self.culprit < 0
 
     def add_look(self, time_s: float, pos: FloatArray, quat: FloatArray) -> None:
         """Add the poses at a sample, or at a check during a drive: record tilts, and do the same as ``add_pose``."""
