@@ -59,7 +59,8 @@ def _order_text(order: Order) -> str:
 
 
 def item_json(item: Item) -> dict[str, Any]:
-    """An item with BED-BPP's fields, and with the properties that few orders give."""
+    """An item with BED-BPP's fields. Its centre of mass, its stiffness and its kind ("box" or "sheet") are added if the
+    order gives them."""
     seldom: dict[str, Any] = {} if item.com_mm is None else dict(zip(COM_FIELDS_JSON, item.com_mm, strict=True))
     seldom |= {} if item.stiffness_n_mm is None else {"stiffness_n_mm": item.stiffness_n_mm}
     seldom |= {"kind": item.kind} if item.kind else {}

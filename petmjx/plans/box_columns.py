@@ -39,7 +39,8 @@ from petmjx.plans.turn_columns import Turns, are_yes_or_no, turns_of
 GROSS: Final = word_set("gross brutto bruttogewicht bruto brut lordo")
 """Words for gross weights, which are preferred to net weights."""
 _SECOND_SIZES: Final = 0.5
-"""Cost of a reading with the sizes from the second of two sets of columns, before any numbers are considered."""
+"""A table may have two sets of columns for the sizes of boxes. A reading with the sizes of the second set costs this
+much more than a reading with the sizes of the first set. A smaller cost is more plausible."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +139,7 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str], units: str, masses
     if sequence_index is not None:
         sequence, _ = extraction.numbers(sequence_index, {"": 1.0})
         if len(sequence) > 2 and bool((sequence == sequence[0]).all()) and "sequence" not in extraction.fixed:
-            sequence, sequence_index = None, None  # all values are equal: this is no packing order
+            sequence, sequence_index = None, None  # all values are equal, so the column is no packing order
     used = {name for geometry in geometries for name in geometry.columns.values()}
     plan, plan_name = extraction.texts("plan", role="plan")
     plan = extraction.filled_down(plan, plan_name, least_rows=2.0)
@@ -207,7 +208,8 @@ def distinct_names_in(extraction: ColumnExtraction) -> tuple[list[str] | None, s
 
 
 def weight_column(extraction: ColumnExtraction) -> int | None:
-    """The column of weights. If several columns have weights, the first column of gross weights is taken."""
+    """The column of weights. If several columns have weights, the first column of gross weights is taken; without gross
+    weights, the first column of weights is taken."""
     if "weight" in extraction.fixed:
         return extraction.fixed["weight"]
     weights = extraction.indices("weight")

@@ -47,8 +47,8 @@ SIZE_WORDS: Final = ("length", "width", "height", "depth")
 HALF_EXTENTS: Final = "half extents"
 """Role of a column of sizes, in addition to its own role, if sizes are half extents."""
 LAST_CELLS: Final = "last cells"
-"""Role of a column of far corners, in addition to its own role, if each far corner is the last grid cell inside its
-box."""
+"""Role of a column of far corners, in addition to its own role, if boxes stand on a grid and each far corner is the
+last cell of its box: a box from 1 to 40 is 40 cells long."""
 ROLES: Final = (
     "length", "width", "height", "depth", "x size", "y size", "z size", "x", "y", "z", "sizes", "position", "weight",
     "rotation", "plan", "sequence", "article", "item_id", HALF_EXTENTS, LAST_CELLS,
@@ -118,13 +118,14 @@ class ColumnExtraction:
             self.fixed[role] = self.table.header.index(name)
 
     def _mean_by_cells(self) -> None:
-        """Determine meanings of columns from their cells. A column "order" without numbers has customers' orders, not a
-        packing order. A column that counts rows has no sizes ("Br" is "number" in Croatian). Whatever the name of a
-        column, cells with a unit of mass are weights, and cells such as "WLH" (which size lies along which axis) or 90°
-        are rotations."""
+        """Determine meanings of columns from their cells. A column "order" has customers' orders, not a packing order,
+        if at most half of its cells are different numbers. A column of sizes whose cells count the rows has running
+        numbers, not sizes: "Br" may mean width ("Breite"), but it is also "number" in Croatian. A column with an
+        unknown name has weights if its cells have a unit of mass, and rotations if its cells are letters such as "WLH"
+        (which size lies along which axis) or angles such as 90°."""
         self.row_units: dict[bool, list[str]] = {}
         self.unit_columns: list[str] = []
-        self.axis_columns: dict[str, int] = {}  # "x" or "y" → column of vectors along this axis of a box
+        self.axis_columns: dict[str, int] = {}  # "x" or "y" → column with the direction of this axis of each box
         if not self.table.has_header:
             return
         kinds = {meaning.kind for meaning in self.meanings if meaning is not None}
@@ -291,7 +292,7 @@ class ColumnExtraction:
         wish = wish if wish in units else ""
         written = {number.unit for numbers in rows for number in numbers if number.unit in units} - {""}
         usual = of_name or wish or (form.masses if is_mass else form.units)
-        target = wish or ("kg" if is_mass else "mm")  # an option sets the unit of all numbers of the file
+        target = wish or ("kg" if is_mass else "mm")  # an option sets one unit for the whole file
         for row, numbers in enumerate(rows):
             if not numbers:
                 continue
@@ -332,7 +333,8 @@ class ColumnExtraction:
             return np.where(np.isnan(values), np.nanmedian(values) if np.isfinite(values).any() else 1.0, values)
 
     def texts(self, *kinds: str, role: str = "") -> tuple[list[str] | None, str]:
-        """(n,) names in the first column of these kinds, and the column's name."""
+        """(n,) texts of the column that an option gives the role ``role``, or else of the first column whose meaning is
+        one of ``kinds``; and the name of this column. The result is None and "" if there is no such column."""
         index = self.fixed.get(role)
         if index is None:
             columns = (index for kind in kinds for index in self.indices(kind, of_container=True))
@@ -369,8 +371,8 @@ class ColumnExtraction:
         return filled_names
 
     def indices(self, kind: str, *, of_container: bool = False) -> list[int]:
-        """Indices of the columns with this kind of meaning. Columns about containers count only with
-        ``of_container``."""
+        """Indices of the columns with this kind of meaning. Columns about containers are left out unless
+        ``of_container`` is True."""
         return [
             index
             for index, meaning in enumerate(self.meanings)

@@ -204,7 +204,7 @@ _LETTERS: Final[tuple[tuple[tuple[str, ...], tuple[str, ...]], ...]] = (
 )
 """Letters of three columns → their meanings: longueur, largeur, hauteur; Länge, Breite, Höhe; Breite, Höhe, Tiefe;
 largeur, hauteur, profondeur; larghezza, profondità, altezza; długość, szerokość, wysokość; largo, ancho, and H. In the
-first rows, capital and small letters have different meanings."""
+first two entries, "L" and "l" have different meanings."""
 
 _LONE: Final = {"l": "length", "w": "width", "b": "width", "h": "height", "d": "depth", "t": "depth"}
 """Letters that name a size even if no other column is named by a letter."""
@@ -326,7 +326,8 @@ _QUOTIENT: Final = re.compile(
     rf"|\b((?:{'|'.join(MASS_UNITS)})\s*/\s*(?:cu\.?\s*)?[a-z]+[\^*]{{0,2}}3?)\s*$",
     re.IGNORECASE,
 )
-"""A quotient of units in brackets, or a mass divided by something at the end of a name: "[lb / cu ft]", "kg/m^3"."""
+"""A quotient of units in brackets, or a unit of mass divided by another unit at the end of a name: "[lb / cu ft]",
+"kg/m^3"."""
 
 
 def _quotient(name: str) -> str:

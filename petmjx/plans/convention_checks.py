@@ -46,8 +46,9 @@ HEAVIEST_KG_M3: Final = 20_000.0
 has 19,300."""
 _USUAL_KG_M3: Final = 300.0
 _USUAL_M3: Final = 0.015
-"""Usual density and volume of a carton, from BED-BPP's orders. Masses in grams and lengths in centimetres both make
-plans a thousand times too dense. The usual volume shows which of the two units is wrong."""
+"""Usual density and volume of a carton, from BED-BPP's orders. A plan is too dense by a factor of 1000 if masses in
+grams are read as kilograms, and also if lengths in centimetres are read as millimetres. The usual volume shows which of
+the two units is wrong."""
 
 LEAST_SHARE: Final = 0.25
 """Smallest share of the plans with odd layouts that a convention must explain to be reported. If a packer uses another
@@ -83,9 +84,9 @@ class Convention:
         of_turned: whether ``read`` changes only turned boxes (boxes with orientation 1). All other boxes stay
             unchanged.
         of_some: whether ``read`` changes only those turned boxes that overlap fewer boxes after the change.
-        least_share: the convention is considered only if two conditions hold. At least this share of the boxes that do
-            not stand directly on the carrier must float or overlap. At least one box must float or overlap by more than
-            ``_SMALL_MM``.
+        least_share: the convention is considered only if at least this share of the boxes that do not stand directly on
+            the carrier float or overlap, and at least one box floats or overlaps by more than ``_SMALL_MM``; 0: there
+            is no such condition.
     """
 
     looks: str
@@ -355,11 +356,15 @@ def _explains(way: Convention, plan: Plan, n_odd: int) -> bool:
 
 
 def _overlapping_less(plan: Plan, size: FloatArray) -> NDArray[np.bool_]:
-    """(n,) whether each box is turned and overlaps fewer boxes with its size in ``size``, (n, 3), mm, than with its
-    size in the plan.
+    """(n,) whether each box is turned and overlaps fewer boxes with its size in ``size`` than with its size in the
+    plan.
 
-    The boxes are tried one by one. Each box gets its other size if the box then overlaps fewer boxes. Passes over all
-    boxes are repeated, at most ``_MOST_ROUNDS`` times, until a pass changes no size.
+    Each turned box has these two sizes. In each pass over the turned boxes, a box changes to its other size if it then
+    overlaps fewer boxes. Since such a change also affects the other boxes, passes are repeated until a pass changes no
+    size, but at most ``_MOST_ROUNDS`` times.
+
+    Args:
+        size: (n, 3) sizes of the boxes in the other convention, mm.
     """
     chosen, sizes, low = np.zeros(plan.n_boxes, bool), plan.size_mm.copy(), plan.corner_mm
     turned = np.flatnonzero(plan.turned & (plan.size_mm != size).any(axis=1))

@@ -40,7 +40,7 @@ def rows_of_sql(text: str) -> dict[str, list[list[str]]]:
     """
     tables: dict[str, list[list[str]]] = {}
     bodies: dict[str, int] = {}
-    if _INSERT.search(text) is not None:  # where the columns of each table stand
+    if _INSERT.search(text) is not None:  # where CREATE TABLE lists the columns of each table
         bodies = {create[1].strip(_QUOTES): create.end() for create in _CREATE.finditer(text)}
     for insert in _INSERT.finditer(text):
         rows = _table_of(tables, insert, text, bodies)
@@ -71,7 +71,7 @@ def _table_of(
     columns.
 
     Args:
-        bodies: name of a table → where its columns stand in the text.
+        bodies: name of a table → position in the text where the list of its columns begins, in its CREATE TABLE.
     """
     name = statement[1].strip(_QUOTES)
     if name not in tables:
@@ -91,7 +91,7 @@ def _created_columns(text: str, begin: int) -> list[str]:
 
 
 _LONGEST_CREATE: Final = 100_000
-"""Longest statement that is read, in characters."""
+"""Largest number of characters of a CREATE TABLE statement that are searched for the names of columns."""
 _TABULAR: Final = re.compile(r"\\begin\{(?:tabular[xy*]?|longtable|array|tblr)\}")
 _SPAN: Final = re.compile(r"\\multicolumn\{(\d{1,2})\}\{[^{}]{0,99}\}\{([^{}]{0,999})\}")
 _MARKED: Final = re.compile(

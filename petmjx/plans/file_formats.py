@@ -103,8 +103,9 @@ _MARKUP: Final = re.compile(rb"(?:\xef\xbb\xbf)?\s*<")
 
 
 def looks_like_own_json(data: bytes | bytearray) -> bool:
-    """Whether a text has fields of BED-BPP's plans or orders, all of them in the usual units. Usually only the
-    beginning of the text is searched."""
+    """Whether a text has fields of BED-BPP's plans or orders. The first 64 KiB are searched for "item_sequence" and
+    "length/mm". If neither is there, and no length in another unit, the whole text is searched for "flb_coordinates"
+    and "item_sequence"."""
     if _OWN_JSON.search(data, 0, _LOOKED_AT_TEXT) is not None:
         return True
     if _OTHER_UNITS.search(data, 0, _LOOKED_AT_TEXT) is not None:
@@ -134,7 +135,8 @@ def separator_mark(header: bytes | bytearray) -> str | None:
 
 _WIDE_MARKS: Final = ((b"\xff\xfe\0\0", "utf-32"), (b"\0\0\xfe\xff", "utf-32"))
 _MARKS: Final = (*_WIDE_MARKS, (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
-"""Byte order marks of encodings with characters of several bytes. The mark of UTF-32 begins like that of UTF-16."""
+"""Byte order marks of encodings with characters of several bytes. The marks of UTF-32 are tried first, since one of
+them begins with a mark of UTF-16."""
 _ZEROS: Final[dict[tuple[bool, ...], str]] = {
     (True, False, False, False): "utf-32-le",
     (False, False, False, True): "utf-32-be",

@@ -94,8 +94,9 @@ _FIRST_COMMENTS: Final = re.compile(r"\A(?:\s|(?://|;)[^\n]*|/\*.*?\*/)++(?=[{\[
 """Comments above a value of JSON5, JavaScript or EDN."""
 _COMMENT: Final = re.compile(r'("(?:\\.|[^"\\\n])*+")|//[^\n]*+|/\*.*?(?:\*/|\Z)', re.DOTALL)
 _LAST_COMMA: Final = re.compile(r'("(?:\\.|[^"\\\n])*+")|,(?=\s*+[}\]])')
-"""The patterns ``_COMMENT`` and ``_LAST_COMMA`` match texts in quotation marks, which are kept. Outside such texts,
-``_COMMENT`` matches a comment, and ``_LAST_COMMA`` a comma behind the last value of a list or object."""
+"""``_COMMENT`` matches a comment. ``_LAST_COMMA`` matches a comma behind the last value of a list or object. Both
+patterns also match each text in quotation marks as a whole, so that no comment or comma is matched inside it; such a
+text is kept."""
 
 
 def _blank(match: re.Match[str]) -> str:
@@ -104,7 +105,8 @@ def _blank(match: re.Match[str]) -> str:
 
 
 def plain_json(data: bytes | bytearray) -> bytearray | None:
-    """JSON with blanks for comments and for commas behind last values; None if it has none, or is too large."""
+    """JSON in which blanks replace all comments and all commas behind last values. The result is None if the text has
+    no such comments and commas, or is larger than ``MOST_BYTES``."""
     if len(data) > MOST_BYTES:
         return None
     plain = _plain_text(data.decode("utf-8", "surrogateescape")).encode("utf-8", "surrogateescape")

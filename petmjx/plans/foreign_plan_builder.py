@@ -85,7 +85,7 @@ class PlanBuilder:
             self.faults.setdefault(row, height_fault(reading, candidate, row))
         self.decks = pallet_rows(self.columns, plans, size, low)
         faults = range_faults(self.columns, reading, candidate)
-        if not self.wishes.exact:  # a written reading has been checked by its author
+        if not self.wishes.exact:  # the user who has written a reading has checked it
             faults = edge_faults(self.columns, reading, candidate, plans) | faults
         for row, fault in faults.items():
             self.faults.setdefault(row, fault)
@@ -96,7 +96,7 @@ class PlanBuilder:
         refused: list[RefusedPlan] = []
         sequences: dict[str, NDArray[np.int64]] = {}
         orders: dict[str, str] = {}
-        counters: set[str] = set()  # columns used as packing order
+        counters: set[str] = set()  # names of columns of running numbers that are used as packing order
         for name, rows in plans.items():
             if name in lost:
                 refusal: str | None = ": ".join(lost[name])
@@ -129,7 +129,7 @@ class PlanBuilder:
 
     def _choice(self) -> tuple[list[str], dict[str, tuple[str, str]], Reading, Candidate]:
         """(n,) the name of each row's plan; the plans that lack rows (``names_with_lost_rows``); and the most plausible
-        reading, with its candidate.
+        reading, with the candidate (a reading before units are chosen) from which it was made.
 
         Raises:
             InputError: the file can be read in several ways, or no row is good.

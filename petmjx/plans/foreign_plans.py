@@ -33,9 +33,10 @@ PACK: Final = "pack them first: petmjx samples --orders {file} -o plans.json"
 def plans_of_sources(
     sources: Sequence[BoxSource], path: Path | None, source: str, wishes: Wishes, items: Path | None
 ) -> ForeignPlans:
-    """Read the plans in lists of boxes, which are sorted by likelihood.
+    """Read the plans in the first of several lists of boxes, the list that most likely describes plans.
 
     Args:
+        sources: the lists, most likely first. The other lists may have the sizes and weights of items.
         path: the file of the lists; None: they come from an object.
         source: name of the file or object in messages.
         items: file with the sizes and weights of items, for files that contain only places. If ``items`` is None, a
@@ -60,9 +61,10 @@ def plans_of_sources(
 
 
 def _other_plans(sources: Sequence[BoxSource]) -> list[str]:
-    """Lines about lists of boxes that are not read. The lists that are not read have sizes and places, but other
-    columns than the first list, which is read; or they are rows of as many numbers as the first list. Lists whose
-    objects contain the boxes of the first list, such as lists of layers, get no line."""
+    """Lines about lists of boxes that are not read. Only the first list is read. A line is made for each other list
+    that has a header and columns for sizes and places, and, if the first list has no header, for each other list that
+    has no header but as many columns. Lists whose objects contain the boxes of the first list, such as lists of layers,
+    get no line."""
     lines = []
     first = sources[0].boxes
     for other in sources[1:]:
@@ -91,7 +93,8 @@ def _plans_of(
     if not columns.geometries or not columns.n_boxes:
         raise _no_geometry(columns, sources, path, source)
     written = [one for one in columns.geometries if one.columns.items() <= wishes.exact.items()]
-    written = [max(written, key=lambda one: len(one.columns))] if written else []  # of several, the most exact one
+    # if several geometries fit the reading that the user has written, the one with the most columns is taken
+    written = [max(written, key=lambda one: len(one.columns))] if written else []
     columns = replace(columns, geometries=written or columns.geometries)
     decks, up = named_decks(columns, rows_by_name(plan_names(columns, source, [])))
     if decks and wishes.up in ("", up):
@@ -152,7 +155,7 @@ def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path |
 
 
 def _may_have_places(columns: BoxColumns) -> bool:
-    """Whether three columns of unknown meaning have numbers."""
+    """Whether at least three columns of unknown meaning have numbers, so that they may be x, y and z."""
     table = columns.source.boxes.table
     meanings = zip(table.header, columns.source.boxes.meanings, strict=True)
     unknown = [table.column(name) for name, meaning in meanings if meaning is None]

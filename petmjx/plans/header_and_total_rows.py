@@ -67,7 +67,7 @@ def _completes(row: Sequence[Any]) -> bool:
 
 
 _LEAST_BELOW: Final = 3
-"""Smallest number of names of sizes or places in the second line of a header."""
+"""The row below a header is its second line only if it has at least this number of names of sizes or places."""
 
 
 def _heads_numbers(rows: Sequence[tuple[Any, ...]], head: int) -> bool:
@@ -81,7 +81,7 @@ def _heads_numbers(rows: Sequence[tuple[Any, ...]], head: int) -> bool:
 
 
 def are_numbers(rows: Sequence[Sequence[Any]], least: int) -> bool:
-    """Whether at least ``least`` cells are numbers in most of the first rows."""
+    """Whether more than half of the first 20 rows have at least ``least`` cells that are numbers."""
     first = rows[:20]
     counts = [sum(map(is_number, row)) for row in first]
     return sum(count >= least for count in counts) * 2 > len(first)
@@ -218,7 +218,7 @@ def computed_row(table: RawTable, rows: Sequence[int]) -> str:
         if len(values) < len(rows) - 1 or not np.isfinite(values).all():
             return ""
         total, mean = float(values.sum()), float(values.mean())
-        # Sequence and number columns are not tested: a row of sums may have any value in them.
+        # A row of sums may have any value in columns of packing orders and running numbers.
         if kind not in ("sequence", "number"):
             sums &= _as_written(number.value, total)
             n_sums += total != 0.0

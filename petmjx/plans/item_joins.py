@@ -35,8 +35,8 @@ _MOST_BESIDE: Final = 20
 
 
 def with_items(sources: Sequence[BoxSource], path: Path | None, items: Path | None) -> BoxSource:
-    """The first of the given lists of boxes. If it lacks sizes or weights, they are added from a table of items: the
-    file ``items``, another of the lists, or a file beside the file ``path``."""
+    """The first of the given lists of boxes. If its boxes lack sizes or weights, these are added from a table of items:
+    the file ``items``, one of the other lists, or a file in the folder of ``path``."""
     best = sources[0]
     if items is not None:
         tables = sources_of_bytes(bytes_of(items), items)
@@ -120,8 +120,8 @@ def with_items_of(best: BoxSource, items: BoxSource, name: str, by_number: bool 
     """Boxes with the columns of a table of items added; None if the items do not belong to the boxes.
 
     Args:
-        by_number: whether the column ID of each box has the number of the row of its item, from 0. If ``by_number`` is
-            True, the sizes in both tables must agree.
+        by_number: whether items are found by number: the ID of a box is the number of its item's row in the table of
+            items, from 0. In this case, the sizes of boxes and items must agree.
     """
     table, other = best.boxes.table, items.boxes.table
     rows = _rows_by_number(table, other) if by_number else _rows_by_name(table, other)
@@ -150,8 +150,9 @@ def _with_columns(
     """Boxes with columns of a table of items added.
 
     Args:
-        rows: for each box, the row of its item.
-        added: indices of the columns.
+        other: the table of items.
+        rows: for each box, the row of its item in ``other``; None: the box has no item.
+        added: indices of the columns of ``other`` that are added.
     """
 
     def cell(row: int, index: int) -> Any:
@@ -182,7 +183,13 @@ def _sorted_sizes(table: RawTable, names: Sequence[str] = ()) -> list[list[float
 
 
 def _agree(rows: Sequence[int | None], one: Sequence[Sequence[float]], two: Sequence[Sequence[float]]) -> bool:
-    """Whether the sizes ``one`` of nearly all boxes are the sizes ``two`` of their items, whose rows are ``rows``."""
+    """Whether nearly all boxes have the sizes of their items.
+
+    Args:
+        rows: for each box, the row of its item; None: the box has no item.
+        one: sizes of each box.
+        two: sizes of each item.
+    """
     pairs = [(one[row], two[item]) for row, item in enumerate(rows) if item is not None]
     alike = sum(len(a) == len(b) and bool(np.allclose(a, b)) for a, b in pairs)
     return alike >= _LEAST_MATCHED_SHARE * max(len(rows), 1)

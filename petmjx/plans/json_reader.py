@@ -137,7 +137,7 @@ class MalformedPlans(InputError):
 
 
 class Entry(NamedTuple):
-    """One id and its JSON value, before validation."""
+    """The id and the JSON value of one plan or order, before validation."""
 
     plan_id: str
     value: object

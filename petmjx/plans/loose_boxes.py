@@ -14,8 +14,8 @@ from petmjx.plans.plan import Plan
 from petmjx.plans.plan_warnings import shared_length
 
 MOST_LOOKED_AT: Final = 200
-"""Largest number of plans of a run that are examined. The examined plans are evenly spread over all plans. Without this
-limit, a run of 10,003 plans would be delayed."""
+"""Largest number of plans of a run that are examined. The examined plans are evenly spread over all plans. If all plans
+were examined, the start of a run with thousands of plans would be delayed."""
 
 _LEVEL_MM: Final = 3.0
 """A box is borne by the highest top under it, and by all tops that are lower than this top by at most this length,
@@ -31,10 +31,11 @@ class Statics(NamedTuple):
 
     Attributes:
         placed_share: (n,) the share of each plan's boxes up to and including its first loose box; 1 if there is none.
-        ties: (n,) for each plan, the mean, over its boxes, of the number of supports after a box's first support.
+        ties: (n,) for each plan, the mean number of supports that a box has in addition to its first support.
         giving: (n,) number of compliant boxes of each plan.
-        sway_mm: (n,) how far a pile of each plan's compliant boxes sways, mm: ``mean_sink_mm`` / ``tipping_g``. If a
-            pile leans, it sinks on one side, and its top moves sideways by more, in the ratio of height to width.
+        sway_mm: (n,) estimate of how far the top of each plan's load moves sideways if compliant boxes sink on one side
+            of it, mm: their mean sinking (``mean_sink_mm``), times the ratio of the load's height to a box's width
+            (1 / ``tipping_g``); 0 without compliant boxes.
     """
 
     placed_share: FloatArray
@@ -132,7 +133,7 @@ def tipping_g(plan: Plan) -> float:
 
 def _supports(plan: Plan) -> tuple[NDArray[np.bool_], FloatArray, FloatArray]:
     """(n, n) whether the box of a row lies on the box of a column; (n,) height of the highest top of an earlier box
-    under each box, mm, 0 if there is none; and (n, n) area that two boxes share in the plan, mm²."""
+    under each box, mm, 0 if there is none; and (n, n) area in which two boxes overlap if seen from above, mm²."""
     low, high = plan.corner_mm, plan.corner_mm + plan.size_mm
     along = [shared_length(low[:, axis], high[:, axis]) for axis in (0, 1)]
     numbers = np.arange(plan.n_boxes)

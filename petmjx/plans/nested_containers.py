@@ -192,9 +192,10 @@ def _is_article(name: str) -> bool:
 
 
 def plan_names_of(members: Sequence[NestedBox], articles: Collection[int]) -> list[str]:
-    """The name of each member's plan, from the objects around the member. If several objects hold the members, the
-    names of these objects are joined. If one object holds all members, the innermost name around them is the name of
-    the only plan.
+    """The name of each member's plan, from the objects around the member. If the members are in several objects, each
+    plan has the name of its object. If these objects are in several objects, too, such as pallets in orders, the plan's
+    name is "order/pallet". Layers, stacks and articles do not count as such objects. If one object holds all members,
+    the innermost name around them is the name of the only plan.
 
     Args:
         articles: Python's ``id`` of each object that is an article (``articles_around``).
@@ -242,8 +243,9 @@ def _only_name(around: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
 
 
 def _names_of(holders: Sequence[tuple[str, Mapping[str, Any]]]) -> list[str]:
-    """The names of objects around boxes. The name of an object is the text of its first field of ``_NAMES`` that no
-    other object has in this field, or else the object's place in the file."""
+    """The names of objects around boxes. An object is named by the first field of ``_NAMES`` that it has and whose text
+    no other object has in the same field. An object without such a field is named by its number in its list, from 1,
+    or, outside a list, by the last part of its path."""
     texts = {name: [_name_text(holder.get(name)) for _, holder in holders] for name in _NAMES}
     counts = {name: Counter(values) for name, values in texts.items()}
     names = []
@@ -264,8 +266,9 @@ def _name_text(value: Any) -> str:
 
 
 def container_around(member: NestedBox, articles: Collection[int]) -> dict[str, float]:
-    """The size of the container of a box, by axis; empty if no size is given. The size is in millimetres if the box's
-    own numbers have units, since these are converted, too. Otherwise it is in the unit that the file's numbers have.
+    """The size of the container of a box, by axis; empty if no size is given. If the numbers of the box have units, the
+    sizes in the fields of the container are converted to millimetres, as are the numbers of the box. Otherwise, the
+    sizes of the container are those in the file.
 
     Args:
         articles: Python's ``id`` of each object that is an article (``articles_around``).

@@ -16,7 +16,7 @@ from petmjx.plans.column_names import known_meanings, word_set, words_of
 from petmjx.plans.raw_cells import cell_number
 
 _LISTED: Final = 16
-"""A list with at most this number of members becomes separate fields. A list of 16 members is a 4×4 matrix."""
+"""A list with at most this number of members becomes separate fields, so that the 16 numbers of a 4×4 matrix do."""
 _LEAST_COLUMNS: Final = 5
 
 
@@ -26,7 +26,7 @@ def rows_by_column(value: Mapping[str, Any]) -> list[dict[str, Any]] | None:
     each row (such as ``columns`` and ``data`` of pandas). The result is None if the object has another form.
 
     Raises:
-        InputError: the lists for sizes and places have several lengths.
+        InputError: one of the lists for sizes and places has one value more or fewer than the others.
     """
     names = _names_in(value)
     for data in value.values() if names else ():
@@ -56,7 +56,8 @@ def rows_by_column(value: Mapping[str, Any]) -> list[dict[str, Any]] | None:
 
 
 def _check_lengths(lists: Mapping[str, Sequence[Any]]) -> None:
-    """Refuse lists for the sizes and places of boxes if one of them is longer or shorter than the others."""
+    """Refuse lists for the sizes and places of boxes if exactly one of them has one value more or fewer than the
+    others."""
     known = [name for name, meaning in known_meanings(lists).items() if meaning.kind in ("size", "position")]
     counts = Counter(len(lists[name]) for name in known)
     if len(known) < LEAST_NUMBERS or len(counts) != 2:

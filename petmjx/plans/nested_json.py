@@ -101,8 +101,9 @@ _TYPES: Final[Mapping[str, type | tuple[type, ...]]] = {
     **dict.fromkeys(("M", "mapValue", "fields"), dict), **dict.fromkeys(("L", "values"), list),
     "arrayValue": dict,
 }  # fmt: skip
-"""Name of the only field of an object that states the type of a value, as databases export it → the type of this
-field. The names are those of MongoDB's extended JSON, DynamoDB and Firestore."""
+"""Databases export a value as an object with a single field, whose name states the type of the value, such as
+{"$numberInt": "5"}. Name of such a field → Python type of its value. The names are those of MongoDB's extended JSON,
+DynamoDB and Firestore."""
 _TYPED_NAME: Final = re.compile(r'\{\s*"(?:\$number\w+|\$oid|[NS]|(?:integer|double|string)Value)"\s*:')
 
 
@@ -214,7 +215,8 @@ def _joined(group: Sequence[BoxList], names: Sequence[str]) -> BoxList:
 
 
 def _by_lines(boxes: BoxList, lines: Sequence[int]) -> BoxList:
-    """Number the boxes of JSON lines by their lines: "[4].items[2]" → "line 5, items[2]"."""
+    """Replace, in the places of boxes in JSON lines, the index of a value by the number of its line: "[4].items[2]" →
+    "line 5, items[2]"."""
     places = []
     for place in boxes.table.places:
         member = re.match(r"\[(\d+)\]\.?", place)
@@ -286,9 +288,11 @@ _FORM_WORDS: Final = word_set(
 
 
 def _is_plan_key(value: Mapping[str, Any]) -> bool:
-    """Whether the names of an object's fields are names of plans. The names are taken as names of plans if every field
-    holds a list, and no name has a word of ``_FORM_WORDS``. A list may be empty if its name differs from that of
-    another list only in its number. If only some lists have places, the others are lists of items."""
+    """Whether the names of an object's fields are names of plans. Every field must hold a list. All lists must have
+    similar members with the same fields for sizes and places; if only some lists have places, the others are lists of
+    items. A list may be empty if its name differs from that of another list only in its number. No name may say that
+    boxes are not placed. If only one list is not empty, or if the lists have rows of numbers, no name may have a word
+    of ``_FORM_WORDS``."""
     lists = [inner for inner in value.values() if isinstance(inner, list) and inner]
     if not lists or not all(isinstance(inner, list) for inner in value.values()):
         return False
@@ -390,8 +394,8 @@ _KIND_FIELDS: Final = frozenset(("event", "type", "kind", "action", "record", "o
 
 def _other_kinds(flat: list[dict[str, Any]]) -> tuple[set[int], str]:
     """The numbers of the members of a list that are no boxes, such as events "start" and "end" or the lights of a
-    scene, and a note. A member is no box if it has no size (or, in a list without sizes, no place), and if a field such
-    as ``type`` gives it a kind that no box has."""
+    scene; and a line for the user that these members are left out. A member is no box if it has no size (or, in a list
+    without sizes, no place), and if a field such as ``type`` gives it a kind that no box has."""
     names = list(dict.fromkeys(name for row in flat for name in row))
     geometric = _named(names, _SIZE_KINDS) or _named(names, _GEOMETRIC)
     lacking = {number for number, row in enumerate(flat) if not geometric.intersection(row)}
@@ -415,7 +419,8 @@ def _named(names: Sequence[str], kinds: Collection[str]) -> set[str]:
 
 
 def _static_objects(flat: list[dict[str, Any]]) -> tuple[set[int], str]:
-    """The numbers of the members of a list that a scene calls static, such as its floor and its pallet, and a note."""
+    """The numbers of the members of a list that a scene calls static, such as its floor and its pallet; and a line for
+    the user that these members are left out."""
     static = {
         number
         for number, row in enumerate(flat)
@@ -429,7 +434,8 @@ _STATIC: Final = frozenset(("static", "isstatic", "is_static"))
 
 
 def _floors(flat: list[dict[str, Any]]) -> tuple[set[int], str]:
-    """The numbers of the members of a list that are planes named as a floor, and a note. A plane has a size of 0."""
+    """The numbers of the members of a list that are planes named as a floor; and a line for the user that these members
+    are left out. A member is a plane if one of its sizes is 0."""
     sizes = _named(list(dict.fromkeys(name for row in flat for name in row)), _SIZE_KINDS)
     floors = {
         number
@@ -456,7 +462,8 @@ def _with_zeros(flat: list[dict[str, Any]]) -> list[str]:
     numbers = [[cell_number(row.get(name)) for row in flat] for name in columns]
     is_zero = any(number is not None and number.value == 0 for column in numbers for number in column)
     n_lacking = [sum(name not in row for name in columns) for row in flat]
-    in_part = any(0 < count < 3 for count in n_lacking)  # otherwise, each box without a place may be a mistake
+    # if no box lacks only one or two coordinates, the boxes that lack all three may have no place
+    in_part = any(0 < count < 3 for count in n_lacking)
     if len(columns) < 3 or is_zero or not in_part or not all(any(name not in row for row in flat) for name in columns):
         return []
     for row in flat:
@@ -466,8 +473,9 @@ def _with_zeros(flat: list[dict[str, Any]]) -> list[str]:
 
 
 def _mark_long_lists(flat: list[dict[str, Any]]) -> None:
-    """Mark sizes and places that are lists of four numbers, such as "[38.5, 22.7, 41,6]", if they are lists of three
-    numbers in most rows. An error text replaces the last number of a marked list."""
+    """Mark sizes and places that are lists of four numbers, if fewer than half of the rows have such lists: in "[38.5,
+    22.7, 41,6]", a decimal comma has divided the third number. The third number of a marked list becomes a text that is
+    no number, so its row is reported as bad."""
     names = {name for row in flat for name in row if name.endswith("[3]")}
     for name in _named(sorted(names), ("size", "position", "low", "high")):
         long = [row for row in flat if name in row]

@@ -63,7 +63,7 @@ def loaded_array(data: bytes | bytearray, name: str = "") -> Any:
 
 
 _LAST_CODE_POINT: Final = 0x10FFFF
-"""Largest code of a character. Python cannot show a text of an array that has larger codes."""
+"""Largest code point of Unicode. A text in an array is damaged if it has a larger code point; Python cannot show it."""
 
 
 def _arrays_in(array: Any, path: str = "") -> Iterator[tuple[str, Any]]:
@@ -146,7 +146,8 @@ def sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
         rows, places, parts = [], [], []
         for number, plan in enumerate(plans.tolist()):
             used = [index for index, row in enumerate(plan) if any(row)]
-            for index in range(used[-1] + 1 if used else 0):  # arrays of fixed length end with rows of zeros
+            # rows of zeros at the end are no boxes: they fill up an array of fixed length
+            for index in range(used[-1] + 1 if used else 0):
                 rows.append(tuple(plan[index]))
                 places.append(f"row {index}" if array.ndim == 2 else f"plan {number}, row {index}")
                 parts.append("" if array.ndim == 2 else str(number))
@@ -181,7 +182,8 @@ def _as_plans(sources: Sequence[BoxSource]) -> list[BoxSource]:
 
 
 def column_names_known(columns: Mapping[str, Any]) -> bool:
-    """Whether the names of arrays are known names of sizes and places."""
+    """Whether the names of some arrays are known names of sizes, and those of others known names of places. An array of
+    matrices has places whatever its name is."""
     names = [name if array.ndim == 1 else f"{name}[0]" for name, array in columns.items()]
     kinds = {meaning.kind for meaning in known_meanings(names).values()}
     posed = any(array.ndim == 3 for array in columns.values())
