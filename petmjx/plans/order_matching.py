@@ -210,7 +210,8 @@ def _equal_pairs(
 
 
 def _equal_measures(box: FloatArray, item: FloatArray) -> NDArray[np.bool_]:
-    """Whether sizes, masses and, if present, properties are equal within the tolerances."""
+    """Whether sizes and masses are equal within the tolerances, and also the properties (stiffness, kind and centre of
+    mass), if the arrays have them."""
     apart = np.abs(box - item)
     sizes = (apart[..., :3] <= SIZE_TOLERANCE_MM + _ROUNDING).all(axis=-1)
     masses = apart[..., 3] <= np.maximum(MASS_TOLERANCE * item[..., 3], MASS_TOLERANCE_KG) + _ROUNDING
@@ -453,7 +454,7 @@ def check_orders(
 
 
 def counts_of(matching: Matching) -> PlanOrderCounts:
-    """The counts of one plan and its order."""
+    """The numbers of boxes that compare one plan with its order."""
     not_ordered, resized = (int(np.count_nonzero(mask)) for mask in (matching.not_ordered, matching.resized))
     return PlanOrderCounts(matching.n_items, matching.left_out, not_ordered, resized)
 
@@ -516,7 +517,7 @@ class OddBoxes:
     first: dict[str, str] = field(default_factory=dict)
 
     def add(self, plan: Plan, order: Order, matching: Matching) -> None:
-        """Add the differences of one plan."""
+        """Add the differences between one plan and its order."""
         kinds = {
             "not_ordered": matching.not_ordered,
             "resized": matching.resized & ~matching.same_size,

@@ -58,7 +58,8 @@ of the pallet's height. If coordinates are those of centres, the difference for 
 the pallet's height."""
 _LEVEL: Final = 0.01
 """The lowest box counts as standing on the deck if the distance between its bottom and the deck is at most this share
-of the boxes' median height: 2 mm for cartons of 200 mm. Centres are often rounded to millimetres."""
+of the boxes' median height: 2 mm for cartons of 200 mm. The limit is above 0, because centres are often rounded to
+millimetres."""
 
 
 def placed_boxes(
@@ -96,7 +97,7 @@ def placed_boxes(
 def _deck_heights(
     low: FloatArray, plans: Mapping[str, NDArray[np.int64]], size: FloatArray, containers: Mapping[str, FloatArray]
 ) -> dict[str, float]:
-    """Height of the deck of each plan, mm. All plans of a file measure heights from the same level.
+    """Height of the deck of each plan, mm. It is assumed that all plans of a file measure heights from the same level.
 
     The level is 0 if the lowest box of any plan is at 0; else it is the height of the lowest box of the file. So if a
     plan lacks its bottom layer, its boxes float above the deck. If heights are measured from the middle of a container,

@@ -77,7 +77,8 @@ PALLETS: Final[Mapping[str, tuple[float, float, float]]] = {
     Carrier.EPAL_1.value: (1200.0, 800.0, 144.0),
     Carrier.GMA_48X40.value: (1219.0, 1016.0, 121.0),
 }
-"""Kinds of items that are pallets, and so bear other boxes → their extents, mm. Carriers have the same names."""
+"""Kinds of items that are pallets, and so bear other boxes → their extents, mm. The kinds have the names of the
+carriers of the same form."""
 PALLET_SIZE_MM: Final = 1.0
 """Largest difference between the sizes of an item and the sizes of its kind of pallet, mm. Sizes in plans are usually
 whole millimetres, so they may differ by one millimetre."""

@@ -545,9 +545,8 @@ class _PlanLoader:
             self._skip(source, None, _orders_message(source, orders))
 
     def _is_left_to_own(self, source: str, path: Path, data: bytearray) -> bool:
-        """Read a text that is not in BED-BPP's form as a file of another tool. Returns True if the text is not a list
-        and contains no list of boxes: then the reader of BED-BPP's JSON must explain the error. Otherwise, returns
-        False.
+        """Read a text that is not in BED-BPP's form as a file of another tool. Returns whether the reader of BED-BPP's
+        JSON must report the error: True if the text is not a list and contains no list of boxes.
         """
         fault = self._read_foreign_file(source, path, data)
         if fault is None:

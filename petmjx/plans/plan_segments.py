@@ -23,7 +23,7 @@ from petmjx.plans.plan_reader import MOST_LINES, read_json_plans
 from petmjx.plans.plan_set import PlanSet
 
 _WINDOW: Final = 1 << 20
-"""Length of the text in which a cut is searched, bytes. A plan of BED-BPP takes 10,000 to 25,000 bytes."""
+"""Length of the text in which a place for a cut is searched for, bytes. A plan of BED-BPP takes 10,000 to 25,000 bytes."""
 
 _FIRST: Final = re.compile(rb"[ \t\n\r]*+\{")
 _LAST: Final = re.compile(rb"\}[ \t\n\r]*+\Z")

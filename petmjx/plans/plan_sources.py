@@ -93,7 +93,8 @@ def are_files(plans: PlanSource | None) -> bool:
 
 
 def _check_no_boxes(plans: object) -> None:
-    """Raise InputError if the source of plans is boxes in a form that only ``load_plans`` reads."""
+    """Raise InputError if ``plans`` is, or contains, a dictionary, list, tuple or array of boxes: only ``load_plans``
+    reads these."""
     members = plans if isinstance(plans, list | tuple) else (plans,)
     boxes = next((value for value in members if isinstance(value, Mapping | np.ndarray | list | tuple)), None)
     if boxes is not None:
@@ -157,8 +158,8 @@ def _idle_rows(articles: Articles, plans: Sequence[Plan], name: str) -> list[str
     every row matches a box.
 
     Args:
-        plans: the plans before and after the table is applied, since the materials of boxes may come from the table
-            itself.
+        plans: the plans before and after the table is applied. A row about a material may match only the plans after
+            it, if another row of the table gives this material to boxes.
     """
     from petmjx.plans.articles import material_key
 
@@ -209,7 +210,7 @@ def _distinct_plan_ids(plan_set: PlanSet, options: RunOptions) -> PlanSet:
         verb = "repeats an id and is" if len(renamed) == 1 else "repeat ids and are"
         notes.append(f"{count_text(len(renamed), 'plan')} {verb} called {first_names(renamed)}")
     numbers = {plan.plan_id: number for number, plan in enumerate(plans)}
-    skipped = [replace(skip, number=None) for skip in plan_set.skipped]  # skipped plans are not counted
+    skipped = [replace(skip, number=None) for skip in plan_set.skipped]  # plans are numbered without the skipped ones
     return replace(plan_set, plans=plans, skipped=skipped, notes=notes, numbers=numbers)
 
 

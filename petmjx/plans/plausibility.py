@@ -23,7 +23,7 @@ hang over, or touch no neighbour. In the output of a packer, a box rarely overla
 overhang and gaps are common."""
 _TOLERANCE: Final = 0.01
 """Largest gap at which boxes touch, as a share of the median of the boxes' smallest sides: 2 mm for cartons of 200 mm.
-Centres are often rounded to centimetres or half millimetres."""
+Boxes that touch may have a gap in a file, because centres are often rounded to centimetres or half millimetres."""
 _SMALL_LOAD: Final = 160
 """Largest number of boxes that are used to judge a plan: its first boxes in packing order, from the ground up."""
 _CARTON_MM, _CARTON_SPREAD = 280.0, 0.75
@@ -210,7 +210,7 @@ def _outside(
 
 _POINTS: Final = ((0.0, 0.0), (0.5, 0.5), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (0.5, 1.0))
 """Points of a box that coordinates may describe, as shares of its extents along two axes. The last point is the centre
-of the top, with y upwards."""
+of the top, if y is the vertical axis."""
 
 
 def are_other_points(layout: Layout, mm: float, point: FloatArray) -> bool:
@@ -222,8 +222,9 @@ def are_other_points(layout: Layout, mm: float, point: FloatArray) -> bool:
     point, neither is true of the load. The origin may be a corner of the deck, or the middle of a deck.
 
     Args:
-        mm: millimetres of a unit of the layout.
-        point: the point as which coordinates were read, as shares of the extents along x, y and z.
+        mm: the unit of the layout's lengths, in millimetres.
+        point: the point of a box that the coordinates were assumed to describe, as shares of the box's extents along
+            x, y and z: 0 is the near end of the box, 1 the far end.
     """
     tolerance = _tolerance_of(layout)
     decks = [(long / mm, short / mm) for long, short in _DECKS_MM[:_PALLETS]]
@@ -274,15 +275,19 @@ def _cost_in_order(layouts: Sequence[Layout], direction: int) -> float:
 
 
 _LARGEST_ORDER_COST: Final = 2.4
-"""Largest cost of an order. The cost is limited because some loads are built up from one side: in 14 of 200 plans of
-``baseline`` (``order_cost``), and in 7 of 200 of ``balanced``, the height falls more often than a level coordinate."""
+"""Largest cost of the order in which a file lists boxes. The cost is limited because some packers build loads up from
+one side. In 14 of the 200 plans of ``baseline`` with which ``order_cost`` was measured, and in 7 of the 200 plans of
+``balanced``, the height falls more often from one box to the next than a level coordinate does."""
 _FALL_COST: Final = 1.5
-"""Cost of an order for each standard deviation by which the height falls more often than a level coordinate."""
+"""Cost of the order in which boxes are listed, for each standard deviation by which the height falls more often than a
+level coordinate."""
 _MOST_FALLS: Final = 0.2
-"""Boxes are listed along a level axis only if their coordinates fall in at most this share of the steps."""
+"""Boxes count as listed along a level axis only if their coordinates along this axis fall in at most this share of the
+steps from one box to the next."""
 _LATE_BOX_COST: Final = 0.8
-"""Cost of each box that is listed before a box on which it rests. No plan of ``order_cost`` has such a box. If the
-plans are read along another vertical axis, 42 to 46 % (``baseline``) and 66 to 69 % (``balanced``) have one."""
+"""Cost of each box that is listed before a box on which it rests. None of the plans with which ``order_cost`` was
+measured has such a box. If these plans are read along another vertical axis, 42 to 46 % (``baseline``) and 66 to 69 %
+(``balanced``) of them have such a box."""
 
 
 def _n_late(low: FloatArray, size: FloatArray, tolerance: float) -> int:

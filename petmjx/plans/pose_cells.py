@@ -114,7 +114,7 @@ def _matrix_of_frame(cell: Any) -> list[list[float]] | None:
 
 def _matrices(rows: Sequence[Sequence[Any]], shape: tuple[int, int] | None) -> list[Any] | None:
     """Nested lists from the entries of matrices. A row in which an entry is no number keeps its entries as they are.
-    The result is None if the numbers of most rows are no rotation.
+    The result is None if the numbers of most rows are not the entries of a rotation matrix.
 
     Args:
         shape: shape of the matrices; None: the entries are listed by rows or by columns, whichever gives rotations.

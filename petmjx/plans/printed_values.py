@@ -22,7 +22,7 @@ from petmjx.plans.table_sections import are_unplaced, begins_section, names_part
 _MOST_PRINTED: Final = 8 << 20
 """Largest text that is read, in characters."""
 _DEEPEST: Final = 30
-"""Largest depth of brackets that is read."""
+"""Largest allowed depth of nested brackets."""
 _VALUE_START: Final = re.compile(
     r"\s*(?:return\s*)?(?:&?[\[({]\s*){0,30}(?:&?[A-Za-z_][\w.\\]*(?: Object)?\s*)?&?[\[({]\s*"
     r"(?::[A-Za-z][\w-]*\s|[A-Za-z_$][\w$]*\s*(?::(?!:)|=)|\[['\"]?[\w:\\]+['\"]?\]\s*="
@@ -153,7 +153,8 @@ def _with_lists(value: Any, names: Collection[str]) -> Any:
 
 def values_of_lines(text: str) -> JsonLines | None:
     """The values in lines of named values, "Item: A, Position: (0, 0, 0), Dimensions: 40 x 30 x 20"; None for other
-    texts. Lines above and below are left out. Titles ("Pallet 2:") become fields of the boxes below them.
+    texts. Lines above the first and below the last of these lines are left out. Titles ("Pallet 2:") become fields of
+    the boxes below them.
 
     Raises:
         InputError: a line between two lines of named values has no named values. The error names the line.
@@ -253,7 +254,8 @@ def values_of_blocks(text: str) -> Any:
         else:
             pairs |= _fields_of_title(title)
     n_known = len(known_meanings(boxes[0])) if len(boxes) > 1 and len(boxes[0]) <= MOST_COLUMNS else 0
-    if n_known < _LEAST_PAIRS:  # such as sections of a table, below "[Pallet 1]"
+    # too few names of fields of a box: for example, "[Pallet 1]" may be the title of a section of a table
+    if n_known < _LEAST_PAIRS:
         return None
     if fault:
         raise InputError(fault)
@@ -266,7 +268,7 @@ def _value(text: str, at: int, depth: int, decimal_marks: str = "") -> tuple[Any
         raise _fault(text, at, "brackets are nested too deeply")
     if (opened := _OPEN.match(text, at)) is not None:
         value, end = _inside(text, opened.end(), opened[1] or "", _CLOSING_BRACKETS[opened[2]], depth)
-        # Some(5) of Rust is 5
+        # Rust prints an optional value as Some(5): the value is 5
         return (value[0] if opened[1] == "Some" and isinstance(value, list) and len(value) == 1 else value), end
     if (quoted := _QUOTED.match(text, at)) is not None:
         return next(part for part in quoted.groups() if part is not None), quoted.end()
@@ -299,7 +301,7 @@ def _value_of_name(text: str, at: int, depth: int, decimal_marks: str = "") -> t
 
 
 def _inside(text: str, at: int, kind: str, close: str, depth: int) -> tuple[Any, int]:
-    """The values in brackets, and the position behind the brackets: an object if they have names, else a list.
+    """The values in brackets (an object if the values have names, else a list), and the position behind the brackets.
 
     Args:
         kind: the name before the bracket.

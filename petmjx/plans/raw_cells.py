@@ -113,7 +113,7 @@ _ONLY_GROUPS: Final = {",": re.compile(r"^[+-]?\d{1,3}(?:\.\d{3})+$"), ".": re.c
 
 
 def has_groups_with_decimals(rows: Sequence[Sequence[Any]], decimal: str) -> bool:
-    """Whether a number of a table has marks between its thousands and decimals, "1.234,5". In a table with such
+    """Whether a number of a table has decimals, and marks between its thousands: "1.234,5". In a table with such
     numbers, "1.200" means 1200 everywhere."""
     pattern = _GROUPS_AND_DECIMALS.get(decimal)
     return pattern is not None and any(isinstance(cell, str) and pattern.match(cell) for row in rows for cell in row)

@@ -187,8 +187,8 @@ def flags_unplaced(fields: Iterable[tuple[str, Any]]) -> bool:
 
 
 def rows_with_boxes(table: RawTable) -> list[int]:
-    """Numbers of the rows whose boxes are placed, by the flags of the table. A column is a flag only if it has no other
-    texts than yes and no."""
+    """Numbers of the rows whose boxes are placed, as columns such as "packed" tell (``_PLACED_FLAGS``). Such a column
+    tells this only if it has no other texts than yes and no."""
     flags = [
         (name, table.column(name))
         for name in table.header

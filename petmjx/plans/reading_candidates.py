@@ -28,12 +28,12 @@ _PERMUTATIONS: Final = np.array(list(permutations(range(3))))
 """Number of a permutation of the three sizes → which of the sizes lies along each axis. The permutations are numbered
 in alphabetical order, as in files of other programs: 0 is XYZ, 1 is XZY, and so on (``ROTATION_RULES``)."""
 _ANCHOR_PRIOR: Final = {"corner": 0.0, "centre": 1.0, "base-centre": 1.8, "far-corner": 2.5, "top-centre": 3.0}
-_OTHER_CORNER_COST: Final = 3.0  # cost of a reading with coordinates of another corner
+_OTHER_CORNER_COST: Final = 3.0  # cost of a reading with coordinates of a corner that is not in ``_ANCHOR_PRIOR``
 _GUESSED_TURNS: Final = 2.0
 """Cost of a reading in which a column of unknown meaning has rotations."""
 _TURNED_ARRAY: Final = 0.6
-"""Cost of sizes before turning in a table without names. Arrays mostly come from programs that train packers, and have
-sizes as placed."""
+"""Cost of a reading in which sizes are those before boxes are turned, for an array without column names. Arrays mostly
+come from programs that train packers, and have sizes as placed."""
 _FIRM_COST: Final = 3.0
 """Cost of a reading that contradicts what is known from the form of the file, the names of its columns, or the
 rotations."""
@@ -317,10 +317,11 @@ def _sizes_by_article(columns: BoxColumns, geometry: Geometry) -> str:
 
 
 _LEAST_BY_LENGTH: Final = 3
+"""Least number of turned boxes, and of unturned boxes, with different lengths and widths. With fewer such boxes,
+lengths and widths do not show whether sizes are those of placed boxes or of items."""
 _LONGER_SHARE: Final = 0.9
-"""Lengths and widths show whether sizes are those of placed boxes or of items only if two conditions hold. There must
-be at least this number of turned boxes, and of unturned boxes; and in at least this share of the unturned boxes, length
-must exceed width."""
+"""Lengths and widths show whether sizes are those of placed boxes or of items only if the length exceeds the width in
+at least this share of the unturned boxes."""
 
 
 def _sizes_by_length(columns: BoxColumns, geometry: Geometry) -> str:

@@ -45,15 +45,15 @@ WEAK: Final = 5.0
 """A reading is weak if the cost of its layout exceeds this value. A layout has this cost if a fifth of its boxes
 overlap, or if a quarter of them float."""
 _POOR: Final = 0.8 * WEAK
-"""If every reading has a layout with a higher cost than this, coordinates in another unit than sizes are tried. Layouts
-with x upwards and with a higher cost are not considered."""
+"""If the layouts of all readings cost more than this, readings are tried in which coordinates have another unit than
+sizes. A reading with x upwards whose layout costs more than this is not considered."""
 WEAK_LEAD: Final = 3.0
 """A weak reading (see ``WEAK``) wins only if its cost is lower than the cost of every other reading by at least this
 value. If a plan really has odd boxes, even more boxes are odd in wrong readings."""
 _OTHER_POINT_COST: Final = 3.6
 """Cost of a reading in which coordinates are those of corners, if they are probably those of other points
-(``are_other_points``). With coordinates of centres, the cost is half as large: perhaps they are those of tops, with y
-upwards."""
+(``are_other_points``). For a reading with coordinates of centres, the cost is half as large: such coordinates may be
+those of the middles of tops, if y is the vertical axis."""
 _WALL_COST: Final = 2.0
 """Cost of a reading in which boxes form a wall (``is_wall``). If y is as likely to be the vertical as z, and the file
 has more than a few boxes, the reading as a flat layer wins; else the user is asked for the vertical axis."""
@@ -179,8 +179,8 @@ def _judge(columns: BoxColumns, wishes: Wishes, candidate: Candidate, sample: _S
 
 
 _UNEQUAL_FLOOR_COST: Final = 2.5
-"""Cost of a reading in which the plans of a file begin at different heights above the deck. All plans of a file measure
-heights from the same level."""
+"""Cost of a reading in which the plans of a file begin at different heights above the deck. This is implausible, since
+a program measures the heights in all plans of a file from the same level."""
 _PY3DBP_ORDER_WEIGHT: Final = 0.4
 """Weight with which the order of boxes counts in the cost of a reading, for files of py3dbp. The weight is low because
 py3dbp fills a container along x, then y, then z, whichever axis is the vertical."""
@@ -297,7 +297,8 @@ def choose_reading(
 
 def _changes_by_anchor(reading: Reading, columns: BoxColumns, wishes: Wishes, sample: _Sample) -> list[str]:
     """A list with one line that states what the given anchor changes in the reading; empty if it changes nothing.
-    Without the anchor, another vertical, for example, would be as plausible or more plausible."""
+    The anchor changes something if, without it, another reading would be as plausible or more plausible: for example, a
+    reading with another vertical axis."""
     judged = _judged_candidates(columns, replace(wishes, anchor=""), sample)
     for other in judged:
         if other.cost < judged[0].cost + TIE:
@@ -309,9 +310,10 @@ def _changes_by_anchor(reading: Reading, columns: BoxColumns, wishes: Wishes, sa
 
 
 def _may_be_turned(best: _Judged, other: _Judged) -> bool:
-    """Whether the vertical of another reading may be right: neither names, odd boxes, contacts nor a known carrier
-    decide. The order of boxes, walls and the footprint of the load are weak evidence. If they speak against the usual
-    vertical, the user is asked; if they do not, a note names the other axis."""
+    """Whether the vertical axis of another reading may be the right one: names, odd boxes, contacts and a known carrier
+    do not decide between the two axes. The order of boxes, walls and the footprint of the load are weak evidence. If
+    the weak evidence speaks against the usual vertical axis, the user is asked; otherwise, a note names the other
+    axis."""
     is_known = not np.isnan(best.layouts[0].container[:2]).any()
     firm, other_firm = (one.layout_cost + is_known * one.units[0].cost for one in (best, other))
     return (
@@ -479,7 +481,8 @@ def _unit_text(best: _Judged, places: str) -> str:
 
 
 def _unit_of_sizes(judged: _Judged, places: str) -> str | None:
-    """The unit of sizes if coordinates have the unit ``places``; None if no unit is as long: 0.1 mm, for example."""
+    """The unit of sizes if coordinates have the unit ``places``; None if this unit would be
+    unknown, such as 0.1 mm."""
     mm = LENGTH_UNITS[places] * judged.candidate.scale
     return next((name for name in ("mm", "cm", "dm", "m", "in") if math.isclose(LENGTH_UNITS[name], mm)), None)
 

@@ -19,7 +19,8 @@ from petmjx.plans.turn_columns import Turns
 
 _ON_AXES: Final = {"0": "x", "1": "y", "2": "z", "length": "x", "width": "y", "height": "z", "depth": "z"}
 _BY_WIDTH: Final = {"width": "x", "depth": "y", "height": "z"}
-"""Word for a size → the axis of the coordinate that it names, if no coordinate is named by the length."""
+"""Word for a size in the name of a column of coordinates → the axis of these coordinates, if there are columns for
+width, depth and height."""
 
 
 def _on_axes(columns: Mapping[str, list[int]]) -> dict[str, list[int]]:
@@ -101,7 +102,8 @@ class Places(NamedTuple):
 
 
 def sizes_in(extraction: ColumnExtraction) -> Sizes | None:
-    """The sizes of the boxes; None if there are no columns with sizes. Sizes of placed boxes are preferred."""
+    """The sizes of the boxes; None if there are no columns with sizes. If there are several sets of columns with sizes,
+    those of placed boxes are preferred to those of items."""
     header, fixed = extraction.table.header, extraction.fixed
     if "sizes" in fixed:
         values, unit = extraction.triples(fixed["sizes"])
@@ -214,8 +216,9 @@ def places_in(extraction: ColumnExtraction) -> Places | None:
 
 
 def _still_columns(extraction: ColumnExtraction) -> set[int]:
-    """Columns of places whose cells are equal in nearly all rows, if the columns of another object vary. Such columns
-    describe something that all boxes have, such as the centre of a collider ("collider.center.x")."""
+    """Columns that seem to have places, but do not have those of boxes: their cells are equal in nearly all rows, while
+    those of other columns of places vary. Such columns describe something that all boxes have, such as the centre of a
+    collider ("collider.center.x")."""
     header = extraction.table.header
     varying: dict[str, bool] = {}
     columns: dict[str, list[int]] = {}
@@ -443,8 +446,8 @@ def array_choices(extraction: ColumnExtraction) -> list[Geometry]:
 
 
 def array_extras(extraction: ColumnExtraction, geometries: Sequence[Geometry]) -> tuple[Turns | None, int | None, bool]:
-    """Interpret the further columns without names. Returns rotations, the column of weights, and whether the
-    weights are densities.
+    """Interpret the columns that follow the sizes and places in an array without column names. Returns rotations, the
+    column of weights, and whether the weights are densities.
 
     A column of whole numbers from 0 to 5, some of them 0, holds rotations. A column of numbers up to ``_DENSEST`` holds
     densities relative to water. A column of larger numbers holds weights.

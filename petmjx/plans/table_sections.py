@@ -128,9 +128,9 @@ def _table_below(
 
 
 def _unnamed_below(rows: Sequence[tuple[Any, ...]], head: int, width: int) -> list[str]:
-    """Empty names for columns that only the upper line of a two-line header names. ``head`` is the number of the lower
-    line, which has ``width`` names. The columns follow the last name of the lower line, and have values in the row
-    below it."""
+    """An empty name for each column that has a name only in the upper line of a two-line header. ``head`` is the number
+    of the lower line, which has ``width`` names. These columns follow the last name of the lower line, and have values
+    in the row below it."""
     group, below = rows[head - 1], rows[head + 1] if head + 1 < len(rows) else ()
     count = 0
     while width + count < min(len(group), len(below)) and group[width + count] and below[width + count] is not None:

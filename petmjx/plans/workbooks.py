@@ -219,8 +219,8 @@ def value_of_xml(text: str) -> Any:
 
 
 def _repeated_names(root: ElementTree.Element) -> set[tuple[str, str]]:
-    """(name of an element, name of its children) for children that occur several times in at least one element of this
-    name. In all elements of this name, these children become a list, even a single child."""
+    """Pairs: name of an element; name of children that occur several times in at least one element of this name. In all
+    elements of this name, these children become a list, even a single child."""
     repeated: set[tuple[str, str]] = set()
     for element in root.iter():
         counts = Counter(map(_name_of, element))
@@ -229,7 +229,7 @@ def _repeated_names(root: ElementTree.Element) -> set[tuple[str, str]]:
 
 
 _DEEPEST: Final = 50
-"""Largest depth of elements that are read."""
+"""Elements that are nested more deeply than this are not read."""
 
 
 def _value_of(element: ElementTree.Element, depth: int, repeated: set[tuple[str, str]]) -> Any:

@@ -42,7 +42,7 @@ _ESCAPES: Final = {
 }  # fmt: skip
 """Letter after a backslash in a text in double quotes → the character that backslash and letter together stand for."""
 _DEEPEST: Final = 50
-"""Largest depth of values that are read."""
+"""Largest allowed depth of nested values."""
 _FORMATS: Final = {".toml": "TOML", ".yaml": "YAML", ".yml": "YAML"}
 _NAMES: Final = ("article", "item_id", "plan", "group", "material")
 """Kinds of fields with names and ids. Their values stay text, even values such as ``no``, ``1e5`` and ``1.10``, which
@@ -77,7 +77,8 @@ def _is_yaml(text: str) -> bool:
 
 
 def _is_toml(text: str) -> bool:
-    """Whether a text has a table of TOML, and its other lines are pairs."""
+    """Whether a text has the title of a TOML table ("[name]"), and more than half of its lines are such titles or pairs
+    ("name = value")."""
     lines = [line for line in text[:20_000].splitlines() if line.strip() and not line.lstrip().startswith("#")]
     fitting = sum(_TOML_TABLE.match(line) is not None or _TOML_PAIR.match(line) is not None for line in lines)
     return _TOML_TABLE.search(text[:20_000]) is not None and fitting > 0.5 * len(lines)
@@ -136,8 +137,8 @@ class _Reader:
         return InputError(f"not YAML at line {line.number} ({why})")
 
     def _block(self, indent: int, depth: int, key: str = "") -> Any:
-        """The mapping or sequence that begins at the next line, whose lines have this indent. ``key``: as in
-        :meth:`_scalar`."""
+        """The mapping, sequence or scalar that begins at the next line. ``indent``: the indent of its lines. ``key``:
+        as in :meth:`_scalar`."""
         line = self.lines[self.next]
         if depth > _DEEPEST:
             raise self._fault(line, "nested too deeply")
@@ -234,7 +235,7 @@ class _Reader:
         return _ESCAPED.sub(escaped, text[1:-1])
 
     def _typed(self, line: _Line, text: str, key: str) -> Any:
-        """The value of the text of a scalar. ``key``: as in :meth:`_scalar`."""
+        """The value that a scalar (a text in YAML) stands for. ``key``: as in :meth:`_scalar`."""
         plain = self._plain(line, text)
         if plain != text:
             return plain

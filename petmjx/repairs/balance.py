@@ -102,7 +102,7 @@ def balances(
     """
     results: list[Balance] = []
     is_plain = are_plain(drafts, sim)
-    if len({*is_plain}) == 2:  # sheets among the boxes
+    if len({*is_plain}) == 2:  # for example, only some of the drafts have sheets
         parts = [[k for k, plain in enumerate(is_plain) if plain is one] for one in (True, False)]
         of_parts = [
             balances([drafts[k] for k in part], sim, spare_mm=spare_mm, with_loads=with_loads) for part in parts
@@ -168,7 +168,8 @@ def are_plain(drafts: Sequence[Draft], sim: Simulation) -> list[bool]:
 def _balances(
     drafts: Sequence[Draft], loads: _Loads, missing_room: Sequence[FloatArray], first: IntArray, *, with_loads: bool
 ) -> list[Balance]:
-    """The balances of drafts from their loads. ``first``: (d + 1,) number of the first box of each draft."""
+    """The balances of d drafts from their loads. ``first``: (d + 1,) number of the first box of each draft, and at the
+    end the number of all boxes."""
     order = np.concatenate([draft.rows for draft in drafts])
     rows = (loads.least_mm < 0).nonzero()[0]
     rows = rows[np.lexsort((order[loads.box[rows]], loads.step[rows]))]  # steps increase from draft to draft

@@ -149,7 +149,7 @@ class Node:
     @property
     def n_promised(self) -> float:
         """Expected number of changes of a repair that begins with the next change of this plan. The number is larger if
-        changes were judged in vain, and if the next change hardly helps by statics."""
+        changes were judged in vain, and if the next change hardly helps according to statics."""
         unsolved = self.queue[0].unsolved if self.queue else 0.0
         return self.n_expected + PER_ROUND * self.n_rounds + unsolved
 
@@ -187,9 +187,9 @@ def batch_of(queues: Sequence[list[Candidate]], count: int) -> list[Candidate]:
 
 
 def spread(ranked: Sequence[Candidate]) -> list[Candidate]:
-    """Candidates, ranked anew: after a change of a box by one amount, other changes come before the same change by
-    other amounts. Statics ranks moves of one box by many amounts side by side, and often the plans with these moves all
-    fall alike."""
+    """Candidates, ranked anew. Of the candidates that change the same box in the same way by different amounts, the
+    best keeps its rank, and each further one gets a worse rank. Statics gives such candidates similar ranks, but often
+    all of their plans fall in the same way."""
     ways: Counter[tuple[object, ...]] = Counter()
     keys = []
     for candidate in ranked:
@@ -248,7 +248,8 @@ class Candidates:
         film_turns: number of turns of film around the plan.
         is_wide: whether many plans are judged at once, for an engine that judges many as fast as a few.
         n_trials: number of simulations of changed plans.
-        invalid: reason → number of those simulations that were invalid for this reason. They count as falls.
+        invalid: reason → number of those simulations that were invalid for this reason. Invalid simulations count as
+            falls.
     """
 
     plan: Plan
@@ -453,7 +454,8 @@ class Candidates:
     def _falls_early(self, key: bytes) -> bool:
         """Whether a draft with this key must fall like a draft that was judged before: both begin with the same
         placements, and the judged draft fell before its next box was placed."""
-        longer = key[:-1]  # a further box is needed: at its end, a draft waits longer than before its next box
+        # the draft must have a box after these placements, since the wait after the last box is longer than other waits
+        longer = key[:-1]
         return longer.startswith((*self._falls,))
 
     def _scored(self, states: Sequence[State]) -> Steps[list[State]]:
@@ -480,8 +482,8 @@ class Candidates:
         return [State(draft, changes, trial) for (draft, changes), trial in zip(made, trials, strict=True)]
 
     def _judged_in(self, states: Sequence[State], worlds: Iterable[int]) -> Steps[list[State]]:
-        """The states with their trials in these worlds with errors. A world in which a state was judged before is not
-        simulated again."""
+        """The states with their trials in the given worlds with errors. A world in which a state was judged before is
+        not simulated again."""
         known = [{**self._in_worlds.get(key_of(state.draft), {}), **state.errors} for state in states]
         pairs = [(k, world) for k in range(len(states)) for world in worlds if world not in known[k]]
         self._spend(len(pairs))

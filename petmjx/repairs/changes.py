@@ -366,6 +366,6 @@ def _boxes(numbers: Sequence[int]) -> str:
 
 
 def _mm(length: float) -> str:
-    """A length as a text, with at most a tenth of a millimetre, as in plans."""
+    """A length in mm as a text with at most one decimal, as in plans."""
     rounded = round(length, 1) + 0.0
     return f"{rounded:.0f}" if abs(rounded - round(rounded)) < TOLERANCE_MM / 10 else f"{rounded:.1f}"

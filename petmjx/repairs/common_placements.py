@@ -19,12 +19,12 @@ from petmjx.engines.verdict import Outcome
 from petmjx.world.job import EngineState, Job
 
 LEAST_SAVED: Final = 40
-"""A common placement is simulated in a job of its own if this saves the placements of at least this many boxes in all.
+"""A common placement is simulated in a job of its own only if it saves the placements of at least this many boxes.
 A pause takes as long as the placements of some boxes."""
 
 MOST_KEPT_BYTES: Final = 64 << 20
-"""Largest memory for the states of common placements that are kept for further worlds. Worlds with errors may take the
-same amount of memory in addition. A state of 40 boxes takes 10 kB."""
+"""Largest memory for the states of common placements that are kept for further worlds. The states of worlds with errors
+may take the same amount of memory in addition. A state of 40 boxes takes 10 kB."""
 
 Tag = TypeVar("Tag")
 

@@ -146,8 +146,8 @@ class Draft:
         return _closure(self._under_each, box)
 
     def with_places(self, boxes: Sequence[int], corner_mm: FloatArray, *, anew: bool = True) -> Draft:
-        """The draft in which the given boxes have other corners. ``anew``: whether the plan's directions of approach no
-        longer hold for these boxes, so that they count as ``moved``."""
+        """The draft in which the given boxes have other corners. ``anew``: whether these boxes count as ``moved``,
+        because the plan's directions of approach no longer hold for them."""
         corners = self.corner_mm.copy()
         corners[list(boxes)] = corner_mm
         moved = self.moved.union(boxes) if anew else self.moved
@@ -312,7 +312,7 @@ class Oddities(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Other places of b boxes of a draft: k alternatives.
+    """k alternatives for the places of b boxes of a draft.
 
     Attributes:
         boxes: (k, b) numbers of the boxes.
@@ -379,8 +379,8 @@ class _Layouts(NamedTuple):
         return np.isfinite(self.rank)
 
     def beside(self, number: IntArray, box: IntArray) -> tuple[IntArray, IntArray]:
-        """The k pairs of ``Oddities`` for r boxes, as the (k,) arrays ``row`` and ``other``. ``number``, ``box``: (r,)
-        number of the draft of each box, and of the box."""
+        """The k pairs of ``Oddities`` for r boxes, as the (k,) arrays ``row`` and ``other``. ``number``: (r,) number of
+        each box's draft. ``box``: (r,) number of each box in its draft."""
         pairs = self.is_placed[number]
         pairs[np.arange(len(number)), box] = False
         for low, high in zip(self.low[:2], self.high[:2], strict=True):
@@ -592,7 +592,8 @@ class Rules:
         )
 
     def _oddities(self, layouts: _Layouts, number: IntArray, box: IntArray) -> Oddities:
-        """The faults of r boxes. ``number``, ``box``: (r,) number of the draft of each box, and of the box."""
+        """The faults of r boxes. ``number``: (r,) number of each box's draft. ``box``: (r,) number of each box in its
+        draft."""
         row, other = layouts.beside(number, box)
         draft, own = number[row], box[row]
         low, high = layouts.low, layouts.high

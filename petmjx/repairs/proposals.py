@@ -73,16 +73,16 @@ class Target(NamedTuple):
 def targets(
     draft: Draft, rules: Rules, balance: Balance, culprit: int | None, fallen: Collection[int], n_placed: int
 ) -> list[Target]:
-    """The causes of a failure, the likeliest first.
+    """The causes of a failure, at most ``MOST_TARGETS``, the likeliest first.
 
-    Loads that went beyond an edge before the world ended count as causes if their box is, or bears, the culprit or
-    another fallen box. Boxes that float or overlap in the plan count as causes, too. If there are no such loads or
-    boxes, the culprit and its supports count as causes.
+    A cause is a box whose load went beyond an edge before the world ended, if this box is, or bears, the culprit or
+    another fallen box. A box that floats or overlaps in the plan is a cause, too, if it is, or bears, a fallen box, or
+    if no load is a cause. The culprit and its supports are less likely causes.
 
     Args:
         culprit: number of the first box over a limit; None: unknown.
         fallen: numbers of all boxes over a limit.
-        n_placed: boxes that were placed in the simulation.
+        n_placed: number of boxes that were placed in the simulation.
     """
     losers = [*([] if culprit is None else [culprit]), *(box for box in fallen if box != culprit)]
     first = losers[:1]
@@ -284,7 +284,7 @@ def _pushes(draft: Draft, rules: Rules, target: Target, most_mm: float) -> Itera
 
 def _pushed(draft: Draft, box: int, dx_mm: float, dy_mm: float, *, alone: bool) -> set[int]:
     """Numbers of the boxes that move if a box does: the boxes on it (unless it is moved ``alone``), and the boxes in
-    the way, with all boxes on those. The way is along x or along y."""
+    the way, with all boxes on those. The boxes move along x or along y."""
     axis, way_mm = (0, dx_mm) if dx_mm else (1, dy_mm)
     low, high = draft.corner_mm[:, axis], draft.high_mm[:, axis]
     in_line = draft.shares[1 - axis] & draft.shares[2] & np.isfinite(draft.rank)
@@ -443,7 +443,8 @@ def _places_of(draft: Draft, places: Sequence[Place]) -> Places:
     is_box = boxes == boxes[:, :1]
     turns = is_box & np.array([place.differs for place in places], bool)[:, None]
     last = np.array([np.nan if place.neighbour is None else draft.rank[place.neighbour] for place in places])[:, None]
-    in_turn = 1 + rank / len(draft.order)  # directly after the neighbour, in the same order as before
+    # the boxes of a change are placed directly after its neighbour, and among themselves in the same order as before
+    in_turn = 1 + rank / len(draft.order)
     return Places(
         boxes,
         draft.corner_mm[boxes] + way[:, None],
@@ -515,8 +516,8 @@ def _rests(
     high: FloatArray,
     fits: Callable[[FloatArray], BoolArray],
 ) -> Iterator[tuple[float, float, float]]:
-    """Corners of a box that rests on others or on the carrier with at least the share ``LEAST_SUPPORT`` of its base.
-    The lowest corners come first, and at each height those with the largest support.
+    """Corners at which a box would rest on others or on the carrier with at least the share ``LEAST_SUPPORT`` of its
+    base. The lowest corners come first, and at each height those with the largest support.
 
     Args:
         x, y: where the corner may be, mm.

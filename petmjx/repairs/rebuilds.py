@@ -205,15 +205,16 @@ class _Pile:
         return True
 
     def _is_as_in_draft(self, pile: Draft) -> bool:
-        """Whether a pile has the first boxes of the draft, in their places. Such a pile is allowed, as the draft is."""
+        """Whether a pile has the first boxes of the draft, in their places. Such a pile is allowed, because the draft
+        is allowed."""
         is_same = pile.corner_mm is self._draft.corner_mm
         return is_same and pile.order == self._draft.order[: len(pile.order)]
 
     def _placed(self, box: int, later: Collection[int]) -> Judging[Place | None]:
         """Put a box at the best place; None: there is no place. The best place is the one with the least trouble
         (``Balance``). Places with equal trouble are ranked by the number of later boxes that they obstruct, then by
-        weakness, then by height. Places in the way of few later boxes, and low places, are tried first, until a place
-        adds no trouble."""
+        weakness, then by height. The places in the way of the fewest later boxes are tried first, of these the lowest
+        first. When a place adds no trouble, no further places are tried."""
         planned = self._draft.corner_mm[box]
         places = [
             Place(box, corner, bool(self._draft.turned[box]) != turn, differs=turn)

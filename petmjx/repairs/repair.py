@@ -68,7 +68,7 @@ class Repaired:
             simulated, or the time was up before all of them had ended.
         n_trials: number of simulations of changed plans.
         invalid: reason → number of those simulations that were invalid for this reason, such as ``iteration-limit``.
-            They count as falls.
+            Invalid simulations count as falls.
         complete: whether the search came to its end. If the search is not complete, its time was up or its trials were
             spent, and a longer search might find smaller changes.
         trials_spent: whether the trials were spent before a repair with all boxes was found, or before the search had
@@ -353,7 +353,7 @@ def _repaired(plans: Iterable[Plan], question: Question, options: RepairOptions)
 
 
 def _judge(searches: Sequence[Search], question: Question) -> None:
-    """Judge all plans. A search whose plan stands ends, if the trial is a score."""
+    """Judge all plans. If a plan stands, and its trial counts as its score, the search for its repairs ends."""
     drafts = [Asked(Draft.of(search.plan, question.film_turns), is_judged=True) for search in searches]
     for search, one, trial in zip(searches, drafts, question.trials(drafts), strict=True):
         search.judged = trial
@@ -376,7 +376,8 @@ def _score(searches: Sequence[Search], question: Question) -> None:
 def _with_shares(
     searches: Sequence[Search], question: Question, options: RepairOptions, limit: TimeLimit
 ) -> list[Repaired]:
-    """The results of searches, with the shares of worlds with errors, as far as there is time."""
+    """The results of searches. For each plan before and after its repair, they have the share of the worlds with errors
+    in which it stands, unless the time is up."""
     before: list[Share | None] = [None] * len(searches)
     after = list(before)
     chosen = [_first(search) for search in searches]

@@ -46,16 +46,16 @@ BEAM: Final = 4
 """Number of changed plans that are changed further at once."""
 
 PER_WAY: Final = 2
-"""Of plans in which the same boxes are changed in the same ways, and the same box falls, this many are changed
-further."""
+"""Largest number of plans that are changed further, of all plans in which the same boxes are changed in the same ways
+and the same box falls."""
 
 FIRST_AT_ONCE: Final = 4
 """Number of changed plans that are judged first. If one change is enough, statics usually ranks it among the best."""
 
 WIDE_AT_ONCE: Final = (8, 16, 24, 48)
 """Number of changed plans that are judged at once on a GPU in the first four rounds of a search, and then in each round
-as in the fourth. The longer a search takes, the more a GPU waits for it, since other searches have ended. So a search
-on a GPU goes on in fewer rounds with more plans each: the first four rounds use up the share ``ALONE`` of the trials.
+as in the fourth. During the last searches, a GPU has little to do, since the other searches have ended. So a search on
+a GPU goes on in fewer rounds with more plans each: the first four rounds use up the share ``ALONE`` of the trials.
 These numbers of plans do not depend on other searches, and neither do the results."""
 
 MOST_LIFTED: Final = 3
@@ -68,7 +68,8 @@ has many faults, so it is built anew."""
 
 MANY_FAULTS: Final = 6.0
 """If at least this number of changes is expected for a plan, single changes are tried only in the share
-``ALONE_IF_MANY`` of the trials. With fewer expected changes, repairs would become longer."""
+``ALONE_IF_MANY`` of the trials, and then the plan is built anew. With a lower limit, plans with fewer faults would be
+built anew, too, and their repairs would have more changes."""
 
 ALONE_IF_MANY: Final = 0.04
 """As ``ALONE``, for plans with many faults: on a GPU, two rounds."""
@@ -77,9 +78,9 @@ LATE_AT_ONCE: Final = 2 * AT_ONCE
 """Number of changed plans that are judged at once after single changes alone (``ALONE``) were in vain."""
 
 BUILT_ANEW: Final = 0.2
-"""Share of all trials in which plans are built anew: on a GPU, four rounds. Almost always, the first or second round
-finds a plan that stands. Each round takes seconds of statics, so the few plans without such a repair would keep all
-others waiting."""
+"""Share of all trials in which plans are built anew: on a GPU, four rounds (sets of plans that are judged together).
+Almost always, the first or second round finds a plan that stands. Each round takes seconds of statics, so with more
+rounds, the few plans that cannot be repaired in this way would keep all others waiting."""
 
 PAIR: Final = 2
 """Once a repair with ``PAIR`` + 1 changes is known, the search for a repair with ``PAIR`` changes is wide: it judges
@@ -98,7 +99,7 @@ PAIRS_AT_ONCE: Final = 24
 The first change of such a repair often has a bad rank by statics."""
 
 SHORTER: Final = 0.04
-"""Once a repair is known, a shorter one is sought in this share of all trials."""
+"""Once a repair is known, the search for a repair with fewer changes takes at most this share of all trials."""
 
 MOST_NEARLY: Final = 2
 """Largest number of plans that are scored before plans are built anew (``Search._nearly``). On a GPU, no plan that
@@ -134,7 +135,8 @@ STRENGTHENED: Final = 0.33
 """Share of all trials in which a repair is changed further, so that it stands in more worlds with errors."""
 
 MORE_TO_COMPARE: Final = 24
-"""Number of additional changed plans that are judged at once, so that worlds with errors can choose from more plans."""
+"""Number of additional changed plans that are judged at once, so that there are more repairs of which one is chosen by
+simulations with errors."""
 
 MOST_UNDONE: Final = 8
 """Limit of the total number of changes in all repairs that are compared. For each change, the search judges the repair
@@ -212,7 +214,8 @@ class Search(Candidates):
         elif trial.culprit is not None and max(trial.culprit + 1, trial.n_placed) <= self.rules.built:
             yield from self._begun_with_built(trial)
         if not (self._stands or self.built_falls):
-            # if the plan fell when judged, this trial shows where to change it: changed plans are judged, too
+            # if the plan fell when judged, its judged trial, not its score, shows where to change it, because its
+            # changed plans are judged as well
             known = trial if is_scored and not trial.stands else self.before or trial
             try:
                 yield from self._mended(State(self._start, (), known))
@@ -279,8 +282,8 @@ class Search(Candidates):
     # ------------------------------------------------------------------ film
 
     def _wrapped(self, start: State) -> Steps[list[State]]:
-        """The plan with the fewest turns of film with which it survives the profile. The list is empty if the plan
-        survives with no allowed number of turns."""
+        """The plan with as few turns of film as it needs to survive the profile. The list is empty if no allowed number
+        of turns is enough."""
         low, high = math.floor(self.film_turns), self.options.most_turns
         best: list[State] = []
         turns = high
@@ -310,12 +313,13 @@ class Search(Candidates):
         judged: list[State] = []  # states that stand
         doubtful: list[State] = []  # states that may fall when scored (``_is_doubtful``)
         is_late = is_widened = False
-        n_rounds = len(WIDE_AT_ONCE) if Kind.LEAVE_OUT in kinds else 0  # the last resort comes after many rounds
+        # to leave out boxes is the last resort, after many rounds without it, which are counted here
+        n_rounds = len(WIDE_AT_ONCE) if Kind.LEAVE_OUT in kinds else 0
         queues: list[list[Candidate]] = []
         while self.n_trials < last and not self._stands:
             nodes.sort(key=lambda node: node.key)
             useful = nodes
-            if standing:  # only shorter repairs are of use
+            if standing:  # only repairs with fewer changes are of use
                 fewest = len(standing[0].changes)
                 limit = fewest + (SURPLUS if is_widened else 0.0)
                 useful = [n for n in nodes if len(n.state.changes) < fewest - 1 and n.n_promised < limit]
@@ -378,8 +382,8 @@ class Search(Candidates):
         return standing, [Node(node.state, node.faults) for node in nodes[:BEAM]]
 
     def _has_many_faults(self, start: Node, kinds: frozenset[Kind]) -> bool:
-        """Whether single changes hardly help a plan. This is not asked about the last resort, and with a drive, whose
-        faults are not counted one by one."""
+        """Whether a plan has so many faults that single changes hardly help it. False if boxes may be left out, which
+        is the last resort; and with a drive, because faults are then not counted one by one."""
         is_asked = self.options.profile is None and Kind.LEAVE_OUT not in kinds
         return is_asked and MANY_FAULTS <= start.n_expected < math.inf
 
@@ -432,9 +436,10 @@ class Search(Candidates):
         return self._defers_scores and state.trial.stands and not state.trial.is_score
 
     def _nearly(self, nodes: Sequence[Node], doubtful: list[State]) -> Steps[list[State]]:
-        """Score a few changed plans, and return those that stand, with the fewest changes. The search scores plans with
-        a single fault: in such a plan, a box tilts, but may lean on something. On a GPU, it scores plans of the list
-        ``doubtful`` instead (``_is_doubtful``). Plans that are scored are removed from ``doubtful``."""
+        """Score a few changed plans. Of those that stand, the plans with the fewest changes are returned. The search
+        scores plans with a single fault: in such a plan, a box tilts, but may lean on something. On a GPU, it scores
+        plans of the list ``doubtful`` instead (``_is_doubtful``). Plans that are scored are removed from
+        ``doubtful``."""
         if self.options.profile is not None:
             return []
         falling = [node.state for node in nodes if node.n_faults <= 1]
@@ -445,8 +450,8 @@ class Search(Candidates):
         return shortest([state for state in scored if state.trial.stands])
 
     def _queues(self, nodes: Sequence[Node], kinds: frozenset[Kind], *, anew: bool) -> list[list[Candidate]]:
-        """For each of the best nodes, its ranked changes that were not judged yet. With ``anew``: the ways to build
-        these plans anew, unless that was done before."""
+        """For each of the best nodes, its ranked changes that were not judged yet. With ``anew``, instead the ways to
+        build the plans of nodes anew, if there are nodes whose plans were not built anew before."""
         if anew and Kind.PLACE in kinds:
             chosen = [node for node in nodes if not node.is_anew][:MOST_ANEW]
             for node in chosen:

@@ -138,8 +138,8 @@ class SearchProcesses:
         self._parts: list[list[Search]] = [[]]
 
     def begin(self, searches: Sequence[Search]) -> None:
-        """Let processes begin these searches. They go on until they need trials. Plans with many boxes take longest, so
-        they are in different processes, and begin first."""
+        """Let processes begin these searches. Each process goes on until its searches need trials. Plans with many
+        boxes take longest, so they are in different processes, and begin first."""
         n_processes = min(self._most, len(searches)) if len(searches) >= LEAST_PLANS else 1
         searches = sorted(searches, key=lambda search: -search.plan.n_boxes)
         self._parts = [searches[k::n_processes] for k in range(n_processes)]

@@ -72,7 +72,7 @@ GPU_GRANULE: Final = 32
 engine's program takes seconds to compile for each size of a table, so tables should have few sizes."""
 
 SHEETS_MORE: Final = 2
-"""Room in tables for this many tie sheets in a plan. A world with more than this number of sheets needs another
+"""Number of tie sheets of a plan for which an engine's table has room. A world with more sheets needs another
 table."""
 
 MOST_LISTED: Final = 1024
@@ -205,8 +205,8 @@ class Question:
     def _scored(
         self, drafts: Sequence[Draft], numbers: Sequence[int], run: RunOptions, watcher: Watcher | None
     ) -> dict[int, Trial]:
-        """Scores the drafts with these ``numbers``; number → trial. All these drafts have the same number of turns of
-        stretch film."""
+        """Score the drafts with the given ``numbers``. Returns number of the draft → its trial. All these drafts have
+        the same number of turns of stretch film."""
         if not numbers:
             return {}
         plans = [drafts[number].as_plan(str(number)) for number in numbers]
@@ -222,8 +222,8 @@ class Question:
         must survive a profile, all drafts are scored, except in worlds with errors, which are not shaken.
 
         Most drafts fall, and falling boxes are the costliest part of a simulation. So the world of a judged draft ends
-        as soon as a box has tilted by more than ``JUDGED_TILT_DEG``. A world with this early end takes a quarter of the
-        time. No draft is simulated again with other settings, as a score would do (docs/rules.md, section 9).
+        as soon as a box has tilted by more than ``JUDGED_TILT_DEG``. This early end saves three quarters of the time of
+        a world. No draft is simulated again with other settings, as a score would do (docs/rules.md, section 9).
         """
         of_draft: dict[tuple[bool, int], list[int]] = {}
         for number, one in enumerate(asked):
@@ -242,9 +242,9 @@ class Question:
         return jobs
 
     def _with_errors(self, plan: Plan, scene: Scene, worlds: Sequence[int]) -> Iterator[Scene]:
-        """The scenes of a plan in these worlds with errors. All drafts of a plan have the same errors. The worlds of a
-        score have other errors. The scenes of all worlds are made together, which takes a fraction of the time of
-        making them one by one."""
+        """The scenes of a plan in worlds with errors (``worlds``: their numbers). All drafts of a plan have the same
+        errors. The worlds of a score have other errors. The scenes of all worlds are made together, which takes a
+        fraction of the time of making them one by one."""
         variants = [self._variants[world] for world in worlds]
         return apply_all(scene, f"{plan.plan_id}: search", variants, self._error_sweep.seed)
 
@@ -531,8 +531,8 @@ class TrialStream:
 
 
 def scenes_of(drafts: Sequence[Draft], sim: Simulation) -> list[Scene]:
-    """The scenes of drafts. Plain scenes (``has_plain_scene``) are made from arrays, which takes a fraction of the
-    time."""
+    """The scenes of drafts. Plain scenes (``has_plain_scene``) are made from arrays, which takes a fraction of the time
+    that other scenes take."""
     is_plain = are_plain(drafts, sim)
     plain = [draft for draft, plain in zip(drafts, is_plain, strict=True) if plain]
     of_plain = plain_scenes(*arrays_of(plain), sim) if plain else iter(())
