@@ -29,8 +29,8 @@ TARGET_RANGE_MM = (100.0, 20_000.0)
 """Allowed range for the sides of a target."""
 
 MOST_ITEMS = 512
-"""Largest number of items of an order: twice the number of boxes in the largest plan. The computing time of packers
-grows with the third power of the number of items."""
+"""Largest number of items of an order: twice the number of boxes in the largest known plan of other packers. The
+computing time of packers grows with the third power of the number of items."""
 
 MEAN_BOXES = 43.5
 STD_BOXES = 15.0

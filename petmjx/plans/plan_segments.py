@@ -23,7 +23,8 @@ from petmjx.plans.plan_reader import MOST_LINES, read_json_plans
 from petmjx.plans.plan_set import PlanSet
 
 _WINDOW: Final = 1 << 20
-"""Length of the text in which a place for a cut is searched for, bytes. A plan of BED-BPP takes 10,000 to 25,000 bytes."""
+"""Length of the text in which a place for a cut is searched for, bytes. A plan of BED-BPP takes 10,000 to 25,000
+bytes."""
 
 _FIRST: Final = re.compile(rb"[ \t\n\r]*+\{")
 _LAST: Final = re.compile(rb"\}[ \t\n\r]*+\Z")
@@ -98,7 +99,7 @@ class SegmentContent(NamedTuple):
 
 def read_segment(segment: Segment, options: RunOptions, extent_mm: tuple[float, float] | None) -> SegmentContent:
     """Read the plans of a segment. If the segment has an error that is not about one plan, or is not in BED-BPP's form,
-    one of the skipped entries has no number.
+    the result has a skipped entry whose ``number`` is None.
 
     Args:
         extent_mm: extent of the carrier along x and y; None: the extent of the plan's boxes.

@@ -265,7 +265,8 @@ def without_built_plans(plan_set: PlanSet, built: int, strict: bool = False) -> 
 
 
 def _without_faults(plan_set: PlanSet, fault_of: Callable[[Plan], str | None], strict: bool) -> PlanSet:
-    """Skip plans with a fault. ``fault_of`` returns the part of the message after the plan's id, or None."""
+    """Skip plans with a fault. ``fault_of`` returns the part of the message after the plan's id; None if a
+    plan has no fault."""
     good_plans, skipped = [], list(plan_set.skipped)
     for plan in plan_set.plans:
         fault = fault_of(plan)

@@ -1,7 +1,7 @@
 """Many plans joined into a few long arrays (``JoinedPlans``), one for each field of all their boxes.
 
-Plans that were read together share their arrays. Sending a few long arrays to another process is several times as fast
-as sending thousands of plans, each with an array for each field.
+The arrays of plans that were read together are slices of the same long arrays. Sending a few long arrays to another
+process is several times as fast as sending thousands of plans, each with an array for each field.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class JoinedPlans(NamedTuple):
 
     @property
     def plans(self) -> list[Plan]:
-        """The plans, in order. Plans with only the usual fields share their arrays."""
+        """The plans, in order. The arrays of plans with only the usual fields are slices of the same long arrays."""
         bounds = pairwise(accumulate(self.box_counts, initial=0))
         usual = (
             plan_of_rows(plan_id, source, slice(begin, end), self.arrays, self.texts)

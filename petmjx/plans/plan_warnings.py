@@ -78,7 +78,7 @@ larger gaps and overlaps are intended, and not rounding errors."""
 
 
 _MOST_PAIRS: Final = 1 << 17
-"""Number of pairs of boxes that are compared together. A matrix of numbers then takes 1 MB, which fits into caches."""
+"""Number of pairs of boxes that are compared at once. A matrix of numbers then takes 1 MB, which fits into caches."""
 
 MOST_NAMED: Final = 3
 """Largest number of boxes, or of pairs, that a warning names."""

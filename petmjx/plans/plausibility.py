@@ -369,7 +369,8 @@ def density_cost(density_kg_m3: float) -> float:
 
 
 def _squared(value: float, usual: float, spread: float) -> float:
-    """Half the square of the logarithmic distance from the usual value, in multiples of ``spread``."""
+    """Half the square of the distance between the logarithms of a value and of the usual value, in units of
+    ``spread``."""
     return (math.log(value / usual) / spread) ** 2 / 2 if value > 0 else 50.0
 
 

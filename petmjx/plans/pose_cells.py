@@ -21,7 +21,8 @@ _LISTED: Final = re.compile(r"^(.*)\[(\d+)\]$")
 _ROW_AND_COLUMN: Final = re.compile(r"^(.*?)[\s_.]*[\[(]?([0-4])[\])\s_,.]*[\[(]?([0-4])[\])]?$")
 """The name of an entry of a matrix: "m00", "R_1_2", "T[0][3]"."""
 _SHAPES: Final = {(3, 3): 9, (3, 4): 12, (4, 4): 16}
-"""Shape of a matrix → its number of entries: a rotation, a rotation with a place, and the same with a last row."""
+"""Shape of a matrix → its number of entries: a rotation; a rotation and a place; a rotation and a place, with a last
+row 0, 0, 0, 1."""
 # possessive quantifiers keep matching linear in time, even for malicious text
 _NUMBER: Final = r"[-+]?+(?:\d++(?:\.\d*+)?+|\.\d++)(?:[eE][-+]?+\d++)?+"
 _ONLY_NUMBERS: Final = re.compile(rf"[\s\[\](),;]*+(?:{_NUMBER}[\s\[\](),;]*+)++")

@@ -109,7 +109,8 @@ def turned_sizes(columns: BoxColumns, candidate: Candidate) -> FloatArray:
 
 
 def layout_of(columns: BoxColumns, candidate: Candidate, container: Mapping[str, float] | None = None) -> Layout:
-    """The boxes of a candidate along the plan's axes, in the unit of coordinates."""
+    """The corners and sizes of the boxes as the candidate reads them, along the plan's axes, in the file's unit of
+    coordinates."""
     size = turned_sizes(columns, candidate) * candidate.scale
     place = candidate.geometry.place
     order = _UP[candidate.up]
@@ -141,8 +142,8 @@ def _container_along(candidate: Candidate, container: Mapping[str, float], order
 
 
 def candidates(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
-    """Yield all readings that names, the form and the caller allow. Each reading has a prior: its cost before any
-    numbers are considered."""
+    """Yield all readings that the column names, the file's form and the caller's options allow. Each reading has a
+    prior: its cost before any numbers are considered."""
     form = columns.source.form
     sizes, places = wishes.length_units
     scale = LENGTH_UNITS[sizes] / LENGTH_UNITS[places] if sizes != places else 1.0

@@ -418,8 +418,8 @@ def _are_large_cells(best: _Judged) -> bool:
 
 
 _FEW_CELLS: Final = 5
-"""If the shortest side of most boxes has fewer cells of a grid than this number, the cells are probably no millimetres,
-centimetres or inches."""
+"""If the shortest side of most boxes has fewer cells of a grid than this number, the cells are probably not
+millimetres, centimetres or inches."""
 _TRIED: Final = ("mm", "cm", "m", "in")
 """Units of lengths that are tried. Two such units are a tie if boxes and load fit a carrier in both units."""
 _THIN, _DENSE = 20.0, 2000.0

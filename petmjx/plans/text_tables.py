@@ -1,7 +1,7 @@
 """Reads tables from text (``tables_of_text``): encodings, separators, printed tables with frames or white space.
 
-Text may be UTF-8, UTF-16, UTF-32, Windows-1252 or Windows-1250. A table may have any usual separator and Excel's
-``sep=;``.
+Text may be UTF-8, UTF-16, UTF-32, Windows-1252 or Windows-1250. A table may have any usual separator. Excel's line
+``sep=;`` may stand above it.
 """
 
 from __future__ import annotations
@@ -48,7 +48,8 @@ def decoded_text(data: bytes | bytearray) -> tuple[str, str]:
     texts = {
         name: raw.decode(code, "replace") for name, code in (("Windows-1252", "cp1252"), ("Windows-1250", "cp1250"))
     }
-    best = max(texts, key=lambda name: _known_in_lines(texts[name]))  # if several are equal, max returns the first
+    # if both have equally many known words, max returns the first: Windows-1252
+    best = max(texts, key=lambda name: _known_in_lines(texts[name]))
     return texts[best], best
 
 

@@ -25,7 +25,7 @@ _ITEM: Final = re.compile(r"^-(?:\s+(.*))?$")
 _TOML_TABLE: Final = re.compile(r"^\s*\[\[?\s*[\w\"'.-]+\s*\]?\]\s*(?:#.*)?$", re.MULTILINE)
 _TOML_PAIR: Final = re.compile(r"^\s*[\w\"'.-]+\s*=\s*\S")
 _QUOTED_OR_COMMENT: Final = re.compile(rf"((?:^|[\[{{,:]|-\s)\s*{_QUOTED})|(?:^|\s)#.*")
-"""A text in quotes (group 1) or a comment. Within a plain text, quotes are characters: "Bob's", "5\" box"."""
+"""A text in quotes (group 1) or a comment. Within a plain text, quotes are ordinary characters: "Bob's", "5\" box"."""
 _NUMBER: Final = re.compile(r"^[+-]?(?:(?:0|[1-9]\d*)\.?\d*|\.\d+)(?:[eE][+-]?\d+)?$")
 """A number. Digits that begin with a needless 0, such as 00123, are an id and not a number."""
 _WORDS: Final = {
@@ -33,7 +33,8 @@ _WORDS: Final = {
     ".nan": float("nan"), ".inf": float("inf"), "-.inf": float("-inf"),
 }  # fmt: skip
 _ANSWERS: Final = ("yes", "no")
-"""Words that stay text in lists: an id may be "no", and programs write true and false."""
+"""Words that stay text in lists, although YAML reads them as truth values: an id may be "no", and programs write truth
+values as true and false."""
 _LAST_CODE_POINT: Final = 0x10FFFF
 _ESCAPED: Final = re.compile(r"\\(x[\da-fA-F]{2}|u[\da-fA-F]{4}|U[\da-fA-F]{8}|.)", re.DOTALL)
 _ESCAPES: Final = {

@@ -25,9 +25,9 @@ from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.requests import Asked, Steps, Trial
 
 PILE: Final = 4.0
-"""A box that falls is taken off together with all boxes that need it. A repair is expected to need one change for every
-``PILE`` boxes that are taken off together (at least one change), because no single place has room for a large pile, and
-because a large pile hides further faults."""
+"""A box that falls is taken off together with all boxes that would lose their support without it. A repair is expected
+to need one change for every ``PILE`` boxes that are taken off together (at least one change), because no single place
+has room for a large pile, and because a large pile hides further faults."""
 
 AT_ONCE: Final = 8
 """Number of changed plans that are judged at once. Statics ranks changes well: usually one of the first stands, or
@@ -234,7 +234,7 @@ weak. Of equally weak plans, the one whose changes cost less is better."""
 
 
 class TrialsSpent(Exception):
-    """The next simulations would be more than the search may make."""
+    """With the next simulations, the search would exceed the number of simulations that it may make."""
 
 
 @dataclass(eq=False)
@@ -291,7 +291,7 @@ class Candidates:
         return [self._ranked(*row) for row in zip(nodes, causes, ways, strict=True)]
 
     def _ranked(self, node: Node, causes: Sequence[Target], some: Iterable[Proposal]) -> list[Candidate]:
-        """The plans of some proposals that are allowed and new, the most promising first."""
+        """Of the plans that some proposals give, the allowed and new ones, the most promising first."""
         state = node.state
         failing = {cause.box: cause.depth_mm for cause in causes if cause.depth_mm > 0}
         pairs = [(draft, p) for p in some if (draft := applied(state.draft, p)) is not None]
@@ -332,7 +332,7 @@ class Candidates:
         that fell first.
 
         Args:
-            failing: box → depth of its load before the change, mm.
+            failing: box → distance of its load beyond the edge before the change, mm.
         """
         beyond: dict[int, float] = dict(zip(after.box.tolist(), after.depth_mm.tolist(), strict=True))
         shares = {box: min(beyond.get(box, 0.0) / depth_mm, 1.0) for box, depth_mm in failing.items()}
@@ -414,7 +414,7 @@ class Candidates:
 
     def _spend(self, count: int) -> None:
         """Count simulations before they are requested. Raises ``TrialsSpent`` if there would be too many. Parts of a
-        search that run side by side must not raise it."""
+        search that run side by side must request few enough simulations that they do not raise it."""
         if count > self._n_left:
             raise TrialsSpent
         self.n_trials += count

@@ -172,7 +172,7 @@ class Draft:
         return Draft(self.plan, sizes, self.corner_mm, turns, self.order, moved, self.sheet_kg, self.film_turns)
 
     def with_order(self, box: int, neighbour: int, *, after: bool) -> Draft | None:
-        """The draft with a box that is placed directly before or after another one; None if one of the two is left
+        """The draft in which a box is placed directly before or after another one; None if one of the two is left
         out."""
         if box == neighbour or box not in self.order or neighbour not in self.order:
             return None
@@ -275,7 +275,7 @@ def _key_of_rows(draft: Draft, rows: IntArray) -> bytes:
 
 def _closure(leads_to: Sequence[Sequence[int]], box: int) -> list[int]:
     """Numbers of the boxes that can be reached from a box, nearest first. ``leads_to``: for each box, the numbers of
-    the boxes next to it."""
+    the boxes that can be reached from it in one step."""
     reached: dict[int, None] = {}
     front = [box]
     while front:
@@ -619,7 +619,7 @@ class Rules:
         )
 
     def _through_mm(self, low: FloatArray, high: FloatArray) -> FloatArray:
-        """(r,) as in ``Oddities``, for boxes with these (r, 3) corners."""
+        """(r,) depths ``through_mm`` as in ``Oddities``, for boxes with these (r, 3) corners."""
         if self._room is None:
             return np.zeros(len(low))
         middle_m, half_m = (low + high) / 2 / MM_PER_M, (high - low) / 2 / MM_PER_M

@@ -154,7 +154,7 @@ def _judged(requests: Sequence[PileRequest], rules: Rules, sim: Simulation) -> l
 
 
 class _Pile:
-    """A plan that is built anew."""
+    """A plan while it is built anew: the boxes that have their new places so far are its pile."""
 
     def __init__(
         self, draft: Draft, rules: Rules, distrusted: Collection[int], n_held: int, way: Way, leaves_out: bool
@@ -163,7 +163,7 @@ class _Pile:
         self._distrusted, self._way, self._leaves_out = distrusted, way, leaves_out
         self._held = set(draft.order[:n_held])
         self._pile = draft.in_order(())
-        self._balance: Balance | None = None  # of the pile; None: unknown
+        self._balance: Balance | None = None  # balance of the pile; None: unknown
 
     def built(self) -> Judging[Proposal | None]:
         """The changes that turn the draft into the new plan; None: there is no place for a box."""

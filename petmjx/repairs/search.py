@@ -1,14 +1,14 @@
 """The search for the smallest change that makes a plan stand.
 
-The search changes plans step by step. The search continues with the changed plans that promise the shortest repair:
-those for which the number of changes so far, plus the number of remaining faults, is smallest. To count the faults of
-the original plan, the search simulates the plan without the boxes that fall. The faults of a changed plan follow from
-the box that falls in the simulation of the changed plan. A plan is changed where it fails: statics ranks the possible
-changes, and the best-ranked changes are judged at once, by one short simulation each. Changed plans that stand when
-judged are then scored, by a full simulation. At the end, needless changes are taken back. Each remaining change is
-needed: without it, the plan falls. Worlds with errors decide which of the repairs with the fewest changes is chosen. If
-the chosen repair falls in too many worlds with errors, it is changed further at the places where it falls in these
-worlds.
+The search changes plans step by step. The search continues with the changed plans that promise a repair with few
+changes: those for which the number of changes so far, plus the number of remaining faults, is smallest. To count the
+faults of the original plan, the search simulates the plan without the boxes that fall. The faults of a changed plan
+follow from the box that falls in the simulation of the changed plan. A plan is changed where it fails: statics ranks
+the possible changes, and the best-ranked changes are judged at once, by one short simulation each. Changed plans that
+stand when judged are then scored, by a full simulation. At the end, needless changes are taken back. Each remaining
+change is needed: without it, the plan falls. Worlds with errors decide which of the repairs with the fewest changes is
+chosen. If the chosen repair falls in too many worlds with errors, it is changed further at the places where it falls in
+these worlds.
 
 ``Search.run`` is a generator: it yields drafts to be simulated and is sent their trials. So the searches of many plans
 can share the simulations of an engine. Parts of a search that do not depend on each other run side by side
@@ -91,8 +91,8 @@ PAIRS: Final = 0.2
 """Share of all trials that the wide search for a repair with ``PAIR`` changes may take."""
 
 SURPLUS: Final = 1.0
-"""In this wide search, plans are also changed further that seem to need this many changes too many: one change may mend
-two of the faults that were counted."""
+"""The wide search also changes a plan further if the expected number of changes of its repair exceeds that of the known
+repair by less than this value: one change may mend two of the faults that were counted."""
 
 PAIRS_AT_ONCE: Final = 24
 """Number of changes of the original plan that are judged at once in the wide search for a repair with ``PAIR`` changes.
@@ -479,9 +479,9 @@ class Search(Candidates):
             node.faults = faults
 
     def _faults_of(self, state: State) -> Steps[tuple[Fault, ...]]:
-        """The faults of a plan. Boxes that fall are taken off one by one, with all boxes that need them, until the rest
-        stands. With a drive, to take boxes off one by one would be too expensive, so only the boxes that fell are
-        counted."""
+        """The faults of a plan. Boxes that fall are taken off one by one, with all boxes that would lose their support,
+        until the rest stands. With a drive, to take boxes off one by one would be too expensive, so only the boxes that
+        fell are counted."""
         draft, trial, faults = state.draft, state.trial, list[Fault]()
         if self.options.profile is not None and not trial.stands:
             return (Fault.of(_lost(draft, trial), len(trial.fallen)),)
@@ -518,10 +518,10 @@ class Search(Candidates):
         return (Fault.of(box, len(lifted)), *later)
 
     def _stripped(self, state: State) -> Steps[list[State]]:
-        """The state without the boxes that fall. Boxes that fall are left out one by one, with all boxes on them, until
-        the remaining boxes stand. The result is empty if a box that is already built, or the last box, would have to be
-        left out. The loop always ends, since each step leaves out a box. If scores are deferred, plans are judged
-        before they are scored."""
+        """The state without the boxes that fall. Boxes that fall are left out one by one, with all boxes that would
+        lose their support, until the remaining boxes stand. The result is empty if a box that is already built, or the
+        last box, would have to be left out. The loop always ends, since each step leaves out a box. If scores are
+        deferred, plans are judged before they are scored."""
         while True:
             while not state.trial.stands:
                 lifted = lifted_with(state.draft, _lost(state.draft, state.trial))
@@ -675,8 +675,8 @@ class Search(Candidates):
         return state
 
     def _reduced(self, state: State) -> Steps[State]:
-        """The state without groups of needless changes, if it has many changes. Halves of the changes are tried first,
-        then smaller groups."""
+        """The state without needless changes that can be left out in groups. Halves of the changes are tried first,
+        then smaller groups. A state with at most ``MOST_UNDONE`` changes is returned unchanged."""
         size = len(state.changes) // 2 if len(state.changes) > MOST_UNDONE else 0
         shorter = state
         while size > 1:

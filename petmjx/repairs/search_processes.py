@@ -125,8 +125,8 @@ class SearchProcesses:
 
     Args:
         n_searches: largest number of searches. If there are fewer than ``LEAST_PLANS``, this process runs all searches.
-            Otherwise a first process starts at once, while this process can do other work. The number of the others
-            follows from the searches.
+            Otherwise a first process starts at once, while this process can do other work. The number of the further
+            processes follows from the searches.
         most: largest number of processes.
     """
 

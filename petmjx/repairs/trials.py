@@ -479,7 +479,7 @@ class TrialStream:
         most = max(one.draft.plan.n_boxes for request, _ in queue.entries for one in request.drafts) + SHEETS_MORE
         bounds = JobBounds(self._question.rows, range(1, most + 1), drive_steps=0, excitations=None)
         stream = JobStream[Placement[tuple[_Request, int]]](feedback=True, bounds=bounds)
-        stream.close()  # drafts that are requested later are put in as jobs that follow from outcomes
+        stream.close()  # drafts that are requested later enter the stream as jobs that follow from an outcome
         self._feed(stream, queue, lane)
         progress, compiled_s = Progress(pauses=True), self._limit.compiled_s
         with closing(outcomes_of_stream(lane.engine, stream, lane.sim, progress, MOST_LISTED)) as outcomes:
