@@ -384,8 +384,8 @@ def height_fault(reading: Reading, candidate: Candidate, row: int) -> str:
 
 
 _ALONG_EDGE: Final = 3
-"""Least number of boxes that must begin at coordinate 0, so that an edge of the load is taken to be there. If the
-container is known, one box less is enough."""
+"""Least number of boxes that must begin at coordinate 0 if an edge of the load is to be assumed at 0. If the container
+is known, one box less is enough."""
 
 
 def _touches_next(low: FloatArray, size: FloatArray, box: int, axis: int, tolerance: float) -> bool:

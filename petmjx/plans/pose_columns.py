@@ -185,7 +185,8 @@ def _frames(extraction: ColumnExtraction) -> list[_Rotations]:
 
 
 def _turned(extraction: ColumnExtraction, geometry: Geometry, rotation: FloatArray, index: int) -> Geometry:
-    """A geometry whose boxes are turned. Boxes whose rotation is not a multiple of right angles are refused.
+    """The geometry with the rotations of its boxes (``Geometry.turn``). Boxes whose rotation is not a multiple of right
+    angles are refused.
 
     Args:
         index: index of the column that errors name.

@@ -131,7 +131,8 @@ def are_grouped(cells: Sequence[Any], decimal: str) -> bool:
 
 
 def without_groups(cell: Any, decimal: str) -> Any:
-    """A cell without marks between its thousands, if it is a number without decimals: "1.200" → "1200"."""
+    """A cell without the marks between its thousands: "1.200" → "1200". A cell that is not a number without decimals is
+    returned unchanged."""
     is_grouped = isinstance(cell, str) and _ONLY_GROUPS[decimal].match(cell)
     return re.sub(r"[.,]", "", cell) if is_grouped else cell
 

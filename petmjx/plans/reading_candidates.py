@@ -1,5 +1,5 @@
-"""Lists the candidates for the reading of a file: all ways to read the file's numbers that its column names, its form
-and the caller's options allow."""
+"""Lists the candidates for the reading of a file. Each candidate is one way to read the file's numbers. The column
+names, the form of the file and the caller's options decide which ways are possible."""
 
 from __future__ import annotations
 

@@ -252,7 +252,8 @@ def _deck_of(judged: _Judged, wishes: Wishes) -> tuple[FloatArray, bool]:
 def choose_reading(
     columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], wishes: Wishes, damaged: Collection[str] = ()
 ) -> tuple[Reading, Candidate]:
-    """Choose the most plausible reading. The function also returns the candidate for :func:`layout_of`.
+    """Choose the most plausible reading. The function returns the reading, and its candidate, which :func:`layout_of`
+    needs.
 
     Args:
         plans: name of a plan → its rows.

@@ -123,9 +123,9 @@ def balances(
 
 
 def balances_with_last(drafts: Sequence[Draft], before: Sequence[Balance], sim: Simulation) -> list[Balance]:
-    """The balance of each draft, given the balance of the draft without its last box, which must have ``loads``. The
-    last box changes only the loads below it, and each of these loads only once. So this function takes a fraction of
-    the time of ``balances``. The results of the two functions may differ by rounding errors."""
+    """The balance of each draft. ``before``: for each draft, the balance of the draft without its last box, with
+    ``loads``. The last box changes only the loads below it, and each of these loads only once. So this function takes a
+    fraction of the time of ``balances``. The results of the two functions may differ by rounding errors."""
     results: list[Balance] = []
     for begin in range(0, len(drafts), AT_ONCE):
         some, known = drafts[begin : begin + AT_ONCE], before[begin : begin + AT_ONCE]
@@ -204,8 +204,8 @@ def _balances(
 
 
 class _Loads(NamedTuple):
-    """The loads of all boxes of several drafts while the drafts are built, one row for each box. The numbers of boxes
-    and steps continue from one draft to the next.
+    """The loads of all boxes of several drafts while the drafts are built, one row for each box. Boxes and steps are
+    numbered over all drafts: the numbers of a draft follow those of the draft before it.
 
     Attributes:
         box: (k,) numbers of the boxes, ascending.

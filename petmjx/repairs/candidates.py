@@ -67,7 +67,7 @@ class State:
 
     @property
     def lost(self) -> dict[int, Trial]:
-        """The trials in worlds with errors in which the plan falls, by the number of the world."""
+        """Number of a world with errors in which the plan falls → the trial in this world."""
         return {world: trial for world, trial in self.errors.items() if not trial.stands}
 
     @property
@@ -209,7 +209,7 @@ HELD: Final = 0.15
 load does not fall: the box leans on something."""
 
 MOST_RANKED: Final = 168
-"""Largest number of allowed changes of a plan that are kept: the most promising ones."""
+"""Of the allowed changes of a plan, at most this number are kept: the most promising ones."""
 
 PER_WEAKNESS: Final = 1.0
 """Weight of ``Balance.weakness``, the risk that a plan falls with errors, in the ranking of changes. The weight of
@@ -472,7 +472,8 @@ class Candidates:
         return [State(c.draft, c.changes, trial) for c, trial in zip(batch, trials, strict=True)]
 
     def _trials_of(self, lists: Sequence[tuple[Change, ...]], *, judged: bool = False) -> Steps[list[State]]:
-        """The simulated states with these lists of changes. Lists that are impossible or not allowed are left out."""
+        """The simulated states with these lists of changes. Lists with an impossible change, and lists whose result is
+        not allowed, are left out."""
         made = [(draft, changes) for changes in lists if (draft := applied(self._start, changes)) is not None]
         allowed = self.rules.allow([draft for draft, _ in made])
         made = [pair for pair, is_allowed in zip(made, allowed, strict=True) if is_allowed]

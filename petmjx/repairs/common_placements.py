@@ -105,8 +105,9 @@ class CommonPlacements(Generic[Tag]):
     def _split(
         self, worlds: tuple[World[Tag], ...], n_common: int, n_placed: int, start: EngineState | None
     ) -> Iterator[Placement[Tag]]:
-        """The next jobs of worlds that have ``n_common`` boxes in common: the jobs of each group of worlds that also
-        have the next box in common. A world that ends with this box has a group of its own."""
+        """The next jobs of worlds that have ``n_common`` boxes in common. The worlds are divided into groups that also
+        have the next box in common, and each group has its jobs. A world that ends with this box has a group of its
+        own."""
         groups: dict[object, list[World[Tag]]] = {}
         for number, world in enumerate(worlds):
             is_last = world.job.scene.n_boxes == n_common + 1

@@ -484,7 +484,7 @@ class Rules:
         return np.asarray(~hits & ~outside.any(axis=(1, 2)))
 
     def allow_places(self, draft: Draft, places: Places) -> BoolArray:
-        """(k,) which drafts are allowed that differ from an allowed draft only in the places of some boxes. No
+        """(k,) whether drafts are allowed, if they differ from an allowed draft only in the places of some boxes. No
         ``Draft`` object is made for each of the places, so this check takes a fraction of the time that ``allow``
         takes. It is not checked whether boxes that are already built stay unchanged."""
         k = len(places.boxes)
@@ -544,7 +544,7 @@ class Rules:
         return allowed
 
     def _limits(self, m: int) -> _Limits:
-        """The faults that the boxes of a draft with m rows may have."""
+        """The largest faults that the boxes of a draft with m rows are allowed to have."""
         if m in self._limits_of:
             return self._limits_of[m]
         n, before = self.plan.n_boxes, self._before

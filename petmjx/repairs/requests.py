@@ -46,8 +46,8 @@ class Trial(NamedTuple):
         margin: as in the table ``worlds``; NaN: no margin.
         is_score: whether a score on the same engine would give this trial, so that the draft need not be simulated
             again. A judged trial counts as a score if the draft stands, and its boxes were at rest whenever a wait was
-            over. (The waits of the judged draft were then as long as those of a score, unless a box was over a
-            threshold at a sample and came back.)
+            over. (In this case, the waits of the judged draft were as long as those of a score, unless a box was over a
+            threshold at one sample and below it later.)
     """
 
     verdict: str

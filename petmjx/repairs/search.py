@@ -658,8 +658,8 @@ class Search(Candidates):
         return better
 
     def _needed(self, state: State, n_good: int) -> Steps[State]:
-        """The state without needless changes. A change is needless if the plan stands without it, in at least
-        ``n_good`` of the worlds with errors, too."""
+        """The state without needless changes. A change is needless if the plan without this change stands in the world
+        without errors, and in at least ``n_good`` of the worlds with errors."""
         while len(state.changes) > 1:
             lists = [(*state.changes[:k], *state.changes[k + 1 :]) for k in range(len(state.changes))]
             shorter = yield from self._trials_of(lists, judged=self.is_wide or len(lists) > MOST_UNDONE)

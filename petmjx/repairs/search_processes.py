@@ -26,7 +26,7 @@ PER_THREAD: Final = 8
 """Largest number of processes per CPU thread, if a GPU simulates. Each process runs its searches in turn, and searches
 differ much in length. With more processes than threads, the operating system shares the threads among the searches that
 are left, and threads do not wait while searches wait for trials. The processes are copies of one process (``Forks``),
-so a further process takes some hundredths of a second to start, and a few MB."""
+so a further process starts within some hundredths of a second, and needs only a few MB of memory."""
 
 NICE: Final = 5
 """Niceness (lower priority) of the processes. The process that has the engine keeps its priority, because it must keep
