@@ -78,9 +78,12 @@ LATE_AT_ONCE: Final = 2 * AT_ONCE
 """Number of changed plans that are judged at once after single changes alone (``ALONE``) were in vain."""
 
 BUILT_ANEW: Final = 0.2
-"""Share of all trials in which plans are built anew: on a GPU, four rounds (sets of plans that are judged together).
-Almost always, the first or second round finds a plan that stands. Each round takes seconds of statics, so with more
-rounds, the few plans that cannot be repaired in this way would keep all others waiting."""
+"""Largest share of all trials in which plans are built anew."""
+
+ROUNDS_ANEW: Final = 6
+"""Largest number of rounds in which plans are built anew. Almost always, the first or second round finds a plan that
+stands. Each round takes a second of statics, even if few of its plans are worth judging, so the few plans without such
+a repair would keep all others waiting."""
 
 PAIR: Final = 2
 """Once a repair with ``PAIR`` + 1 changes is known, the search for a repair with ``PAIR`` changes is wide: it judges
@@ -313,6 +316,7 @@ class Search(Candidates):
         judged: list[State] = []  # states that stand
         doubtful: list[State] = []  # states that may fall when scored (``_is_doubtful``)
         is_late = is_widened = False
+        n_anew = 0
         # to leave out boxes is the last resort, after many rounds without it, which are counted here
         n_rounds = len(WIDE_AT_ONCE) if Kind.LEAVE_OUT in kinds else 0
         queues: list[list[Candidate]] = []
@@ -336,6 +340,10 @@ class Search(Candidates):
             if standing and fewest == PAIR + 1 and unchanged and not is_widened:
                 is_widened, useful, at_once = True, unchanged, self._scale * PAIRS_AT_ONCE
                 last = min(end, self.n_trials + int(PAIRS * most_trials))
+            n_anew += is_late and Kind.PLACE in kinds and options.profile is None
+            if n_anew > ROUNDS_ANEW:
+                last = self.n_trials  # as if the trials were spent: other ways to build plans anew may remain
+                break
             queues = self._queues(useful, kinds, anew=is_late)
             # one trial is kept: a repair is scored
             batch = batch_of(queues, min(at_once, last - self.n_trials, self._n_left - 1))
