@@ -120,6 +120,14 @@ def test_windows_that_follow_one_another_do_not_replace_each_other() -> None:
     assert np.count_nonzero((added != replaced).any(axis=1)) == 5
 
 
+@pytest.mark.parametrize("steps", [0, 1, 2])
+def test_short_windows_act_alone_as_with_others(steps: int) -> None:
+    short, long = Window(0.02, steps * DT, (1.0, 0.0, 0.0)), Window(0.1, 0.02, (2.0, 0.0, 0.0))
+    for windows in ((short, long), (replace(long, start_s=0.04), replace(short, start_s=0.2))):
+        added = samples(WindowProfile("add", windows, "test"))
+        assert np.array_equal(samples(WindowProfile("replace", windows, "test", replaces=True)), added)
+
+
 def test_impulse_of_a_chain_is_the_sum_of_its_links() -> None:
     twice = chain("twice", [(RADIAL, 0.0, 1.0), (RADIAL, 1.0, 0.5), (JOLTS, 0.25, 2.0)], "test")
     # The number of steps of a window differs by at most one between offsets. So the comparison uses a timestep that

@@ -100,12 +100,15 @@ def _one_at_a_time(spans: Sequence[tuple[int, int, Vector]]) -> list[tuple[int, 
 
     The force changes at the beginning and at the end of every given span, in order of time. At each change, the old
     force is removed. After that, the force of the span that begins there is set: of the last one, if several begin.
-    An end one step after a beginning is moved to this beginning: windows that follow one another may overlap by a step,
-    since times are rounded to whole steps.
+    Unlike there, an end one step after the beginning of another span is moved to this beginning. Windows that follow
+    one another may overlap by a step, since times are rounded to whole steps; the later window would lose its force.
+    Spans without a step are left out.
     """
+    spans = [span for span in spans if span[0] < span[1]]
     waiting = deque(sorted(spans, key=lambda span: span[0]))
     begins = {begin for begin, _, _ in spans}
-    changes = sorted(begins | {end - 1 if end - 1 in begins else end for _, end, _ in spans})
+    ends = {end - 1 if begin < end - 1 and end - 1 in begins else end for begin, end, _ in spans}
+    changes = sorted(begins | ends)
     acting: list[tuple[int, int, Vector]] = []
     for change, next_change in pairwise(changes):
         force = None
