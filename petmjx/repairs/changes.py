@@ -312,6 +312,21 @@ def applied(draft: Draft, changes: Sequence[Change]) -> Draft | None:
     return draft
 
 
+def with_turns_told(draft: Draft, changes: Sequence[Change]) -> tuple[Change, ...]:
+    """The changes of a draft, in which each change says which boxes it turns. The search may drop an earlier change
+    that turned a box (``with_change``), so that a later change of this box turns it now."""
+    told: list[Change] = []
+    for change in changes:
+        if isinstance(change, Place):
+            change = replace(change, differs=bool(draft.turned[change.box]) != change.turned)
+        elif isinstance(change, Exchange):
+            first, second = (bool(draft.turned[box]) for box in change.boxes)
+            change = replace(change, differ=(first != change.turns[0], second != change.turns[1]))
+        told.append(change)
+        draft = change.applied(draft) or draft
+    return tuple(told)
+
+
 def with_change(changes: Sequence[Change], change: Change) -> tuple[Change, ...]:
     """A list of changes with one more change. A move becomes part of an earlier change of the same boxes. Of two
     changes of a box's order, only the second one is kept. If a box is put elsewhere or left out, its earlier changes

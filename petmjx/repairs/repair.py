@@ -20,7 +20,7 @@ from petmjx.plans.plan import Plan
 from petmjx.plans.plan_sources import PathArgument, PlanSource, usable_plans, without_built_plans
 from petmjx.plans.plan_writer import save_plans
 from petmjx.repairs.candidates import State
-from petmjx.repairs.changes import Change, Kind, applied, cost_of
+from petmjx.repairs.changes import Change, Kind, applied, cost_of, with_turns_told
 from petmjx.repairs.drafts import Draft
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.requests import Asked, Trial
@@ -407,7 +407,7 @@ def _repaired_by(search: Search, state: State | None, before: Share | None, afte
     return Repaired(
         before=search.plan,
         plan=search.plan if state is None else state.draft.as_plan(),
-        changes=() if state is None else state.changes,
+        changes=() if state is None else with_turns_told(Draft.of(search.plan), state.changes),
         trial_before=search.before,
         trial_after=None if state is None else state.trial,
         share_before=before,

@@ -23,7 +23,20 @@ from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.repairs.balance import ROOM_MM, balances
 from petmjx.repairs.candidates import AT_ONCE, HELD, Candidate, Fault, Node, State, batch_of, spread
-from petmjx.repairs.changes import Exchange, Film, Kind, LeaveOut, Move, Order, Place, Sheet, Turn, applied, with_change
+from petmjx.repairs.changes import (
+    Exchange,
+    Film,
+    Kind,
+    LeaveOut,
+    Move,
+    Order,
+    Place,
+    Sheet,
+    Turn,
+    applied,
+    with_change,
+    with_turns_told,
+)
 from petmjx.repairs.drafts import Draft, Rules, key_of
 from petmjx.repairs.proposals import Target, proposals
 from petmjx.repairs.rebuilds import Failure, rebuilds
@@ -1374,3 +1387,16 @@ def test_an_interrupted_repair_keeps_the_plans_that_are_done(
     plans = petmjx.load_plans(out).plans
     assert [plan.plan_id for plan in plans] == names
     assert [verdict(plan) for plan in plans] == ["stable"] * len(names)
+
+
+def test_a_change_says_that_it_turns_a_box_although_an_earlier_turn_was_dropped() -> None:
+    draft = Draft.of(make_plan(boxes=[*stack(2), *stack(2, at_mm=(600.0, 0.0))]))
+    turn, place = Turn(1, 0.0, 0.0), Place(1, (600.0, 300.0, 0.0), turned=True)
+    exchange = Exchange(1, 3, ((600.0, 0.0, 100.0), (0.0, 0.0, 100.0)), (True, True))
+    changes = with_change((turn,), place)
+    assert changes == (place,)
+    assert [change.words for change in with_turns_told(draft, changes)] == [replace(place, differs=True).words]
+    first, second, third = with_turns_told(draft, (turn, replace(place, differs=True), exchange))
+    assert (first, second) == (turn, place)
+    assert isinstance(third, Exchange)
+    assert third.differ == (False, True)
