@@ -13,7 +13,7 @@ import pandas as pd
 
 from petmjx.common.checked_records import shown_value
 from petmjx.common.errors import InputError
-from petmjx.common.text import count_text, printable_name
+from petmjx.common.text import count_text, first_names, printable_name
 from petmjx.options.run_options import READING, Confidence, RunOptions, sorted_options
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
@@ -312,7 +312,8 @@ def repair(
 
     def repairs() -> Repairs:
         skipped = tuple(str(line) for line in plan_set.skipped)
-        return Repairs(tuple(results), skipped, shown, (*plan_set.notes, *about))
+        weak = _weak_note(results, repair_options.share)
+        return Repairs(tuple(results), skipped, shown, (*plan_set.notes, *about, *weak))
 
     try:
         for repaired in _repaired(plan_set.plans, question, repair_options):
@@ -393,6 +394,18 @@ def _with_shares(
 def _first(search: Search) -> State | None:
     """The best repair; None: no repair."""
     return search.repairs[0] if search.repairs else None
+
+
+def _weak_note(results: Sequence[Repaired], share: float) -> list[str]:
+    """A line about repaired plans that stand in a smaller share of the worlds with errors than requested; an empty list
+    if there is none."""
+    repaired = [one for one in results if one.stands and not one.trial_before.stands]
+    weak = [one.plan.plan_id for one in repaired if one.share_after is not None and one.share_after.value < share]
+    if not weak:
+        return []
+    verb = "stands" if len(weak) == 1 else "stand"
+    plans_text = f"{count_text(len(weak), 'repaired plan')} {verb}"
+    return [f"{plans_text} in less than {100 * share:.0f} % of the worlds with errors (share): {first_names(weak)}"]
 
 
 def _repaired_by(search: Search, state: State | None, before: Share | None, after: Share | None) -> Repaired:

@@ -57,6 +57,8 @@ def _shares(repaired: Repaired) -> str:
     """Text with the shares of worlds with errors in which a plan stands, before and after its repair."""
     if repaired.share_before is None or repaired.share_after is None:
         return ""
+    if not repaired.share_after.n_worlds:
+        return "; no world with errors had a verdict"
     before, after = share_text(repaired.share_before), share_text(repaired.share_after)
     return f"; with errors {before} worlds stand before, {after} after"
 

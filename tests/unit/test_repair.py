@@ -40,12 +40,12 @@ from petmjx.repairs.changes import (
 from petmjx.repairs.drafts import Draft, Rules, key_of
 from petmjx.repairs.proposals import Target, proposals
 from petmjx.repairs.rebuilds import Failure, rebuilds
-from petmjx.repairs.repair import Repaired
+from petmjx.repairs.repair import Repaired, _weak_note
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.requests import Asked, OutOfTime, Steps, Together, Trial, TrialAnswer
 from petmjx.repairs.search import ALONE, ALONE_IF_MANY, BUILT_ANEW, MANY_FAULTS, SURPLUS, WIDE_AT_ONCE, Search
 from petmjx.repairs.search_processes import SearchProcesses, Tasks
-from petmjx.repairs.trials import Question, TimeLimit, TrialStream
+from petmjx.repairs.trials import Question, Share, TimeLimit, TrialStream
 
 FAST_TRIALS = {"engine": "mujoco", "threads": 1}
 FALLS = Trial("unstable", "tilt", 1, (1,), 2, 2, 0.0)
@@ -1242,6 +1242,13 @@ def test_a_repair_with_few_trials_is_told_as_such() -> None:
     assert few.headline.endswith("the trials for the search were spent: all boxes might be kept")
     undone = replace(few, changes=(Move(0, 1.0, 0.0), Move(1, 1.0, 0.0)))
     assert undone.headline.endswith("the trials for the search were spent: some may not be needed")
+
+
+def test_a_repair_that_stands_in_too_few_worlds_with_errors_is_told() -> None:
+    weak = replace(repaired(COUNTERWEIGHT, trials=3), share_after=Share(8, 5))
+    assert _weak_note([weak], 5 / 8) == []
+    (note,) = _weak_note([weak, replace(weak, share_after=Share(8, 8))], 0.75)
+    assert note == "1 repaired plan stands in less than 75 % of the worlds with errors (share): 00000001"
 
 
 @pytest.mark.parametrize(("forbid", "profile"), [((), None), (("place",), None), ((), "eumos-40509")])
