@@ -276,7 +276,8 @@ def choose_reading(
         other for other in judged[1:] if other.cost < best.cost + lead and not same_layouts(best.layouts, other.layouts)
     ]
     if rivals := close or [other for other in turned if other.candidate.prior < best.candidate.prior]:
-        readings = [_reading(one, columns, wishes) for one in (best, *rivals)]
+        possible = [best, *rivals, *(other for other in turned if other not in rivals)]
+        readings = [_reading(one, columns, wishes) for one in possible]
         raise AmbiguousFile(tie_text(readings, is_weak), readings[:4])
     if _is_impossible(best, columns, wishes):
         reading = _reading(best, columns, wishes)
