@@ -265,7 +265,7 @@ class Candidates:
         options = self.options
         self.rules = Rules(self.plan, self.sim, options.max_height_mm, options.built)
         self._start = Draft.of(self.plan, self.film_turns)
-        self._most_trials = options.trials if options.profile is None else options.trials // PER_DRIVE
+        self._most_trials = options.trials if options.profile is None else max(options.trials // PER_DRIVE, 1)
         self._seen: set[bytes] = set()
         self._known: dict[bytes, Trial] = {}  # key of each draft that was judged → its trial
         self._falls: dict[bytes, Trial] = {}  # key of the placements up to an early fall → the trial

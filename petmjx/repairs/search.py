@@ -296,6 +296,7 @@ class Search(Candidates):
             (trial,) = yield from self._simulated([draft])
             if trial.stands:
                 best, high = [State(draft, (film,), trial)], turns
+                self.repairs = tuple(best)  # kept if the trials are spent, or the time is up
             else:
                 low = turns
             turns = (low + high) // 2
@@ -356,7 +357,9 @@ class Search(Candidates):
             states, *_ = yield Together(parts)
             if any(state.trial.stands for state in states):  # further candidates may stand in more worlds with errors
                 if not self.is_wide:
-                    next_candidates = self._rivals(queues, states, last - self.n_trials)
+                    # one trial is kept, as above
+                    count = min(last - self.n_trials, self._n_left - 1)
+                    next_candidates = self._rivals(queues, states, count)
                     batch, states = batch + next_candidates, states + (yield from self._judged(next_candidates))
                 doubtful += [state for state in states if self._is_doubtful(state)]
                 judged += [state for state in states if state.trial.stands and not self._is_doubtful(state)]

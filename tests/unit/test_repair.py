@@ -244,6 +244,17 @@ def test_the_least_film_that_holds_is_used() -> None:
         assert again.trial_before.stands == stands
 
 
+@pytest.mark.parametrize("trials", [1, 5, 6, 12])
+def test_film_is_kept_if_the_trials_are_spent(trials: int) -> None:
+    """With a profile, a search has a sixth of the trials, but at least one. The first trial has the most turns, which
+    hold the carton."""
+    plan = make_plan(boxes=[((300, 300, 100), (0, 0, 0), 20)])
+    (result,) = petmjx.repair(plan, **{**FAST, "trials": trials}, profile="eumos-40509", level=0.8, most_turns=40).each
+    n_trials = max(trials // 6, 1)
+    assert (result.n_trials, result.film_turns) == (n_trials, 40 // n_trials)
+    assert (result.stands, result.trials_spent, result.left_out) == (True, True, ())
+
+
 # ---------------------------------------------------------------------- drafts (plans with changes) and rules
 
 
@@ -1196,28 +1207,43 @@ def test_a_search_whose_trials_are_spent_says_so() -> None:
 
 @pytest.mark.parametrize("is_wide", [False, True])
 @pytest.mark.parametrize("worlds", [0, 8])
-def test_a_search_makes_no_more_trials_than_allowed(is_wide: bool, worlds: int) -> None:
-    """Two boxes fall, and box 5 stands in half of the worlds with errors. The trials are spent in every part of the
-    search. A search that has found a repair keeps it."""
-    plan = make_plan(boxes=[*TWO_FAULTS, *stack(1, at_mm=(0.0, 1200.0))])
+@pytest.mark.parametrize("n_faults", [1, 2])
+def test_a_search_makes_no_more_trials_than_allowed(is_wide: bool, worlds: int, n_faults: int) -> None:
+    """One box falls, or two, and box 5 stands in half of the worlds with errors. The trials are spent in every part of the
+    search. A search that has found a repair keeps it, and leaves out no box if a plan with all boxes has stood."""
+    boxes = TWO_FAULTS if n_faults == 2 else [*TWO_FAULTS[:3], *stack(2, at_mm=(0.0, 600.0))]
+    plan = make_plan(boxes=[*boxes, *stack(1, at_mm=(0.0, 1200.0))])
+    has_stood = False
 
     def trial_of(one: Asked) -> Trial:
+        nonlocal has_stood
         (balance,) = balances([one.draft], Simulation())
         falls = [box for box in (1, 4) if box in balance.box] or [5] * (one.world % 2)
         if not falls:
+            has_stood |= {*range(6)} <= {*one.draft.order}
             return Trial("stable", "", None, (), 6, 6, 1.0, is_score=True)
         return Trial("unstable", "tilt", falls[0], (falls[0],), falls[0] + 1, falls[0] + 1, -1.0)
 
     n_repaired = 0
-    for trials in (1, 2, 3, 5, 8, 13, 25, 60, 200, 600):
+    for trials in (1, 2, 3, 5, 8, 10, 13, 25, 60, 200, 600):
+        has_stood = False
         search = Search(plan, Simulation(), RepairOptions(worlds=worlds, trials=trials), is_wide=is_wide)
         result_of(search.run(), lambda some: [trial_of(one) for one in some])
         has_left_out = any(change.kind is Kind.LEAVE_OUT for state in search.repairs for change in state.changes)
         assert search.n_trials <= (trials if not has_left_out and search.repairs else trials + trials // 2)
         assert search.complete
         n_repaired += bool(search.repairs)
+        assert not (has_stood and has_left_out), "a plan with all boxes stood when it was judged"
     assert n_repaired > 6
     assert not search.trials_spent
+
+
+@pytest.mark.parametrize(("boxes", "worlds"), [(TOWER, 4), (COUNTERWEIGHT, 0), (COUNTERWEIGHT, 4)])
+@pytest.mark.parametrize("trials", [8, 12])
+def test_a_trial_is_kept_for_the_score_of_a_repair(boxes: Sequence[Box], worlds: int, trials: int) -> None:
+    """A plan stands when it is judged, and further plans are judged to have a choice."""
+    result = repaired(boxes, worlds=worlds, trials=trials)
+    assert (len(result.changes), result.left_out) == (1, ())
 
 
 def test_simulations_without_a_verdict_are_told(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
