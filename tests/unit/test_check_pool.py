@@ -7,6 +7,8 @@ import io
 import os
 import pickle
 import signal
+import socket
+import threading
 import time
 from collections.abc import Iterator
 from copy import deepcopy
@@ -222,15 +224,50 @@ def test_copies_of_a_process_run_beside_each_other_and_end_with_it() -> None:
             ((_, (asked,)),), has_ended = one.answers.get(timeout=60)
             assert (asked.draft.plan.plan_id, has_ended) == (f"{k}", False)
         copies[0].end()
-        assert one_is_dead(copies[0])
+        (search,), has_ended = copies[0].answers.get(timeout=60)
+        assert (search.plan.plan_id, search.complete, has_ended) == ("0", False, True)
         assert forks._popen is not None
         os.killpg(forks._popen.pid, signal.SIGKILL)
-        assert one_is_dead(copies[1])
-        assert one_is_dead(copies[2])
-        assert one_is_dead(forks.fork())
+        for one in (*copies, forks.fork()):
+            assert one.answers.get(timeout=60) is None
     finally:
         forks.end()
 
 
-def one_is_dead(copy: Fork) -> bool:
-    return copy.answers.get(timeout=60) in (None, ([], True)) or copy.answers.get(timeout=60) is None
+@pytest.mark.skipif(not Forks.are_possible, reason="this system cannot copy processes")
+@pytest.mark.parametrize("n_started", [0, 1])
+def test_pipes_without_threads_are_closed_once(n_started: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The system lets no further thread start: first the one that writes tasks, then the one that reads answers. A
+    pipe that was closed twice would close a file that has meanwhile got its number."""
+    start_thread, close_fd, threads, closed = threading.Thread.start, os.close, list[threading.Thread](), list[int]()
+
+    def start(thread: threading.Thread) -> None:
+        if len(threads) == n_started:
+            raise RuntimeError("can't start new thread")
+        threads.append(thread)
+        start_thread(thread)
+
+    def close(fd: int) -> None:
+        closed.append(fd)
+        close_fd(fd)
+
+    ours, its = socket.socketpair()
+    with ours, its:
+        before = open_files()
+        with monkeypatch.context() as patch:
+            patch.setattr(threading.Thread, "start", start)
+            patch.setattr(os, "close", close)
+            fork = Fork(ours)
+        assert fork.answers.get(timeout=60) is None
+        fork.end()
+        _, (its_tasks, its_answers), *_ = socket.recv_fds(its, 1, 2)
+        with os.fdopen(its_tasks, "rb") as tasks, os.fdopen(its_answers, "wb"):
+            assert tasks.read() == b"", "the process learns that there are no tasks"
+        for thread in threads:
+            thread.join(60)
+        assert open_files() <= before
+        assert len(closed) == len({*closed}) == 2, "those of the process"
+
+
+def open_files() -> set[str]:
+    return {*os.listdir("/proc/self/fd")}

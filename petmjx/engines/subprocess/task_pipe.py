@@ -42,9 +42,21 @@ class Pipes:
         self.answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
 
     def _begin(self, tasks: IO[bytes], answers: IO[bytes]) -> None:
-        """Start the threads of these pipes."""
-        for target, pipe in ((self._write, tasks), (self._read, answers)):
-            threading.Thread(target=target, args=(pipe,), name="petmjx-pipe", daemon=True).start()
+        """Start the threads of these pipes. A thread closes its pipe at the end. A pipe whose thread cannot be started
+        is closed here.
+
+        Raises:
+            RuntimeError: a thread cannot be started.
+        """
+        waiting = [(self._write, tasks), (self._read, answers)]
+        try:
+            while waiting:
+                target, pipe = waiting[0]
+                threading.Thread(target=target, args=(pipe,), name="petmjx-pipe", daemon=True).start()
+                del waiting[0]
+        finally:
+            for _, pipe in waiting:
+                pipe.close()
 
     def _write(self, tasks: IO[bytes]) -> None:
         with contextlib.suppress(OSError), tasks as pipe:
@@ -112,8 +124,9 @@ class Fork(Pipes):
             fds += os.pipe()
             its_tasks, tasks, answers, its_answers = fds
             socket.send_fds(connection, [b"f"], [its_tasks, its_answers])
-            self._begin(os.fdopen(tasks, "wb"), os.fdopen(answers, "rb"))
-            fds = [its_tasks, its_answers]
+            pipes = os.fdopen(tasks, "wb"), os.fdopen(answers, "rb")
+            fds = [its_tasks, its_answers]  # the files close the others
+            self._begin(*pipes)
         except (OSError, RuntimeError):  # memory is short, or the other process has died
             self.answers.put(None)
         for fd in fds:
