@@ -25,7 +25,7 @@ from petmjx.repairs.drafts import Draft
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.requests import Asked, Trial
 from petmjx.repairs.search import Search
-from petmjx.repairs.search_processes import PER_THREAD, SearchProcesses
+from petmjx.repairs.search_processes import SearchProcesses, most_processes
 from petmjx.repairs.trials import OF_RUN, SEARCHED, Question, Share, TimeLimit, TrialStream
 from petmjx.results.notebook_tables import ShownColumn, block_as_html, table_as_html
 from petmjx.results.plan_lookup import plans_in_place
@@ -334,7 +334,7 @@ def _repaired(plans: Iterable[Plan], question: Question, options: RepairOptions)
     while group := list(islice(waiting, AT_ONCE)):
         searches = [Search(plan, question.sim, options, question.film_turns, question.is_wide) for plan in group]
         try:
-            most = question.threads * PER_THREAD if question.is_wide else question.threads
+            most = most_processes(question.threads, is_wide=question.is_wide)
             with closing(SearchProcesses(len(searches), most)) as processes:
                 stream = TrialStream(question, limit, SEARCHED if options.worlds else 1.0)
                 if question.is_wide and options.profile is None:

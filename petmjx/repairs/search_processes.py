@@ -15,7 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Final, Protocol
 
-from petmjx.engines.subprocess.task_pipe import Child, Forks, Pipes, next_of, own_pipes
+from petmjx.engines.subprocess.task_pipe import Child, Forks, PipedProcess, next_of, own_pipes
 from petmjx.repairs.requests import Asked, OutOfTime, Steps, Together, TrialAnswer
 from petmjx.repairs.search import Search
 
@@ -23,10 +23,18 @@ LEAST_PLANS: Final = 8
 """Fewer plans are not worth further processes: the first process needs half a second of CPU time to start."""
 
 PER_THREAD: Final = 8
-"""Largest number of processes per CPU thread, if a GPU simulates. Each process runs its searches in turn, and searches
-differ much in length. With more processes than threads, the operating system shares the threads among the searches that
-are left, and threads do not wait while searches wait for trials. The processes are copies of one process (``Forks``),
-so a further process starts within some hundredths of a second, and needs only a few MB of memory."""
+"""Largest number of processes per CPU thread, if a GPU simulates, on systems that can copy processes. Each process runs
+its searches in turn, and searches differ much in length. With more processes than threads, the operating system shares
+the threads among the searches that are left, and threads do not wait while searches wait for trials. The processes are
+copies of one process (``Forks``), so a further process starts within some hundredths of a second, and needs only a few
+MB of memory."""
+
+PER_THREAD_UNCOPIED: Final = 3
+"""As ``PER_THREAD``, on systems that cannot copy processes. There, each process is a new interpreter: it needs half a
+second of CPU time to start, and about 30 MB of memory."""
+
+PLANS_EACH_UNCOPIED: Final = 4
+"""Smallest number of plans per process, on systems that cannot copy processes."""
 
 NICE: Final = 5
 """Niceness (lower priority) of the processes. The process that has the engine keeps its priority, because it must keep
@@ -120,27 +128,39 @@ class Tasks:
                 self._n_requests += 1
 
 
+def most_processes(threads: int, *, is_wide: bool) -> int:
+    """Largest number of processes that run searches.
+
+    Args:
+        threads: number of CPU threads.
+        is_wide: whether a GPU simulates.
+    """
+    per_thread = PER_THREAD if Forks.are_possible else PER_THREAD_UNCOPIED
+    return threads * per_thread if is_wide else threads
+
+
 class SearchProcesses:
     """Processes that run searches.
 
     Args:
         n_searches: largest number of searches. If there are fewer than ``LEAST_PLANS``, this process runs all searches.
-            Otherwise a first process starts at once, while this process can do other work. The number of the further
-            processes follows from the searches.
-        most: largest number of processes.
+            Otherwise, on systems that can copy processes, a first process starts at once, while this process can do
+            other work. The number of the further processes follows from the searches.
+        most: largest number of processes (``most_processes``).
     """
 
     def __init__(self, n_searches: int, most: int) -> None:
         self._most = most
         self._forks = Forks(__name__) if Forks.are_possible and most > 1 and n_searches >= LEAST_PLANS else None
         self._children: list[Child] = []
-        self._working: list[Pipes] = []
+        self._working: list[PipedProcess] = []
         self._parts: list[list[Search]] = [[]]
 
     def begin(self, searches: Sequence[Search]) -> None:
         """Let processes begin these searches. Each process goes on until its searches need trials. Plans with many
         boxes take longest, so they are in different processes, and begin first."""
-        n_processes = min(self._most, len(searches)) if len(searches) >= LEAST_PLANS else 1
+        most = len(searches) if Forks.are_possible else len(searches) // PLANS_EACH_UNCOPIED
+        n_processes = min(self._most, most) if len(searches) >= LEAST_PLANS else 1
         searches = sorted(searches, key=lambda search: -search.plan.n_boxes)
         self._parts = [searches[k::n_processes] for k in range(n_processes)]
         if n_processes > 1:
@@ -163,7 +183,7 @@ class SearchProcesses:
         for child in self._children:
             child.end()
 
-    def _child(self) -> Pipes:
+    def _child(self) -> PipedProcess:
         if self._forks is not None:
             return self._forks.fork()
         self._children.append(Child(__name__))
@@ -188,7 +208,7 @@ class _Server:
     have ended, the interrupt is raised again. A second interrupt is raised at once.
     """
 
-    def __init__(self, children: Sequence[Pipes], parts: Sequence[list[Search]], simulator: Simulator) -> None:
+    def __init__(self, children: Sequence[PipedProcess], parts: Sequence[list[Search]], simulator: Simulator) -> None:
         self._children, self._parts, self._simulator = children, parts, simulator
         self._working = set(range(len(children)))
         self._dead: list[int] = []
@@ -254,7 +274,7 @@ class _Server:
             self._collect(wait=True)
 
 
-class _Pipe:
+class _PipedSimulator:
     """The simulator in a process that runs searches. The simulator sends drafts to the process that has the engine, and
     receives the trials of these drafts."""
 
@@ -294,8 +314,8 @@ class _Pipe:
 def main() -> None:
     """The program of a process that runs searches. The first message to the process has the searches; all later
     messages have answers to requests of the searches."""
-    pipe = _Pipe()
-    searches = pipe.searches()
+    simulator = _PipedSimulator()
+    searches = simulator.searches()
     if searches is not None:
-        _run_here(searches, pipe)
-        pipe.send(searches, has_ended=True)
+        _run_here(searches, simulator)
+        simulator.send(searches, has_ended=True)

@@ -3,6 +3,7 @@ changed plan stands."""
 
 from __future__ import annotations
 
+import pickle
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -19,6 +20,7 @@ import petmjx
 from petmjx.cli.main import main
 from petmjx.common.errors import InputError
 from petmjx.engines.attempt_with_fallback import outcomes_of_stream
+from petmjx.engines.subprocess.task_pipe import Forks, PipedProcess
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.repairs.balance import ROOM_MM, balances
@@ -44,7 +46,7 @@ from petmjx.repairs.repair import Repaired, _weak_note
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.requests import Asked, OutOfTime, Steps, Together, Trial, TrialAnswer
 from petmjx.repairs.search import ALONE, ALONE_IF_MANY, BUILT_ANEW, MANY_FAULTS, SURPLUS, WIDE_AT_ONCE, Search
-from petmjx.repairs.search_processes import SearchProcesses, Tasks
+from petmjx.repairs.search_processes import SearchProcesses, Tasks, most_processes
 from petmjx.repairs.trials import Question, Share, TimeLimit, TrialStream
 
 FAST_TRIALS = {"engine": "mujoco", "threads": 1}
@@ -1106,9 +1108,9 @@ def test_a_plan_with_faults_all_over_is_built_anew() -> None:
     assert [change.kind for change in shorter] == [Kind.LEAVE_OUT, Kind.PLACE], "only the box on it has another place"
 
 
-def test_searches_in_several_processes_end_as_in_one() -> None:
-    """Two processes search for repairs of these plans. In place of a simulation, the test says that a plan stands once
-    its last box is moved."""
+def test_searches_in_several_processes_end_as_in_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two processes search for repairs of these plans: first copies of a process, then new interpreters. In place of a
+    simulation, the test says that a plan stands once its last box is moved."""
     plans = [
         make_plan(f"{k}", boxes=[((300, 300, 100 + k), (0, 0, 0), 1), ((90, 90, 90), (0, 0, 100 + k), 1)])
         for k in range(8)
@@ -1119,13 +1121,14 @@ def test_searches_in_several_processes_end_as_in_one() -> None:
         return [Trial("stable" if g else "unstable", "", None if g else 1, () if g else (1,), 2, 1, 0.0) for g in good]
 
     ends = []
-    for processes in (1, 2):
+    for processes, are_copies in ((1, True), (2, Forks.are_possible), (2, False)):
+        monkeypatch.setattr(Forks, "are_possible", are_copies)
         searches = [Search(plan, Simulation(), RepairOptions(worlds=0)) for plan in plans]
         with closing(SearchProcesses(len(searches), processes)) as some:
             some.begin(searches)
             some.run(Simulated(ask))
         ends.append([([state.changes for state in s.repairs], s.n_trials, s.before, s.complete) for s in searches])
-    assert ends[0] == ends[1]
+    assert ends[0] == ends[1] == ends[2]
     assert all(changes for changes, *_ in ends[0])
     searches = [Search(plan, Simulation(), RepairOptions(worlds=0)) for plan in plans]
 
@@ -1142,6 +1145,45 @@ def test_searches_in_several_processes_end_as_in_one() -> None:
         with pytest.raises(KeyboardInterrupt):
             some.run(Simulated(ask_until_stopped))
     assert [search.complete for search in searches[::2]] == [True, False, False, False]
+
+
+@pytest.mark.parametrize(
+    ("are_copies", "n_plans", "threads", "is_wide", "n_processes"),
+    [
+        (True, 7, 2, True, 0),
+        (True, 9, 2, False, 2),
+        (True, 9, 2, True, 9),
+        (True, 20, 2, True, 16),
+        (False, 7, 2, True, 0),
+        (False, 9, 2, True, 2),
+        (False, 27, 2, False, 2),
+        (False, 27, 2, True, 6),
+    ],
+)
+def test_searches_run_in_fewer_processes_if_none_can_be_copied(
+    are_copies: bool, n_plans: int, threads: int, is_wide: bool, n_processes: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Started(PipedProcess):
+        def end(self) -> None:
+            pass
+
+    monkeypatch.setattr(Forks, "are_possible", are_copies)
+    monkeypatch.setattr(Forks, "__init__", lambda *_: None)
+    monkeypatch.setattr(Forks, "end", lambda _: None)
+    started: list[Started] = []
+
+    def start(_: object) -> Started:
+        started.append(Started())
+        return started[-1]
+
+    monkeypatch.setattr(Forks, "fork", start)
+    monkeypatch.setattr("petmjx.repairs.search_processes.Child", start)
+    searches = [Search(make_plan(f"{k}"), Simulation(), RepairOptions(worlds=0)) for k in range(n_plans)]
+    with closing(SearchProcesses(n_plans, most_processes(threads, is_wide=is_wide))) as processes:
+        processes.begin(searches)
+    assert len(started) == n_processes
+    parts = [pickle.loads(one.tasks.get_nowait() or b"") for one in started]
+    assert sum(map(len, parts)) == (n_plans if n_processes else 0)
 
 
 def test_judging_ends_when_the_time_is_up() -> None:
@@ -1209,8 +1251,8 @@ def test_a_search_whose_trials_are_spent_says_so() -> None:
 @pytest.mark.parametrize("worlds", [0, 8])
 @pytest.mark.parametrize("n_faults", [1, 2])
 def test_a_search_makes_no_more_trials_than_allowed(is_wide: bool, worlds: int, n_faults: int) -> None:
-    """One box falls, or two, and box 5 stands in half of the worlds with errors. The trials are spent in every part of the
-    search. A search that has found a repair keeps it, and leaves out no box if a plan with all boxes has stood."""
+    """One box falls, or two, and box 5 stands in half of the worlds with errors. The trials are spent in every part of
+    the search. A search that has found a repair keeps it, and leaves out no box if a plan with all boxes has stood."""
     boxes = TWO_FAULTS if n_faults == 2 else [*TWO_FAULTS[:3], *stack(2, at_mm=(0.0, 600.0))]
     plan = make_plan(boxes=[*boxes, *stack(1, at_mm=(0.0, 1200.0))])
     has_stood = False

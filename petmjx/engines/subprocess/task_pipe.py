@@ -29,8 +29,9 @@ KILL_WAIT_S: Final = 5.0
 _NO_GPU: Final = {"JAX_PLATFORMS": "cpu", "CUDA_VISIBLE_DEVICES": ""}
 
 
-class Pipes:
-    """The tasks and answers of a process beside the run. Threads of this process write the tasks and read the answers.
+class PipedProcess:
+    """A process beside the run, with the queues of its tasks and answers. Threads of the run write the tasks to the
+    pipe of the process, and read the answers.
 
     Attributes:
         tasks: queue of pickled tasks; the entry None ends the queue.
@@ -71,7 +72,7 @@ class Pipes:
         self.answers.put(None)
 
 
-class Child(Pipes):
+class Child(PipedProcess):
     """A process beside the run, with its pipes.
 
     Args:
@@ -111,7 +112,7 @@ class Child(Pipes):
             self._popen.wait()
 
 
-class Fork(Pipes):
+class Fork(PipedProcess):
     """A process beside the run, forked by the process of ``Forks``."""
 
     def __init__(self, connection: socket.socket | None) -> None:
