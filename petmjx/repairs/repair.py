@@ -71,8 +71,9 @@ class Repaired:
             Invalid simulations count as falls.
         complete: whether the search came to its end. If the search is not complete, its time was up or its trials were
             spent, and a longer search might find smaller changes.
-        trials_spent: whether the trials were spent before a repair with all boxes was found, or before the search had
-            tested which changes are needed.
+        trials_spent: whether the trials were spent before a repair with all boxes was found, although further changes
+            could be tried, or before the search had tested which changes are needed, or had compared repairs in worlds
+            with errors.
         built_falls: whether boxes that stand already (``built``) fall before others are placed. If built boxes fall, no
             repair was sought.
     """
@@ -144,7 +145,9 @@ class Repaired:
         text = f"{fails}; stands after {count_text(len(self.changes), 'change')}"
         if self.complete:
             return text
-        doubt = "all boxes might be kept" if self.trials_spent and self.left_out else "some may not be needed"
+        doubt = "some may not be needed" if len(self.changes) > 1 else "another change might be better"
+        if self.trials_spent and self.left_out:
+            doubt = "all boxes might be kept"
         return f"{text}; {self._limit} for the search were spent: {doubt}"
 
     @property

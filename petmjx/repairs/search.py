@@ -163,7 +163,8 @@ class Search(Candidates):
         n_trials: number of simulations of changed plans.
         complete: whether the search has ended. Before the search ends, repairs may have needless changes.
         trials_spent: whether the trials were spent before a repair with all boxes was found, although further changes
-            could be tried, or before the search had tested which changes are needed.
+            could be tried, or before the search had tested which changes are needed, or had compared repairs in worlds
+            with errors. False if only the search for shorter repairs ended early: it has only a share of the trials.
         built_falls: whether boxes that stand already (``built``) fall before others are placed. If built boxes fall, no
             repair is sought.
     """

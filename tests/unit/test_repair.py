@@ -1275,6 +1275,7 @@ def test_a_search_makes_no_more_trials_than_allowed(is_wide: bool, worlds: int, 
         assert search.n_trials <= (trials if not has_left_out and search.repairs else trials + trials // 2)
         assert search.complete
         n_repaired += bool(search.repairs)
+        assert search.trials_spent or not has_left_out, "all boxes might be kept"
         assert not (has_stood and has_left_out), "a plan with all boxes stood when it was judged"
     assert n_repaired > 6
     assert not search.trials_spent
@@ -1286,6 +1287,9 @@ def test_a_trial_is_kept_for_the_score_of_a_repair(boxes: Sequence[Box], worlds:
     """A plan stands when it is judged, and further plans are judged to have a choice."""
     result = repaired(boxes, worlds=worlds, trials=trials)
     assert (len(result.changes), result.left_out) == (1, ())
+    assert result.complete == (not worlds), "with errors, the trials are not enough to compare repairs"
+    spent = "; the trials for the search were spent: another change might be better"
+    assert result.headline.endswith("stands after 1 change" + spent * bool(worlds))
 
 
 def test_simulations_without_a_verdict_are_told(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
