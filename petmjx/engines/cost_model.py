@@ -237,7 +237,8 @@ class Work:
             them: the rounds of a search, or the legs of a chain.
         filmed: share of the steps of drives in which pallets are wrapped in film, 0 to 1: one value for all plans, or
             one for each plan.
-        gentle: share of the steps of drives whose acceleration is at most ``STEADY_G``, 0 to 1, as ``filmed``.
+        gentle: share of the steps of drives whose largest horizontal acceleration is at most ``STEADY_G``, 0 to 1, as
+            ``filmed``. Vertical accelerations and rotations of the carrier do not count.
         giving: number of compliant boxes of each plan; empty if no plan has compliant boxes.
         sway_mm: how far a pile of each plan's compliant boxes sways, mm (petmjx.plans.loose_boxes); empty if no plan
             has compliant boxes.
