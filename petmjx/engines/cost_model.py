@@ -86,10 +86,10 @@ steps than this number. A profile that tilts the carrier has 2,970 steps, and bo
 that shakes boxes for many seconds takes up to ten times as long as expected."""
 
 STEADY_G, CREEPING = 0.35, 2.0
-"""A drive with an acceleration above ``STEADY_G``, in units of 9.81 m/s², is expected to make unstable pallets fall
-soon. After a drive with a smaller acceleration, boxes may creep for a long time. So a weaker drive is expected to take
-``CREEPING`` times as many steps, and is begun earlier. Measured on EUMOS's 4,032 drives of 100 plans: strong drives
-take 336 steps on average and at most 1,149; weak drives take 570 steps on average and at most 6,088."""
+"""A drive with a horizontal acceleration above ``STEADY_G``, in units of 9.81 m/s², is expected to make unstable
+pallets fall soon. After a drive with a smaller acceleration, boxes may creep for a long time. So a weaker drive is
+expected to take ``CREEPING`` times as many steps, and is begun earlier. Measured on EUMOS's 4,032 drives of 100 plans:
+strong drives take 336 steps on average and at most 1,149; weak drives take 570 steps on average and at most 6,088."""
 
 GENTLE_COST = 0.25
 """Additional cost of a step of a drive with an acceleration of at most ``STEADY_G``, relative to a stronger drive: in
@@ -237,7 +237,8 @@ class Work:
             them: the rounds of a search, or the legs of a chain.
         filmed: share of the steps of drives in which pallets are wrapped in film, 0 to 1: one value for all plans, or
             one for each plan.
-        gentle: share of the steps of drives whose acceleration is at most ``STEADY_G``, 0 to 1, as ``filmed``.
+        gentle: share of the steps of drives whose largest horizontal acceleration is at most ``STEADY_G``, 0 to 1, as
+            ``filmed``. Vertical accelerations do not count. Drives with random vibrations are not gentle.
         giving: number of compliant boxes of each plan; empty if no plan has compliant boxes.
         sway_mm: how far a pile of each plan's compliant boxes sways, mm (petmjx.plans.loose_boxes); empty if no plan
             has compliant boxes.
@@ -246,6 +247,9 @@ class Work:
         placed_share: for each plan, the share of its boxes that are placed before the first box that tips over at once
             (petmjx.plans.loose_boxes); 1 without such a box. If ``placed_share`` is empty, the share is unknown, and no
             box is expected to tip over.
+        driven_share: for each plan, the share of its drives' steps that are expected to be simulated, 0 to 1. Legs
+            after the leg in which the pallet probably falls are not simulated. If ``driven_share`` is empty, all drives
+            are simulated.
     """
 
     sim: Simulation

@@ -56,12 +56,6 @@ The early end saves time: in stiff contacts, a pile that slides takes fifteen it
 would slide for thousands of steps more."""
 
 
-TIPPING_M_S2: Final = 9.81
-"""An angular acceleration is no sign of an explosion if it accelerates the corners of a box by at most this value,
-m/s². Gravity alone turns a box about an edge with an angular acceleration of at most √3/2 × g / half diagonal. For a
-cube of 20 mm, this is 490 rad/s²."""
-
-
 class SampleAt(StrEnum):
     """The time in a run at which a metric is measured."""
 

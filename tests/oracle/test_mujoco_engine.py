@@ -120,14 +120,33 @@ def test_a_violent_sample_counts_only_before_the_first_sign() -> None:
     assert metrics.first_sign_s == 2.0
 
 
-@pytest.mark.parametrize(("size_mm", "ang_acc", "is_violent"), [(20, 250, False), (20, 350, True), (400, 70, True)])
+@pytest.mark.parametrize("gravity_m_s2", [9.81, 100.0])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("size_mm", [(20, 20, 20), (20, 20, 600), (30, 10, 20), (600, 20, 10)])
 def test_small_boxes_that_turn_as_fast_as_gravity_turns_them_are_not_violent(
-    size_mm: float, ang_acc: float, is_violent: bool
+    size_mm: tuple[float, float, float], axis: int, gravity_m_s2: float
 ) -> None:
-    """The half diagonal of a cube of 20 mm is 17.3 mm. Its corners accelerate by 7.5 and 10.5 m/s²."""
-    scene = make_scene([((size_mm, size_mm, size_mm), (0, 0, 0), 0.02)])
-    metrics = OracleMetrics(scene, Thresholds())
-    assert metrics.add_sample(*sample_of(scene, ang_acc=ang_acc)) is is_violent
+    """Each box stands on an edge, and its centre is level with the edge: its weight turns it as fast as possible.
+    Accelerations 1.4 times as large come from something else."""
+    scene = make_scene([(size_mm, (0, 0, 0), 0.02)], Simulation(size_reduction_mm=0))
+    half_m = np.delete(np.array(size_mm) / 2000, axis)
+    arm_m = np.hypot(*half_m)
+    inertia_per_kg = (half_m**2).sum() / 3 + arm_m**2
+    fall = gravity_m_s2 * arm_m / inertia_per_kg
+    for factor in (1.0, 1.4):
+        metrics = OracleMetrics(scene, Thresholds(ang_acc_rad_s2=10.0), gravity_m_s2)
+        time_s, pos, quat, acc, force = sample_of(scene)
+        acc[0, 3 + axis] = factor * fall
+        assert metrics.add_sample(time_s, pos, quat, acc, force) is (factor > 1)
+
+
+def test_a_large_box_is_violent_above_the_threshold() -> None:
+    """A box whose smallest face has a diagonal of 179 mm or more is not spared, whatever its axis."""
+    scene = make_scene([((127, 127, 127), (0, 0, 0), 2.0)], Simulation(size_reduction_mm=0))
+    for acceleration, is_violent in ((109.0, False), (111.0, True)):
+        time_s, pos, quat, acc, force = sample_of(scene)
+        acc[0, 3] = acceleration
+        assert OracleMetrics(scene, Thresholds()).add_sample(time_s, pos, quat, acc, force) is is_violent
 
 
 def test_verdicts_come_in_their_order() -> None:

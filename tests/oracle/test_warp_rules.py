@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from petmjx.engines.metrics import TIPPING_M_S2
 from petmjx.engines.mjx import box_motion as motion
 from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.timetable import build_timetable
@@ -37,8 +36,8 @@ from petmjx.engines.warp.world_arrays import Model, Thread, Workspace, array_typ
 set_up_warp()
 
 WORLDS, BOXES = 1024, 4
-SMALL, SMALL_RADIUS_M = np.arange(WORLDS) % 7 == 3, 0.015
-"""(WORLDS,) which worlds have small boxes, and the half diagonal of these boxes, m."""
+SMALL, SMALL_HALF_M = np.arange(WORLDS) % 7 == 3, np.array([0.004, 0.012, 0.03])
+"""(WORLDS,) which worlds have small boxes, and the half extents of these boxes, m."""
 SAME = 1e-5
 """Tolerance of metrics, relative and absolute. Metrics are float32, and the two sides compute degrees in different
 ways."""
@@ -95,8 +94,7 @@ def random_worlds(sim: Simulation, rng: np.random.Generator) -> tuple[Worlds, St
     drive_steps = rng.choice([20, 21, 300], WORLDS).astype(np.int32)
     allowed = jnp.asarray(rng.choice([0.0, 0.05], WORLDS), jnp.float32)
     confirm_steps = np.where(np.arange(WORLDS) % 4 == 1, CONFIRM_STEPS, NEVER).astype(np.int32)
-    radius_m = np.linalg.norm(worlds.half, axis=-1, keepdims=True)
-    half = np.where(SMALL[:, None, None], worlds.half * (SMALL_RADIUS_M / radius_m), worlds.half)
+    half = np.where(SMALL[:, None, None], SMALL_HALF_M, worlds.half)
     worlds = worlds._replace(
         half=jnp.asarray(half, jnp.float32),
         middle=jnp.asarray(aside, jnp.float32),
@@ -128,7 +126,8 @@ def random_worlds(sim: Simulation, rng: np.random.Generator) -> tuple[Worlds, St
     slow = rng.choice([0.002, 0.05, 3.0], (WORLDS, 1, 1), p=[0.35, 0.35, 0.3]) * sim.quiet.quiet_m_s
     hard = np.where(some(0.3, (WORLDS, 1, 1)), 1000.0, 1.0) * np.ones(6)
     # small boxes turn fast: some of their corners are accelerated by more than gravity, and some are not
-    hard[SMALL] = [1.0, 1.0, 1.0, *[0.6 * TIPPING_M_S2 / SMALL_RADIUS_M] * 3]
+    distance_m = np.sqrt((SMALL_HALF_M**2).sum() - SMALL_HALF_M**2)  # of the corners from the three axes
+    hard[SMALL] = np.concatenate([np.ones(3), 0.6 * sim.physics.gravity_m_s2 / distance_m])
     landed = np.maximum(step - pick(0, 5, 40, 90, 149, 150, 151), 0)
     if sim.check is Check.STATIC:
         landed[:] = 0
@@ -194,6 +193,7 @@ CASES = [
     {"check": Check.STATIC, "duration_s": 0.3, "schedule": Schedule.FIXED},
     {"physics": "reference"},
     {"iteration_limit": LIMIT},
+    {"physics": {"gravity_m_s2": 20.0}},
 ]
 
 

@@ -113,6 +113,11 @@ def test_poses_and_speeds_are_those_of_the_rigid_box_that_fits_best() -> None:
     assert world.pose[0, :3] == pytest.approx(middle)
     assert abs(world.pose[0, 3:] @ quat) == pytest.approx(1.0)
     assert world.velocity[0] == pytest.approx([*speed, *spin])
+    # accelerations are in the axes of the box, as those of rigid boxes, or in world axes
+    world.data.qacc[6:] = world.data.qvel[6:]
+    mujoco.mj_kinematics(world.model, world.data)
+    assert world.qacc[0] == pytest.approx([*speed, *rotations(quat[None])[0].T @ spin])
+    assert np.hstack(world.accelerations())[0] == pytest.approx([*speed, *spin])
     world.data.qpos[7:] += 0.001 * np.tile([1.0, 0.0, 0.0], 27) * (points_of(scene.half_size[0])[:, 2] > 0).repeat(3)
     assert world.pose[0, 0] == pytest.approx(middle[0] + 0.001 / 6), "a sixth of the mass has moved by 1 mm"
 

@@ -81,6 +81,15 @@ def radius(half: Float[Array, "world box 3"]) -> Float[Array, "world box"]:
     return jnp.sqrt((half**2).sum(-1))
 
 
+def corner_acceleration(
+    angular: Float[Array, "world box 3"], half: Float[Array, "world box 3"]
+) -> Float[Array, "world box"]:
+    """Root mean square of the accelerations that the rotation of a box gives to its eight corners, m/s². Angular
+    accelerations are in the axes of the box, rad/s²."""
+    squares = half**2
+    return jnp.sqrt((angular**2 * (squares.sum(-1, keepdims=True) - squares)).sum(-1))
+
+
 def speed(vel: Float[Array, "world box 6"], half: Float[Array, "world box 3"]) -> Float[Array, "world box"]:
     """Upper bound of the speed of a box's fastest point, m/s: the centre's speed + radius × angular speed."""
     linear, angular = (jnp.sqrt((part**2).sum(-1)) for part in (vel[..., :3], vel[..., 3:]))

@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from petmjx.engines.metrics import TIPPING_M_S2
 from petmjx.engines.mjx import box_motion as motion
 from petmjx.engines.mjx import hand, trembling
 from petmjx.engines.mjx.padded_template import PARKING_HEIGHT_M, parked_positions
@@ -194,7 +193,8 @@ class Rules:
         Args:
             state: poses, velocities and step counters after the step.
             seen_qpos: poses at the beginning of the step, to which the contacts and accelerations of the step belong.
-            qacc: linear (m/s²) and angular (rad/s²) accelerations of each box in the step.
+            qacc: linear (m/s²) and angular (rad/s²) accelerations of each box in the step. Angular accelerations are
+                in the axes of the box.
             top_force: force on each box's top, N.
             presses: whether the ``top_force`` of each world's boxes is recorded even in a step without a sample.
         """
@@ -251,7 +251,8 @@ class Rules:
         culprit = jnp.where(signs, excess.argmax(-1).astype(jnp.int32), m.culprit)
         lin = jnp.sqrt((qacc[..., :3] ** 2).sum(-1))
         ang = jnp.sqrt((qacc[..., 3:] ** 2).sum(-1))
-        turns = (ang > limits.ang_acc_rad_s2) & (ang * motion.radius(worlds.half) > TIPPING_M_S2)
+        at_corners = motion.corner_acceleration(qacc[..., 3:], worlds.half)
+        turns = (ang > limits.ang_acc_rad_s2) & (at_corners > self.sim.physics.gravity_m_s2)
         violent = (sampled & ((lin > limits.lin_acc_m_s2) | turns)).any(-1) & (culprit < 0)
         # Light boxes that land, and tipping boxes that hit something, reach up to 240 rad/s² for a few steps. So a
         # violent sample (accelerations above the thresholds) is an explosion only if the samples before it were

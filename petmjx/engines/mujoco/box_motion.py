@@ -76,3 +76,20 @@ def moved(before: FloatArray, after: FloatArray, radius_m: FloatArray) -> FloatA
     """
     change = after - before
     return np.asarray(np.linalg.norm(change[:, :3], axis=1) + 2 * radius_m * np.linalg.norm(change[:, 3:], axis=1))
+
+
+def corner_acceleration(angular: FloatArray, half_size: FloatArray) -> FloatArray:
+    """(n,) root mean square of the accelerations that the rotation of each box gives to its eight corners, m/s².
+
+    Gravity alone gives the corners of a box at rest at most √3/2 × g, whatever the box stands on. The reason: forces of
+    rigid supports do no work on the accelerations that the supports allow, so m a² + I α² ≤ m g a. Here, a is the
+    acceleration of the centre, and I α² is the sum over the axes of moment of inertia × (angular acceleration)². The
+    largest I α² is therefore m g² / 4, at a = g / 2. The mean square of the corners' accelerations is 3 I α² / m. For a
+    box that stands on one of its edges, the root is at most 3/4 × g.
+
+    Args:
+        angular: (n, 3) angular accelerations in the axes of the boxes, rad/s².
+        half_size: (n, 3) half extents of the boxes, m.
+    """
+    squares = half_size**2
+    return np.asarray(np.sqrt((angular**2 * (squares.sum(axis=1, keepdims=True) - squares)).sum(axis=1)))

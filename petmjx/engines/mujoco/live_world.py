@@ -181,7 +181,8 @@ class LiveWorld:
 
     @property
     def qacc(self) -> FloatArray:
-        """(capacity, 6) accelerations of the boxes in the last step, m/s² and rad/s²."""
+        """(capacity, 6) accelerations (m/s²) and angular accelerations (rad/s²) of the boxes in the last step. Angular
+        accelerations are in the axes of the boxes."""
         rows: FloatArray = self.data.qacc[self._first_v :].reshape(-1, 6)
         return rows[self._row]
 

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import STANDARD_GRAVITY, FloatArray
-from petmjx.engines.metrics import GONE_DESCENT, GONE_TILT, TIPPING_M_S2, BoxMetrics
-from petmjx.engines.mujoco.box_motion import excess, has_dropped, shift, tilt_deg
+from petmjx.engines.metrics import GONE_DESCENT, GONE_TILT, BoxMetrics
+from petmjx.engines.mujoco.box_motion import corner_acceleration, excess, has_dropped, shift, tilt_deg
 from petmjx.engines.mujoco.top_forces import TopForceInputs, largest_top_forces
 from petmjx.options.simulation import Thresholds
 from petmjx.world.compliance import sinks_m
@@ -135,7 +135,7 @@ class OracleMetrics:
         self, time_s: float, pos: FloatArray, quat: FloatArray, acc: FloatArray, top_force_n: FloatArray
     ) -> bool:
         """Add one sample (measurement) of the k placed boxes: their poses, (k, 6) accelerations, and forces on their
-        tops.
+        tops. Angular accelerations are in the axes of the boxes.
 
         All values hold at the beginning of a step, when MuJoCo computes contacts and accelerations.
 
@@ -151,8 +151,8 @@ class OracleMetrics:
         if k:
             self.add_look(time_s, pos, quat)
         limits = self._thresholds
-        radius = np.linalg.norm(self._scene.half_size[:k], axis=1)
-        turns = (ang > limits.ang_acc_rad_s2) & (ang * radius > TIPPING_M_S2)
+        at_corners = corner_acceleration(acc[:, 3:], self._scene.half_size[:k])
+        turns = (ang > limits.ang_acc_rad_s2) & (at_corners > self._gravity_m_s2)
         return bool(np.any((lin > limits.lin_acc_m_s2) | turns)) and self.culprit < 0
 
     def add_look(self, time_s: float, pos: FloatArray, quat: FloatArray) -> None:

@@ -21,7 +21,7 @@ from petmjx.options.simulation import Simulation
 from petmjx.plans.plan_warnings import shared_length
 from petmjx.world.history import CARRIER, FLOOR
 from petmjx.world.mujoco_model import CARRIER_NAME, HeldCarrier, box_name, soft_spec
-from petmjx.world.rotation import rotations
+from petmjx.world.rotation import rotated_vectors, rotations
 from petmjx.world.scene import Scene
 from petmjx.world.soft_boxes import POINTS, point_name, points_of, rounding_m, shares
 from petmjx.world.supports import TOUCH_M
@@ -156,10 +156,14 @@ class SoftWorld(LiveWorld):
 
     @property
     def qacc(self) -> FloatArray:
-        return self._rates(self.data.qacc, self.data.xpos[self._point_bodies])
+        points = self.data.xpos[self._point_bodies]
+        rates = self._rates(self.data.qacc, points)
+        to_box_axes = self._poses_of(points)[:, 3:] * [1.0, -1.0, -1.0, -1.0]
+        rates[self._soft, 3:] = rotated_vectors(to_box_axes, rates[self._soft, 3:])
+        return rates
 
     def accelerations(self) -> tuple[FloatArray, FloatArray]:
-        acceleration = self.qacc
+        acceleration = self._rates(self.data.qacc, self.data.xpos[self._point_bodies])
         turns = self.data.xmat[self._rigid_bodies].reshape(-1, 3, 3)
         acceleration[self._rigid, 3:] = np.einsum("kij,kj->ki", turns, acceleration[self._rigid, 3:])
         return acceleration[:, :3], acceleration[:, 3:]

@@ -46,6 +46,19 @@ def length_of(a: wp.array3d[float], world: int, box: int, first: int) -> float:
 
 
 @wp.func
+def corner_acceleration(worlds: Ref[Worlds], state: Ref[State], world: int, box: int) -> float:
+    """Root mean square of the accelerations that the rotation of a box gives to its eight corners, m/s²."""
+    half = box_half(worlds, world, box)
+    squares = wp.cw_mul(half, half)
+    x = state.qacc[world, box, 3]
+    y = state.qacc[world, box, 4]
+    z = state.qacc[world, box, 5]
+    return wp.sqrt(
+        x * x * (squares[1] + squares[2]) + y * y * (squares[0] + squares[2]) + z * z * (squares[0] + squares[1])
+    )
+
+
+@wp.func
 def excess_of(
     model: Ref[Model], worlds: Ref[Worlds], world: int, box: int, place: wp.vec3, tilt: float, dropped: bool
 ) -> float:

@@ -10,13 +10,22 @@ from __future__ import annotations
 
 import warp as wp
 
-from petmjx.engines.metrics import TIPPING_M_S2
 from petmjx.engines.mjx import world_constants
 from petmjx.engines.mjx import world_state as batch_state
 from petmjx.engines.verdict import Flag
 from petmjx.engines.warp.kernels.block_collectives import any_of_all, wait_for_all
-from petmjx.engines.warp.kernels.body_dynamics import box_half, center, middle_of, orientation
-from petmjx.engines.warp.kernels.box_motion import HALF, LAST_BOX, is_gone, length_of, measure, press, sway_of, tilt_of
+from petmjx.engines.warp.kernels.body_dynamics import center, middle_of, orientation
+from petmjx.engines.warp.kernels.box_motion import (
+    HALF,
+    LAST_BOX,
+    corner_acceleration,
+    is_gone,
+    length_of,
+    measure,
+    press,
+    sway_of,
+    tilt_of,
+)
 from petmjx.engines.warp.kernels.hand import has_missed, lets_go, take_up
 from petmjx.engines.warp.kernels.rest import count_quiet, has_failed
 from petmjx.engines.warp.kernels.trembling import (
@@ -29,7 +38,6 @@ from petmjx.engines.warp.kernels.trembling import (
 from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Workspace, Worlds
 from petmjx.world import history, release_places
 
-TIPPING = wp.constant(TIPPING_M_S2)
 NEVER = wp.constant(int(world_constants.NEVER))
 RUNNING = wp.constant(batch_state.Status.RUNNING)
 SETTLED = wp.constant(batch_state.Status.SETTLED)
@@ -250,9 +258,8 @@ def after_step(
                 if measure(model, worlds, at, box, step, culprit, sample, look, driven, state, work):
                     lost = True
             if sample:
-                angular = length_of(state.qacc, world, box, 3)
-                at_corners = angular * wp.length(box_half(worlds, world, box))
-                turns = angular > model.angular_acceleration and at_corners > TIPPING
+                at_corners = corner_acceleration(worlds, state, world, box)
+                turns = length_of(state.qacc, world, box, 3) > model.angular_acceleration and at_corners > model.gravity
                 if length_of(state.qacc, world, box, 0) > model.linear_acceleration or turns:
                     violent = True
             if presses and counted:
