@@ -26,7 +26,7 @@ from petmjx.plans.scene_files import is_gltf, is_three_js, source_of_gltf, sourc
 from petmjx.plans.table_sections import are_unplaced
 from petmjx.plans.text_tables import decoded_text
 from petmjx.plans.workbooks import read_raw_tables, tables_of_page, value_of_xml
-from petmjx.plans.yaml_text import nested_format, value_of_toml, value_of_yaml
+from petmjx.plans.yaml_and_toml import nested_format, value_of_toml, value_of_yaml
 
 
 def sources_of_bytes(data: bytes | bytearray, path: Path | None = None) -> list[BoxSource]:
