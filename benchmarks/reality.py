@@ -263,13 +263,13 @@ def _rows_of_spread(measures: Mapping[str, Any], engine: str) -> Iterator[Row]:
 
 
 def _row_of_faces(measures: Mapping[str, Any], contacts: str, engine: str, note: str = "") -> Row:
-    """How often runs of a toss with uncertain starts end with the filmed face up, and how often two of these runs end
-    with the same face up."""
+    """How often a run of a toss with uncertain starts ends with the filmed face up, and how often two runs of the same
+    toss end with the same face up."""
     measured, runs_agree = measures["same_face_as_measured"], measures["same_face_between_runs"]
     return Row(
-        f"runs of a toss with uncertain starts, {contacts}: which face is up at the end", _CUBE,
-        f"the filmed face in {percent(measured)} of runs",
-        f"the same face in both runs in {percent(runs_agree)} of pairs of runs", percent(runs_agree - measured),
+        f"runs of a toss with uncertain starts, {contacts}: share that agrees on the face that is up at the end", _CUBE,
+        f"{percent(measured)} of runs agree with the film",
+        f"{percent(runs_agree)} of pairs of runs of the same toss agree", percent(runs_agree - measured),
         engine, note,
     )  # fmt: skip
 
@@ -299,7 +299,7 @@ def _rows_of_calibration(measures: Mapping[str, Any], engine: str) -> Iterator[R
     chance, likeliest = measures["chance_of_measured_face"], measures["chance_of_members_face"]
     yield Row(
         "agreement of draws on the face that is up at the end", _CUBE,
-        f"{percent(chance)} of draws show the measured face", f"{percent(likeliest)} of pairs of draws agree",
-        percent(likeliest - chance), engine,
+        f"{percent(chance)} of draws show the measured face",
+        f"{percent(likeliest)} of pairs of draws of the same toss agree", percent(likeliest - chance), engine,
         "the difference is petmjx's overconfidence about the face",
     )  # fmt: skip

@@ -321,6 +321,9 @@ def load_points_slack(contacts: PlanContacts) -> FloatArray:
 
 _MM: Final = "mm"
 
+_CORNER_SHARE: Final = "largest s for which each of the n corners under a box can carry s / n of the box's weight"
+"""The slack of force balance (docs/criteria.md, section "Force balance")."""
+
 LEANING: Final = "force_balance_leaning"
 
 
@@ -434,21 +437,21 @@ CRITERIA: Final = (
     Criterion(
         "force_balance",
         "forces exist at the corners of all contact areas that balance every box",
-        "share of an even load that every corner can carry",
+        _CORNER_SHARE,
         DIMENSIONLESS,
         "StableLego, arXiv 2402.10711; Whiting et al. 2009",
         lambda inputs: inputs.balance[0],
-        number="share of an even load that every corner can carry",
+        number=_CORNER_SHARE,
         ends=True,
     ),
     Criterion(
         LEANING,
         "forces exist that balance every box, if boxes may also press on walls and on neighbours beside them",
-        "share of an even load that every corner can carry",
+        _CORNER_SHARE,
         DIMENSIONLESS,
         "StableLego, arXiv 2402.10711; Whiting et al. 2009",
         lambda inputs: inputs.balance[1],
-        number="share of an even load that every corner can carry",
+        number=_CORNER_SHARE,
         ends=True,
     ),
     Criterion(

@@ -4,13 +4,13 @@ The criteria determine whether the resultant of a box's weight and of the loads 
 Each box is checked when it is placed, and all boxes below it are checked again. The criteria differ in the rule by
 which a box distributes its weight and the load on its top over its supports:
 
-- **lever rule** (the stacking tree): forces at the middles of the contact areas. Source: Zhao, Zhu, Xu, Huang, Xu
-  (2022), "Learning practically feasible policies for online 3D bin packing", Science China Information Sciences 65,
-  arXiv 2108.13680. If the load acts beyond the middle of the outermost contact area, the lever rule gives a negative
-  force on another support.
-- **even bedding** (mechanical equilibrium): a pressure that is a linear function of x and y. Source of the criterion:
-  Ramos, Oliveira, Gonçalves, Lopes (2016), "A container loading algorithm with static mechanical equilibrium stability
-  constraints", Transportation Research Part B 91, 565-581. The even bedding is petmjx's choice.
+- **lever rule** (criterion ``stacking_tree``): forces at the middles of the contact areas. Source: Zhao, Zhu, Xu,
+  Huang, Xu (2022), "Learning practically feasible policies for online 3D bin packing", Science China Information
+  Sciences 65, arXiv 2108.13680. If the load acts beyond the middle of the outermost contact area, the lever rule gives
+  a negative force on another support.
+- **even bedding** (criterion ``equilibrium``): a pressure that is a linear function of x and y. Source of the
+  criterion: Ramos, Oliveira, Gonçalves, Lopes (2016), "A container loading algorithm with static mechanical equilibrium
+  stability constraints", Transportation Research Part B 91, 565-581. The even bedding is petmjx's choice.
 
 In both rules, forces are linear in the load. So the weight of each box is passed down separately, and the load on a box
 after any placement is a sum over the boxes placed so far. Real supports cannot pull: if the pressure of an even bedding

@@ -79,7 +79,8 @@ def lowered_boxes(
         points: (n, p) points of the pallets as x + iy, mm; ``n_points``: (n,) number of points of each pallet.
         box_corner_mm, box_size_mm: (n, k, 3) corners and sizes of the boxes on the pallets; ``n_boxes``: (n,) number
             of boxes on each pallet.
-        extent_mm: largest x and y of the new boxes, including the free space behind them.
+        extent_mm: extent of the carrier along x and y, plus ``gap_mm``. A new box, together with the free space behind
+            it, must not reach farther.
         max_height_mm: largest height of a top; ``least_support``: smallest supported share of a base; ``gap_mm``: free
             space between boxes along x and y.
 

@@ -180,13 +180,14 @@ def is_utf8(data: bytes | bytearray) -> bool:
 
 
 def other_encoding(text: str) -> str:
-    """The end of a message about a text that is not UTF-8: the probable encoding of the text, and advice.
+    """The end of a message about a text that is not UTF-8: the probable encoding of the text, and advice; "" if the
+    text is probably damaged UTF-8.
 
     Args:
         text: the text; bytes that are not UTF-8 have become lone surrogates.
     """
     if not all(character.isascii() or 0xD800 <= ord(character) <= 0xDFFF for character in text):
-        return ""  # some characters are valid UTF-8, so the text is damaged UTF-8
+        return ""  # the text has letters beyond ASCII that are valid UTF-8: it is damaged, not in another encoding
     try:
         read = text.encode("utf-8", "surrogateescape").decode("cp1252")
     except UnicodeEncodeError:  # a surrogate from an escape in JSON does not stand for a byte of the file

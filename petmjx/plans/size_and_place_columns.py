@@ -19,8 +19,8 @@ from petmjx.plans.turn_columns import Turns
 
 _ON_AXES: Final = {"0": "x", "1": "y", "2": "z", "length": "x", "width": "y", "height": "z", "depth": "z"}
 _BY_WIDTH: Final = {"width": "x", "depth": "y", "height": "z"}
-"""Word for a size in the name of a column of coordinates → the axis of these coordinates, if there are columns for
-width, depth and height."""
+"""A column of coordinates may be named by a word for a size, such as "pos_width". Word → axis of the coordinates, for
+files that have columns of coordinates for width, depth and height."""
 
 
 def _on_axes(columns: Mapping[str, list[int]]) -> dict[str, list[int]]:

@@ -273,7 +273,8 @@ class Search(Candidates):
             fewest = len(self.repairs[0].changes)
             if self.options.worlds:
                 yield from self._strengthened()
-            is_enough = self.is_wide or self.options.profile is not None  # with a profile, all trials are scores
+            # with a profile, each trial is already a score
+            is_enough = self.is_wide or self.options.profile is not None
             if not is_enough and len(self.repairs[0].changes) == fewest <= MOST_UNDONE:
                 (shorter,) = yield from self._pruned(self.repairs[:1], judged=False)
                 self.repairs = (shorter, *self.repairs[1:])
@@ -439,7 +440,7 @@ class Search(Candidates):
     @property
     def _defers_scores(self) -> bool:
         """Whether plans are judged first, and scored only if nothing else is left. On a GPU, a score would keep all
-        searches waiting. With a profile, all trials are scores."""
+        searches waiting. With a profile, each trial is already a score."""
         return self.is_wide and self.options.profile is None
 
     def _is_doubtful(self, state: State) -> bool:
@@ -561,8 +562,8 @@ class Search(Candidates):
 
     def _confirmed(self, states: Sequence[State], *, is_known: bool) -> Steps[tuple[list[State], list[State]]]:
         """Score states that stand when judged, those with the fewest changes first, until some of them also stand when
-        scored. Returns all states, and those that stand when scored. With a drive, nothing is scored here, because all
-        trials are scores. Doubtful plans (``_is_doubtful``) are not scored here.
+        scored. Returns all states, and those that stand when scored. With a profile, nothing is scored here, because
+        each trial is already a score. Doubtful plans (``_is_doubtful``) are not scored here.
 
         Args:
             is_known: whether a repair is known. If a repair is known, only the first ``CONFIRMED_AT_ONCE`` states are

@@ -21,7 +21,7 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from petmjx.common.argument_checks import path_of
-from petmjx.common.checked_records import reason
+from petmjx.common.checked_records import option, reason
 from petmjx.common.errors import InputError, PetmjxError
 from petmjx.common.safe_read import read_regular
 from petmjx.common.text import count_text
@@ -263,7 +263,8 @@ class RunResults:
             InputError: the run did not keep the table ``boxes``.
         """
         if not self.keeps_boxes:
-            raise InputError(f"{self.where}: the run was made with keep {WORLDS}, so it has no table boxes")
+            kept = option(f"--keep {WORLDS}", python=f'keep="{WORLDS}"')
+            raise InputError(f"{self.where}: the run was made with {kept}, so it has no table boxes")
         return self._read("boxes")
 
     @property

@@ -18,7 +18,7 @@ from petmjx.analysis.kpi_stability import read_stability
 from petmjx.show.run_tables import run_tables
 
 PLANS = [make_plan(f"p{k}", stack(1 + k % 3)) for k in range(6)]
-NOT_KEPT = "the run was made with keep worlds, so it has no table boxes"
+NOT_KEPT = 'the run was made with keep="worlds", so it has no table boxes'
 
 
 def score(out: Path | None, keep: Any = "worlds", **options: Any) -> petmjx.RunResults:

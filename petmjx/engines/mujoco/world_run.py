@@ -359,8 +359,12 @@ class WorldRun:
             self._still_pose[:k] = self._live.pose[:k]
 
     def _look_at_the_end(self) -> None:
-        """At the last step: give a moving world more time, unless a box was lost (fallen or tilted too far) before the
-        drive; or start the drive."""
+        """When the world has reached the last step that is set: decide whether the world goes on.
+
+        If boxes move, the world gets more time, as long as ``Waits.may_go_on`` allows it. If a box is lost (fallen or
+        tilted too far), the world gets more time only until the end of its drive. A world that gets no more time
+        settles (``_settle``), if it must settle and has not done so; otherwise it ends.
+        """
         self._flags |= self._live.error_flags()
         if self._flags & _FATAL:
             return

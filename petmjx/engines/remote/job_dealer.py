@@ -74,7 +74,7 @@ class JobDealer:
     If the engine simulates job after job, a worker holds fewer jobs towards the end, down to one per thread. If the
     engine simulates worlds side by side, all jobs are divided among the workers at once, so that all workers have the
     same expected remaining time. If a worker is still starting, its share of the jobs is kept until it can take them.
-    A worker begins with at least ``begin_with`` jobs, unless no more jobs come.
+    A worker of such an engine begins with at least ``begin_with`` jobs, unless no more jobs come.
 
     If the worker of a job dies once, the cause may lie outside the job, so the job is given out again like other jobs.
     Jobs whose workers have died twice are *suspects*. Suspects wait until no other jobs are left. If n suspects come
@@ -83,9 +83,10 @@ class JobDealer:
     given up if its worker dies.
 
     Args:
-        least: if there are fewer jobs than this number, one worker gets all jobs. None: the engine simulates job after
-            job.
-        begin_with: used with ``least``: number of jobs with which a worker begins.
+        least: a number if the engine simulates worlds side by side: if there are fewer jobs than this number, one
+            worker gets all jobs. None if the engine simulates job after job.
+        begin_with: smallest number of jobs with which a worker begins, if the engine simulates worlds side by side. If
+            ``least`` is None, ``begin_with`` has no effect.
     """
 
     def __init__(self, least: int | None = None, begin_with: int = 1) -> None:

@@ -40,8 +40,9 @@ in a worker is usually reported before a run begins. A busy cluster may need lon
 time, the run begins without a worker, and waits for the first."""
 
 FALSE_STARTS = 3
-"""If this number of starts of workers fail one after another, the run ends. If, however, a worker had died before and
-another worker is ready, the run continues without the worker that does not start."""
+"""If this number of starts of workers fail one after another, the run ends. There is one exception: if this pool has
+already lost a worker that had started, and another worker is ready, the run continues without the worker that does not
+start."""
 
 LEAST = {"mjx-warp": 512, "mjx-jax": 16}
 """Name of an engine → smallest number of jobs that are divided among several workers. If a run has fewer jobs, one
@@ -311,8 +312,8 @@ class WorkerPool(Engine):
         starts have failed one after another, the device may be broken. Then the run continues with the other workers.
 
         Args:
-            error: error that is raised after ``most`` failed starts. The error is not raised if a worker had died
-                before and another worker is ready.
+            error: error that is raised after ``most`` failed starts. The error is not raised if this pool has already
+                lost a worker that had started, and another worker is ready.
         """
         self._false_starts += 1
         spare = self._deaths > 0 and any(worker.ready for worker in self._workers)

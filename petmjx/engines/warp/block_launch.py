@@ -305,8 +305,9 @@ def kernel(launch: Launch) -> Any:
 
 @functools.cache
 def _cpu_kernel(panels: int, pause_after: int) -> Any:
-    """The kernel for CPUs. The features of a launch are its arguments (``Launch.feature_arguments``): compiling takes
-    seconds, and a kernel compiled for a single set of features would have machine code of the same size."""
+    """The kernel for CPUs. It serves all sets of features, since features are its arguments
+    (``Launch.feature_arguments``). A kernel for each set of features would take seconds to compile, and would have
+    machine code of the same size."""
 
     def launcher(
         # Model:

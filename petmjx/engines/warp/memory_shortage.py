@@ -17,7 +17,8 @@ from petmjx.world.job import Job
 
 
 class KeptRollouts:
-    """The buffers of runs (``Rollout``), which an engine keeps for its next run.
+    """The rollouts that an engine keeps for its next run. A rollout (``Rollout``) holds the buffers of a run on the
+    device.
 
     Args:
         pools: object that chooses the block pools of a table.
@@ -26,17 +27,17 @@ class KeptRollouts:
     def __init__(self, pools: BlockPools) -> None:
         self._pools = pools
         self._kept: dict[tuple[Launch, ...], tuple[object, Rollout]] = {}
-        """Launches of block pools → the ``Rollout`` that was last used with these launches, and its key. A later table
-        uses the ``Rollout`` again if the table's options, timetable and block pools equal the key."""
+        """Launches of block pools → the rollout that was last used with these launches, and its key. A later table
+        uses the rollout again if the table's options, timetable and block pools equal the key."""
 
     def drop(self) -> None:
-        """Free the memory of all kept rollouts."""
+        """Free the device's memory that the kept rollouts hold, and keep none of them."""
         while self._kept:
             _, (_, rollout) = self._kept.popitem()
             rollout.close()
 
     def of(self, table: WorldTable, slice_ns: int) -> Rollout | None:
-        """The buffers for the simulation of a table, with fewer blocks if memory is short. If not even ``MIN_BLOCKS``
+        """The rollout for the simulation of a table, with fewer blocks if memory is short. If not even ``MIN_BLOCKS``
         blocks fit in memory, the result is None; if the table has several block pools, the memory error is raised
         instead.
 

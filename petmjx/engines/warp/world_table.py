@@ -144,7 +144,9 @@ class WorldTable(Batch):
         return np.flatnonzero(is_end)
 
     def fits(self, job: Job) -> bool:
-        """Whether a job can get a row: the table, and the blocks of the job's size, have room for its world."""
+        """Whether a job can get a row: its world must fit into the buffers of the table and of its block size
+        (``size_of``), and the kernels must have the features that it needs. Recorded worlds get no rows here, and a
+        table that records worlds takes no others."""
         needs = self.run.needs
         has_blocks = job.scene.n_boxes <= needs.widths.get(size_of(job), 0)
         has_blocks &= more_shapes(job.scene) <= self.boards

@@ -1,9 +1,9 @@
 """The rules of a run for one world, applied after each of its steps: sampling, placing, resting, ending
 (docs/rules.md).
 
-Twin of petmjx/engines/mjx/rules.py, which applies the rules to all worlds of a batch together. Threads share the boxes.
-In ``after_step``, all threads read the world's counters before the first barrier, and the first thread changes the
-counters after the last barrier.
+Twin of petmjx/engines/mjx/rules.py, which applies the rules to all worlds of a batch together. The boxes of
+a world are divided among its threads. In ``after_step``, all threads read the world's counters before the first
+barrier, and the first thread changes the counters after the last barrier.
 """
 
 from __future__ import annotations
