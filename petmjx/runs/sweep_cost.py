@@ -10,13 +10,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from petmjx.common.units import seconds_to_steps
+from petmjx.common.units import FloatArray, seconds_to_steps
 from petmjx.engines.cost_model import STEADY_G, Work, rest_steps
 from petmjx.engines.job_stream import JobBounds
 from petmjx.options.placing import Way
 from petmjx.options.simulation import Check, Schedule
 from petmjx.plans.loose_boxes import MOST_LOOKED_AT, statics_of, tipping_g
-from petmjx.plans.plan import Plan
 from petmjx.runs.sweep_worlds import PlacementGroup, SweepPlan
 from petmjx.world.carrier_boards import has_walls
 from petmjx.world.profiles.profile import Profile
@@ -66,10 +65,9 @@ def work_of(worlds: SweepPlan) -> Work:
     if sweep.legs:
         legs = [leg for legs in worlds.ways.values() for leg in legs]
         drives = [_leg_steps(worlds, leg) + rest_steps(sim, sim.rest_s) for leg in legs]
-        expected = [_leg_shares(worlds, plan) for plan in worlds.plans]
-        driven_share = [shares.simulated for shares in expected]
-        filmed = [1.0 if sim.wrap.holds else shares.filmed for shares in expected]
-        gentle = [shares.gentle for shares in expected]
+        expected = _leg_shares(worlds)
+        driven_share, gentle = expected.simulated.tolist(), expected.gentle.tolist()
+        filmed = 1.0 if sim.wrap.holds else expected.filmed.tolist()
     n_legs = len(drives) / len(worlds.ways) if sweep.legs else 1
     return Work(
         sim=sim,
@@ -135,35 +133,63 @@ def _drive_steps(worlds: SweepPlan, profile: Profile) -> float:
     return float(np.where(begins < len(reached_g), np.minimum(begins + _FALL_STEPS, full), full).mean())
 
 
-class _LegShares(NamedTuple):
-    """What is expected of all legs of a plan.
+class _ShakenLeg(NamedTuple):
+    """A leg, as far as it matters for costs.
 
     Attributes:
-        simulated: share of the steps of all legs that are simulated.
-        filmed, gentle: share of the simulated steps in film, and of those of gentle legs (``_is_gentle``).
+        peak_g: the largest horizontal acceleration that the leg may have, in units of 9.81 m/s². Random profiles are
+            left out.
+        is_gentle: whether this acceleration is at most ``STEADY_G``. Vibrations are never gentle.
     """
 
-    simulated: float
-    filmed: float
-    gentle: float
+    steps: int
+    peak_g: float
+    is_filmed: bool
+    is_gentle: bool
+
+    @classmethod
+    def of(cls, worlds: SweepPlan, leg: LegSpec) -> _ShakenLeg:
+        peaks_g, vibrates = [0.0], False
+        for drive in leg.drives:
+            profile, scale = worlds.sweep.profiles[drive.profile], max(abs(drive.scale), abs(drive.scale_to or 0.0))
+            vibrates |= profile.random
+            if not profile.random:
+                peaks_g.append(scale * _unit_peak_g(worlds, profile))
+        peak_g = max(peaks_g)
+        return cls(_leg_steps(worlds, leg), peak_g, bool(leg.wrap_turns), peak_g <= STEADY_G and not vibrates)
 
 
-def _leg_shares(worlds: SweepPlan, plan: Plan) -> _LegShares:
-    """What is expected of all legs of a plan. After a leg that is stronger than ``tipping_g``, a pallet that nothing
+class _LegShares(NamedTuple):
+    """What is expected of all legs of each of n plans.
+
+    Attributes:
+        simulated: (n,) share of the steps of all legs that are simulated.
+        filmed, gentle: (n,) share of the simulated steps in film, and of those of gentle legs (``_ShakenLeg``).
+    """
+
+    simulated: FloatArray
+    filmed: FloatArray
+    gentle: FloatArray
+
+
+def _leg_shares(worlds: SweepPlan) -> _LegShares:
+    """What is expected of all legs of each plan. After a leg that is stronger than ``tipping_g``, a pallet that nothing
     holds has probably fallen. The next legs are then not simulated."""
     holds = worlds.sweep.simulation.wrap.holds or has_walls(worlds.sweep.simulation)
-    tips_g, total, simulated, filmed, gentle = tipping_g(plan), 0, 0.0, 0.0, 0.0
+    tips_g, total = np.array([tipping_g(plan) for plan in worlds.plans]), 0
+    simulated, filmed, gentle = np.zeros((3, len(tips_g)))
+    shaken = {leg: _ShakenLeg.of(worlds, leg) for legs in worlds.ways.values() for leg in legs}
     for legs in worlds.ways.values():
-        stands = 1.0
-        for leg in legs:
-            steps, peak_g = _leg_steps(worlds, leg), _peak_g(worlds, leg)
-            total += steps
-            simulated += stands * steps
-            filmed += stands * steps * bool(leg.wrap_turns)
-            gentle += stands * steps * _is_gentle(worlds, leg)
-            if peak_g > tips_g and not holds and not leg.wrap_turns:
-                stands *= (tips_g / peak_g) ** _FALLING_POWER
-    return _LegShares(simulated / max(total, 1), filmed / max(simulated, 1.0), gentle / max(simulated, 1.0))
+        stands = np.ones(len(tips_g))
+        for leg in map(shaken.__getitem__, legs):
+            total += leg.steps
+            simulated += stands * leg.steps
+            filmed += stands * leg.steps * leg.is_filmed
+            gentle += stands * leg.steps * leg.is_gentle
+            if leg.peak_g > 0.0 and not (holds or leg.is_filmed):
+                stands *= np.minimum(tips_g / leg.peak_g, 1.0) ** _FALLING_POWER
+    of_simulated = np.maximum(simulated, 1.0)
+    return _LegShares(simulated / max(total, 1), filmed / of_simulated, gentle / of_simulated)
 
 
 def _gentle_share(worlds: SweepPlan) -> float:
@@ -180,28 +206,12 @@ def _gentle_share(worlds: SweepPlan) -> float:
     return sum(gentle) / max(len(gentle), 1)
 
 
-def _is_gentle(worlds: SweepPlan, leg: LegSpec) -> bool:
-    """Whether the acceleration of a leg is at most ``STEADY_G``. Vibrations are never gentle."""
-    vibrates = any(worlds.sweep.profiles[drive.profile].random for drive in leg.drives)
-    return _peak_g(worlds, leg) <= STEADY_G and not vibrates
-
-
 def _strengths(worlds: SweepPlan, profile: Profile) -> list[float]:
     """The factors on a profile in a sweep; for an axis with a continuous range, its two ends."""
     axis = worlds.sweep.axes.get(profile.strength)
     if axis is None:
         return [1.0]
     return [axis.low, axis.high] if axis.continuous else [value for value in axis.values if isinstance(value, float)]
-
-
-def _peak_g(worlds: SweepPlan, leg: LegSpec) -> float:
-    """The largest horizontal acceleration that a leg may have, in units of 9.81 m/s². Random profiles are left out."""
-    peaks_g = [0.0]
-    for drive in leg.drives:
-        profile, scale = worlds.sweep.profiles[drive.profile], max(abs(drive.scale), abs(drive.scale_to or 0.0))
-        if not profile.random:
-            peaks_g.append(scale * _unit_peak_g(worlds, profile))
-    return max(peaks_g)
 
 
 def _unit_peak_g(worlds: SweepPlan, profile: Profile) -> float:
