@@ -427,6 +427,11 @@ def _from_the_middle(plan: Plan, way: Convention | None, extent_mm: tuple[float,
     return bool(on_it and (corner[:, :2] < -DEFAULT_TOLERANCE_MM).any())
 
 
+def densities_kg_m3(plan: Plan) -> FloatArray:
+    """(n,) density of each box, kg/m³."""
+    return np.asarray(plan.mass_kg / (plan.size_mm.prod(axis=1) / _MM3_PER_M3))
+
+
 def _odd_densities(plans: Sequence[Plan]) -> dict[str, tuple[Convention, str]]:
     """Plan id → the unit that explains an impossible density, and a description of the box with the most extreme
     density."""
@@ -440,7 +445,7 @@ def _odd_densities(plans: Sequence[Plan]) -> dict[str, tuple[Convention, str]]:
     reasons = {}
     for index in np.flatnonzero((density < LIGHTEST_KG_M3) | (density > HEAVIEST_KG_M3)).tolist():
         plan, light = plans[index], density[index] < LIGHTEST_KG_M3
-        of_boxes = plan.mass_kg / (plan.size_mm.prod(axis=1) / _MM3_PER_M3)
+        of_boxes = densities_kg_m3(plan)
         box = int(of_boxes.argmin() if light else of_boxes.argmax())
         reason = TONNES if light else _why_dense(density[index], volume[index] / plan.n_boxes)
         reasons[plan.plan_id] = reason, f"{_box(plan, box)} has {three_digits(of_boxes[box])} kg/m³"

@@ -14,7 +14,7 @@ import numpy as np
 from petmjx.common.errors import InputError, PlanWarning
 from petmjx.common.text import box_in_words, count_text, first_names, printable, printable_name, three_digits
 from petmjx.options.run_options import OF_ORDERS, RunOptions
-from petmjx.plans.convention_checks import find_conventions
+from petmjx.plans.convention_checks import densities_kg_m3, find_conventions
 from petmjx.plans.item_columns import TWO_WAYS
 from petmjx.plans.item_joins import has_named_places
 from petmjx.plans.item_units_and_quantities import OrderReading
@@ -141,13 +141,13 @@ def _lines_about_densities(plans: Sequence[Plan]) -> list[str]:
     list is empty if there are no such boxes, or if most boxes have such densities: then other lines tell it."""
     odd = []
     for plan in plans:
-        density = plan.mass_kg / (plan.size_mm / 1000).prod(axis=1)
+        density = densities_kg_m3(plan)
         is_odd = (density < LIGHTEST_BOX_KG_M3) | (density > HEAVIEST_BOX_KG_M3)
         odd += [(plan, box, float(density[box])) for box in np.flatnonzero(is_odd).tolist()]
     if not odd or 2 * len(odd) > sum(plan.n_boxes for plan in plans):
         return []
-    plan, box, density = max(odd, key=lambda one: abs(math.log(one[2] / USUAL_KG_M3)))
-    weights = f"{three_digits(float(plan.mass_kg[box]))} kg, {three_digits(density)} kg/m³"
+    plan, box, density_kg_m3 = max(odd, key=lambda one: abs(math.log(one[2] / USUAL_KG_M3)))
+    weights = f"{three_digits(float(plan.mass_kg[box]))} kg, {three_digits(density_kg_m3)} kg/m³"
     limits = f"not between {LIGHTEST_BOX_KG_M3:g} and {HEAVIEST_BOX_KG_M3:,g} kg/m³"
     count = f"; {len(odd):,} such boxes in all" if len(odd) > 1 else ""
     return [
