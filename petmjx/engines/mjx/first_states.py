@@ -18,9 +18,9 @@ from petmjx.engines.mjx.world_state import State, Status, per_box
 from petmjx.world.job import Job
 
 
-def is_paused(job: Job) -> bool:
-    """Whether a job starts from a placement that has paused."""
-    return isinstance(job.start, State) and int(job.start.status) == Status.PAUSED
+def paused_start(job: Job) -> State | None:
+    """The state of the paused placement from which a job starts; None: the job does not start from such a state."""
+    return job.start if isinstance(job.start, State) and int(job.start.status) == Status.PAUSED else None
 
 
 def _put_at_rest(jobs: Sequence[Job], host: State) -> None:
@@ -94,7 +94,7 @@ def started_states(jobs: Sequence[Job], fresh: State) -> State:
     leaves, structure = jax.tree.flatten(stacked)
     rows = gather_rows(leaves, source)
     _put_at_rest(jobs, jax.tree.unflatten(structure, rows))
-    paused = {row: int(job.start.placed) for row, job in enumerate(jobs) if is_paused(job)}  # type: ignore[union-attr]
+    paused = {row: int(start.placed) for row, job in enumerate(jobs) if (start := paused_start(job)) is not None}
     if paused:
         _put_unplaced(paused, jax.tree.unflatten(structure, rows), jax.tree.map(np.asarray, fresh))
     if not forked.all():

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.engines.mjx.first_states import is_paused, started_states
+from petmjx.engines.mjx.first_states import paused_start, started_states
 from petmjx.engines.mjx.frame_recorder import Recorder
 from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.timetable import Timetable
@@ -108,7 +108,7 @@ def tables(
             if not job.settles:
                 ends[row] = timetable.static_end if static else timetable.one_by_one_end[job.scene.n_boxes]
     fresh = partial(fresh_state, all_placed=static, rest_steps=timetable.rest_steps)
-    paused = any(is_paused(job) for job in jobs)
+    paused = any(paused_start(job) is not None for job in jobs)
     if not paused and all(isinstance(job.start, State) for job in jobs):
         # no job needs a fresh state, so the program for fresh states need not be compiled
         return worlds, started_states(jobs, _state_shapes(*worlds.half.shape[:2]))
