@@ -319,7 +319,7 @@ class Search(Candidates):
         judged: list[State] = []  # states that stand
         doubtful: list[State] = []  # states that may fall when scored (``_is_doubtful``)
         is_late = is_widened = False
-        n_anew = 0
+        n_anew, may_rebuild = 0, Kind.PLACE in kinds and options.profile is None
         # to leave out boxes is the last resort, after many rounds without it, which are counted here
         n_rounds = len(WIDE_AT_ONCE) if Kind.LEAVE_OUT in kinds else 0
         queues: list[list[Candidate]] = []
@@ -336,14 +336,14 @@ class Search(Candidates):
                 standing = yield from self._nearly(nodes, doubtful)
                 if standing:
                     break
-                if Kind.PLACE in kinds and options.profile is None:
+                if may_rebuild:
                     last = min(last, self.n_trials + int(BUILT_ANEW * most_trials))
             at_once = self._at_once(n_rounds, is_late=is_late)
             unchanged = [node for node in nodes if node.queue and not node.state.changes]
             if standing and fewest == PAIR + 1 and unchanged and not is_widened:
                 is_widened, useful, at_once = True, unchanged, self._scale * PAIRS_AT_ONCE
                 last = min(end, self.n_trials + int(PAIRS * most_trials))
-            n_anew += is_late and Kind.PLACE in kinds and options.profile is None
+            n_anew += is_late and may_rebuild
             if n_anew > ROUNDS_ANEW:
                 last = self.n_trials  # as if the trials were spent: other ways to build plans anew may remain
                 break
