@@ -444,9 +444,9 @@ class TrialStream:
         """The score of a draft that need not be simulated; None if it must be simulated."""
         if self._question.is_known(one):
             return one.judged
-        score = None if one.is_judged else self.scores.get(one.draft.plan.plan_id)
-        unchanged = Draft.of(one.draft.plan, self._question.film_turns)
-        return score if score is not None and one.draft.key == unchanged.key else None
+        if one.is_judged or (score := self.scores.get(one.draft.plan.plan_id)) is None:
+            return None
+        return score if one.draft.key == Draft.of(one.draft.plan, self._question.film_turns).key else None
 
     def answers(self) -> Iterator[TrialAnswer | None]:
         """The answers, until no request is left. An answer None means that the engine pauses, so further requests can
