@@ -18,6 +18,7 @@ from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.column_extraction import IGNORED
 from petmjx.plans.column_names import PALLET_WORDS, words_of
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, gaps_mm
+from petmjx.plans.plausibility import n_before_support
 from petmjx.plans.raw_cells import cell_text
 from petmjx.plans.raw_tables import rows_by_name
 from petmjx.plans.reading_candidates import Candidate
@@ -209,10 +210,12 @@ def _counts_all(values: FloatArray) -> bool:
 
 
 def _can_be_placed(order: NDArray[Any], low: FloatArray, size: FloatArray) -> bool:
-    """Whether, in this packing order, each box that lies on other boxes is placed after at least one of the boxes below
-    it."""
+    """Whether, in this packing order, each box that lies on other boxes is placed after all boxes that touch it from
+    below, and after at least one of the boxes below it."""
     by_order = np.argsort(order, kind="stable")
     low, size = low[by_order], size[by_order]
+    if n_before_support(low, size, DEFAULT_TOLERANCE_MM):
+        return False
     in_order = gaps_mm(low, size) > DEFAULT_TOLERANCE_MM
     at_all = gaps_mm(low, size, in_order=False) > DEFAULT_TOLERANCE_MM
     return not (in_order & ~at_all).any()

@@ -260,18 +260,18 @@ def order_cost(layouts: Sequence[Layout]) -> float:
 
 def _cost_in_order(layouts: Sequence[Layout], direction: int) -> float:
     """The cost of placing boxes in the listed order (``direction`` 1) or in the reversed order (-1)."""
-    falls, rises, n_late = np.zeros(3), np.zeros(3), 0
+    falls, rises, n_early = np.zeros(3), np.zeros(3), 0
     for layout in layouts:
         tolerance = _tolerance_of(layout)
         low, size = layout.low[::direction], layout.size[::direction]
         steps = np.diff(low, axis=0)
         falls += (steps < -tolerance).sum(axis=0)
         rises += (steps > tolerance).sum(axis=0)
-        n_late += _n_late(low[:_SMALL_LOAD], size[:_SMALL_LOAD], tolerance)
+        n_early += n_before_support(low[:_SMALL_LOAD], size[:_SMALL_LOAD], tolerance)
     fewest = min((falls[axis] for axis in (0, 1) if rises[axis]), default=math.inf)
     is_ordered = fewest <= _MOST_FALLS * sum(len(layout.low) - 1 for layout in layouts)
     more = float(falls[2] - fewest) / math.sqrt(falls[2] + fewest) if is_ordered and falls[2] > fewest else 0.0
-    return min(_FALL_COST * more + _LATE_BOX_COST * n_late, _LARGEST_ORDER_COST)
+    return min(_FALL_COST * more + _EARLY_BOX_COST * n_early, _LARGEST_ORDER_COST)
 
 
 _LARGEST_ORDER_COST: Final = 2.4
@@ -284,13 +284,13 @@ level coordinate."""
 _MOST_FALLS: Final = 0.2
 """Boxes count as listed along a level axis only if their coordinates along this axis fall in at most this share of the
 steps from one box to the next."""
-_LATE_BOX_COST: Final = 0.8
+_EARLY_BOX_COST: Final = 0.8
 """Cost of each box that is listed before a box on which it rests. None of the plans with which ``order_cost`` was
 measured has such a box. If these plans are read along another vertical axis, 42 to 46 % (``baseline``) and 66 to 69 %
 (``balanced``) of them have such a box."""
 
 
-def _n_late(low: FloatArray, size: FloatArray, tolerance: float) -> int:
+def n_before_support(low: FloatArray, size: FloatArray, tolerance: float) -> int:
     """Number of boxes that are listed before a box on which they rest."""
     high = low + size
     carries = np.abs(np.subtract.outer(high[:, 2], low[:, 2])) <= tolerance  # rows are lower boxes
