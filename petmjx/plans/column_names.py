@@ -125,15 +125,15 @@ _DIMENSIONS: Final = word_set(
 _HALF: Final = word_set("half halfsize halfextents halfextent")
 _BOUNDS: Final = word_set("bbox aabb bounds")
 CONTAINER_WORDS: Final = word_set(
-    "container containers bin bins pallet pallets palette paletten paleta palet pale palety palete paletes bancale "
-    "bancali truck carrier contenedor conteneur contenitore kontener ladungstrager ladetrager trailer vehicle lkw "
-    "camion"
+    "container containers bin bins pallet pallets palette paletten paleta palet pale palety palete paletes "
+    "bancale bancali pall palle pallar lava truck carrier contenedor conteneur contenitore kontener ladungstrager "
+    "ladetrager trailer vehicle lkw camion"
 )
 """Words for pallets and other containers."""
 PALLET_WORDS: Final = word_set(
-    "pallet pallets palette paletten palet paleta pale palety palete bancale bancali pal palno palnr palletno palletid "
-    "palid lu hu su nve sscc lpn uld stop unit nosnik ladungstrager ladetrager ladeeinheit versandelement carrier "
-    "container bin tote totes toteid"
+    "pallet pallets palette paletten palet paleta pale palety palete bancale bancali pall palle pallar lava pal "
+    "palno palnr palletno palletid palid lu hu su nve sscc lpn uld stop unit nosnik ladungstrager ladetrager "
+    "ladeeinheit versandelement carrier container bin tote totes toteid"
 )
 """Words that mean a pallet in names of columns that otherwise have no known meaning, and in types of records."""
 TITLE_WORDS: Final = PALLET_WORDS | word_set(
@@ -149,7 +149,7 @@ _UNPLACED: Final = word_set(
 _WORDS: Final[dict[Kind, frozenset[str]]] = {
     "weight": word_set(
         "weight weights mass masses masse gewicht gew poids peso pesos waga masa ciezar wt wg wgt bruttogewicht kg "
-        "agirlik hmotnost vaegt vekt vikt paino suly greutate tezina brgew"
+        "agirlik hmotnost vaha vaegt vekt vikt paino suly greutate tezina brgew"
     ),
     "density": word_set("density dichte densite densidad densita gestosc"),
     "volume": word_set("volume vol volumen volumes objetosc objem kubatur"),
@@ -175,7 +175,7 @@ _WORDS: Final[dict[Kind, frozenset[str]]] = {
         "article articles artikel artikelnr artikelnummer sku skus product products produkt produkte produit articulo "
         "articolo artykul producto prodotto material materialnr ref reference referencia riferimento type typ tipo "
         "cargo goods kind name names bezeichnung description beschreibung partno article_id codice codigo code kod "
-        "item urun"
+        "item urun vare varenr varenummer tuote zbozi polozka artikl towar artigo"
     ),
     "item_id": word_set(
         "id ids uid uuid itemid boxid caseid box boxes case cases carton cartons karton packstuck packstueck colis "
@@ -216,11 +216,11 @@ _BOX: Final = word_set(
 )
 
 _COMPOUND: Final = re.compile(
-    r"^(artikel|aussen|box|carton|case|einzel|item|karton|kisten?|kolli|pack(?:age|stuc?k|stueck)|paket|parcel|produkt|stuc?k)"
-    r"(lange|laenge|length|breite|width|hoe?he|height|tiefe|depth|gewicht|weight|nummer|nr|id)$"
+    r"^(artikel|aussen|brutt?o|nett?o|box|carton|case|einzel|item|karton|kisten?|kolli|pack(?:age|stuc?k|stueck)|paket|parcel|produkt|stuc?k)"
+    r"(lange|laenge|length|breite|width|hoe?he|height|tiefe|depth|gewicht|weight|vikt|vaegt|vekt|paino|nummer|nr|id)$"
 )
 """A word for a box and a word for its size, weight or number, written as one word: "Artikellänge", "Kartongewicht",
-"boxwidth"."""
+"boxwidth", "Brutogewicht"."""
 _TOKEN: Final = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|'")
 _UNIT_MARK: Final = re.compile(
     r"[\[(\{<]\s*([^\])}>]*?)\s*[\])}>]|/\s*([a-zµ]+)\s*$|\bin\s+([a-z]+)\s*$", re.IGNORECASE
@@ -273,8 +273,36 @@ _WEIGHTS_BY_UNIT: Final = word_set(
 _NUMBER_SIGN: Final = re.compile(r"\b[nN]\s?[°º]|№")
 
 
+_OTHER_SCRIPTS: Final = {
+    word: english
+    for english, words in {
+        "length": "длина 长度 長度 长 長さ 長 길이", "width": "ширина 宽度 寬度 宽 寬 幅 너비 폭",
+        "height": "высота 高度 高さ 高 높이", "depth": "глубина 深度 深さ 深 奥行き 奥行 깊이",
+        "weight": "вес масса 重量 重さ 质量 質量 무게 중량", "gross": "брутто 毛重", "center": "центр 中心 중심",
+        "coordinate": "координата координаты 坐标 座標 좌표", "position": "позиция положение 位置 위치",
+        "pallet": "паллета паллет палета поддон 托盘 托盤 栈板 棧板 パレット 팔레트 파레트",
+        "article": "артикул товар наименование 产品 產品 商品 物料 货物 貨物 品名 品番 名称 名稱 제품 상품 품명",
+        "quantity": "количество 数量 數量 수량", "sequence": "порядок последовательность 顺序 順序 順番 순서",
+        "number": "номер 序号 序號 编号 編號 番号 번호", "layer": "слой ярус 层 層 段 단",
+        "box": "коробка короб 箱 상자", "rotation": "поворот 旋转 旋轉 回転 회전",
+        "total": "итого всего 合计 合計 总计 總計 小计 합계",
+        "mm": "мм 毫米", "cm": "см 厘米 公分", "kg": "кг 千克 公斤", "m": "м 米", "g": "г 克",
+    }.items()
+    for word in words.split()
+}  # fmt: skip
+"""Words and units in other scripts → the English word."""
+_IN_OTHER_SCRIPT: Final = re.compile(
+    "|".join(rf"(?<!\w){word}(?!\w)" if word[0] < "\u0500" else word for word in sorted(_OTHER_SCRIPTS, key=len)[::-1]),
+    re.IGNORECASE,
+)
+"""Words in Cyrillic count only if they are whole words; other scripts have no spaces between words."""
+
+
 def plain_text(text: str) -> str:
-    """Text without accents: "Länge" → "Lange", "długość" → "dlugosc", "Maße" → "Masse"."""
+    """Text without accents: "Länge" → "Lange", "długość" → "dlugosc", "Maße" → "Masse". Known words in other scripts
+    are translated: "длина" → "length", "x坐标" → "x coordinate"."""
+    if not text.isascii():
+        text = _IN_OTHER_SCRIPT.sub(lambda match: f" {_OTHER_SCRIPTS[match[0].lower()]} ", text).strip()
     text = (
         _NUMBER_SIGN.sub("No ", text)
         .replace("ł", "l")
@@ -295,14 +323,17 @@ _CAMEL_UNIT: Final = re.compile(
 """A unit at the end of a name, without a space or bracket before the unit: "lengthMm", "posXmm"."""
 
 
+_MEMBER: Final = re.compile(r"(.+?)(\.[^.\[\]]*|\[\d+\])")
+"""The name of a member of an object or of a list: "position.x", "size[0]"."""
 LONGEST_NAME: Final = 256
 """Largest number of characters of a name in which a unit is sought. The time of the search grows with the square of the
 length: a cell of 8,000 brackets took 1 s."""
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """A name without its unit, and the unit: "L [mm]" → ("L", "mm"), "length_mm" → ("length", "mm"). The unit is "" if
-    there is none, or if the name is longer than ``LONGEST_NAME``."""
+    """A name without its unit, and the unit: "L [mm]" → ("L", "mm"), "length_mm" → ("length", "mm"). The unit may be
+    that of an object or a list: "size_mm[0]" → ("size[0]", "mm"), "size_mm.length" → ("size.length", "mm"). The unit is
+    "" if there is none, or if the name is longer than ``LONGEST_NAME``."""
     if len(name) > LONGEST_NAME:
         return name, ""
     for match in _UNIT_MARK.finditer(name):
@@ -318,6 +349,9 @@ def split_unit(name: str) -> tuple[str, str]:
     camel = _CAMEL_UNIT.fullmatch(name.strip())
     if camel is not None:
         return camel[1], camel[2].lower()
+    if (member := _MEMBER.fullmatch(name)) is not None:
+        whole, unit = split_unit(member[1])
+        return (whole + member[2], unit) if unit else (name, "")
     return name, ""
 
 
