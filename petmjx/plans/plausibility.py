@@ -311,11 +311,13 @@ def is_wall(layout: Layout) -> bool:
 _LEAST_OF_WALL: Final = 4  # fewer boxes may be a bridge, which people build to try a simulator
 
 
-def begin_at_different_heights(layouts: Sequence[Layout]) -> bool:
-    """Whether the lowest boxes of several plans are at different heights, and those of no plan at 0."""
-    bottoms = [float(layout.low[:, 2].min()) for layout in layouts if np.isnan(layout.container[2])]
+def share_at_other_heights(layouts: Sequence[Layout]) -> float:
+    """Share of plans that do not begin at the height at which most plans of the file begin, or at 0 if any plan begins
+    at 0."""
+    bottoms = np.array([float(layout.low[:, 2].min()) for layout in layouts if np.isnan(layout.container[2])])
     tolerance = max(map(_tolerance_of, layouts))
-    return bool(bottoms) and max(bottoms) - min(bottoms) > tolerance and min(map(abs, bottoms)) > tolerance
+    n_alike = [np.count_nonzero(np.abs(bottoms - level) <= tolerance) for level in (0.0, *bottoms)]
+    return 1.0 - (n_alike[0] or max(n_alike)) / len(bottoms) if len(bottoms) else 0.0
 
 
 def same_layouts(one: Sequence[Layout], other: Sequence[Layout]) -> bool:

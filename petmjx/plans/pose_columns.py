@@ -197,7 +197,7 @@ def _turned(extraction: ColumnExtraction, geometry: Geometry, rotation: FloatArr
         is_rotation_of_box = cosine.max() <= 1 + _ROUNDED_SCALE
         fault = f"is turned by {degrees:.3g}° out of right angles: only level boxes at right angles"
         extraction.bad(int(row), index, fault if is_rotation_of_box else "is no rotation")
-    return replace(geometry, placed=True, turn=np.abs(np.rint(rotation)))
+    return replace(geometry, placed=True, turn=np.rint(rotation))
 
 
 def _roles(role: str, names: Sequence[str]) -> dict[str, str]:

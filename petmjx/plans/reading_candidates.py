@@ -17,7 +17,7 @@ from petmjx.plans.column_extraction import SIZE_WORDS, XYZ, role_of
 from petmjx.plans.column_names import LENGTH_UNITS, words_of
 from petmjx.plans.input_conventions import ANCHORS
 from petmjx.plans.plausibility import Layout
-from petmjx.plans.readings import Wishes
+from petmjx.plans.readings import POSES, Wishes
 from petmjx.plans.size_and_place_columns import Geometry
 
 _SIX: Final = np.array([(0, 1, 2), (1, 0, 2), (1, 2, 0), (2, 1, 0), (2, 0, 1), (0, 2, 1)])
@@ -34,6 +34,9 @@ _GUESSED_TURNS: Final = 2.0
 _TURNED_ARRAY: Final = 0.6
 """Cost of a reading in which sizes are those before boxes are turned, for an array without column names. Arrays mostly
 come from programs that train packers, and have sizes as placed."""
+_PLACED_POINT_COST: Final = 0.8
+"""Cost of a reading in which coordinates of poses are those of a corner, or of the centre of the base or the top, of
+the box as placed. By its definition, a pose turns a box about the point that its coordinates describe."""
 _FIRM_COST: Final = 3.0
 """Cost of a reading that contradicts what is known from the form of the file, the names of its columns, or the
 rotations."""
@@ -89,7 +92,7 @@ def turned_sizes(columns: BoxColumns, candidate: Candidate) -> FloatArray:
     geometry = candidate.geometry
     size = geometry.size[:, candidate.pair]
     if geometry.turn is not None:
-        turned: FloatArray = np.einsum("nij,nj->ni", geometry.turn, np.nan_to_num(size, nan=np.nan))
+        turned: FloatArray = np.einsum("nij,nj->ni", np.abs(geometry.turn), np.nan_to_num(size, nan=np.nan))
         return turned
     turns = columns.turns
     if candidate.rule == "none" or turns is None:
@@ -114,6 +117,12 @@ def layout_of(columns: BoxColumns, candidate: Candidate, container: Mapping[str,
     size = turned_sizes(columns, candidate) * candidate.scale
     place = candidate.geometry.place
     order = _UP[candidate.up]
+    if candidate.rule == POSES[1] and (turn := candidate.geometry.turn) is not None:
+        # from the point of the box before it is turned to the same point of the box as placed
+        point = np.empty(3)
+        point[list(order)] = candidate.point
+        unturned = candidate.geometry.size[:, candidate.pair] * candidate.scale
+        place = place + np.einsum("nij,nj->ni", turn, (0.5 - point) * unturned) - (0.5 - point) * size
     size, place = size[:, order], place[:, order]
     low = place - candidate.point * size
     extents = _container_along(candidate, container or {}, order)
@@ -155,6 +164,12 @@ def candidates(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
                         continue
                     for anchor, anchor_prior in _anchors(geometry, form.anchor, wishes):
                         prior = geometry.prior + up_prior + pair_prior + rule_prior + anchor_prior
+                        if geometry.turn is not None and not wishes.rule:
+                            if anchor == "centre" or (geometry.turn == np.eye(3)).all():
+                                if rule == POSES[1]:
+                                    continue  # both rules place all boxes alike
+                            elif rule == POSES[0]:
+                                prior += _PLACED_POINT_COST
                         yield Candidate(geometry, pair, up, anchor, rule, prior, scale)
 
 
@@ -203,12 +218,12 @@ def _turning_axis(turn: FloatArray) -> str:
     turned about the vertical. The result is "" if no box is turned, or boxes are turned about several axes.
 
     Args:
-        turn: (n, 3, 3) absolute values of rotation matrices.
+        turn: (n, 3, 3) rotation matrices.
     """
-    is_turned = np.isfinite(turn).all(axis=(1, 2)) & (turn != np.eye(3)).any(axis=(1, 2))
+    is_turned = np.isfinite(turn).all(axis=(1, 2)) & (np.abs(turn) != np.eye(3)).any(axis=(1, 2))
     if not is_turned.any():
         return ""
-    fixed = [bool((turn[is_turned, axis, axis] == 1).all()) for axis in range(3)]
+    fixed = [bool((np.abs(turn[is_turned, axis, axis]) == 1).all()) for axis in range(3)]
     return "y" if fixed == [False, True, False] else "z" if fixed == [False, False, True] else ""
 
 
@@ -269,7 +284,7 @@ def _is_of_scene(geometry: Geometry) -> bool:
 
 def _rules(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tuple[str, float]]:
     if geometry.turn is not None:
-        return [("pose", 0.0)]
+        return [(rule, 0.0) for rule in (POSES if wishes.rule not in POSES else (wishes.rule,))]
     if columns.turns is None or wishes.sizes == "placed":
         return [("none", 0.0)]
     if wishes.rule and (wishes.rule == "none" or wishes.rule in columns.turns.rules):

@@ -18,7 +18,6 @@ from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS
 from petmjx.plans.plausibility import (
     Layout,
     are_other_points,
-    begin_at_different_heights,
     converted_share,
     deck_cost,
     density_cost,
@@ -29,10 +28,11 @@ from petmjx.plans.plausibility import (
     load_fit,
     order_cost,
     same_layouts,
+    share_at_other_heights,
     side_cost,
 )
 from petmjx.plans.reading_candidates import Candidate, candidates, candidates_of_corners, candidates_on_side, layout_of
-from petmjx.plans.readings import AmbiguousFile, Evidence, Reading, Wishes, differences, overlap_text, tie_text
+from petmjx.plans.readings import POSES, AmbiguousFile, Evidence, Reading, Wishes, differences, overlap_text, tie_text
 from petmjx.plans.size_and_place_columns import Geometry
 
 TIE: Final = 1.5
@@ -171,16 +171,16 @@ def _judge(columns: BoxColumns, wishes: Wishes, candidate: Candidate, sample: _S
     n_boxes = len(all_rows)
     evidence = Evidence(n_boxes, int(sums[0]), int(sums[1]), int(sums[2]), float(sums[3] / n_boxes))
     origin = max(set(origins), key=origins.count)
-    cost = sum(costs) / n_boxes + _UNEQUAL_FLOOR_COST * begin_at_different_heights(layouts)
+    cost = sum(costs) / n_boxes + _UNEQUAL_FLOOR_COST * share_at_other_heights(layouts)
     judged = _Judged(candidate, cost, origin, evidence, tuple(layouts), all_rows)
     units = tuple(_units(judged, columns, wishes))
     weight = _PY3DBP_ORDER_WEIGHT if columns.source.form.rule == "py3dbp" else 1.0
     return replace(judged, units=units, order_cost=_order_cost(judged, LENGTH_UNITS[units[0].length], weight))
 
 
-_UNEQUAL_FLOOR_COST: Final = 2.5
-"""Cost of a reading in which the plans of a file begin at different heights above the deck. This is implausible, since
-a program measures the heights in all plans of a file from the same level."""
+_UNEQUAL_FLOOR_COST: Final = 5.0
+"""Cost of a reading, times the share of plans that do not begin at the height at which other plans of the file begin.
+This is implausible, since a program measures the heights in all plans of a file from the same level."""
 _PY3DBP_ORDER_WEIGHT: Final = 0.4
 """Weight with which the order of boxes counts in the cost of a reading, for files of py3dbp. The weight is low because
 py3dbp fills a container along x, then y, then z, whichever axis is the vertical."""
@@ -502,7 +502,7 @@ def _reading(judged: _Judged, columns: BoxColumns, wishes: Wishes, units: _Units
         anchor=candidate.anchor,
         up=candidate.up,
         along=candidate.along,
-        sizes="placed" if candidate.rule in ("none", "pose") else "item",
+        sizes="placed" if candidate.rule in ("none", *POSES) else "item",
         rule=candidate.rule,
         origin=wishes.origin or judged.origin,
         cost=judged.cost,

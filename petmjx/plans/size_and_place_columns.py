@@ -62,7 +62,7 @@ class Geometry:
         placed: whether the sizes are known to be those of the box as placed.
         columns: role → name of its column.
         prior: how unlikely this choice of columns is, before any numbers are considered; 0: usual.
-        turn: (n, 3, 3) rotations of poses; None: no poses.
+        turn: (n, 3, 3) rotation matrices of poses, whose numbers are −1, 0 and 1; None: no poses.
         named_up: the vertical axis according to the names of places; "": none is given.
     """
 
