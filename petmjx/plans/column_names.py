@@ -18,14 +18,15 @@ from typing import Final, Literal
 from petmjx.common.units import LENGTHS_MM, MASSES_KG
 
 Kind = Literal[
-    "size", "sizes", "position", "positions", "low", "high", "corners", "quaternion", "euler", "matrix", "weight",
-    "density", "volume", "rotation", "quantity", "layers", "plan", "sequence", "number", "article", "item_id", "group",
-    "material", "row_kind", "strength",
+    "size", "sizes", "position", "positions", "low", "high", "first", "second", "corners", "quaternion", "euler",
+    "matrix", "weight", "density", "volume", "rotation", "quantity", "layers", "plan", "sequence", "number", "article",
+    "item_id", "group", "material", "row_kind", "strength",
 ]  # fmt: skip
 """Meaning of a column. ``sizes`` and ``positions`` are three numbers in one cell. ``low`` and ``high`` are coordinates
-of the corners with the smallest and the largest x, y and z, and ``corners`` are both corners in one cell. ``sequence``
-is a packing order. ``number`` is a running number, which may be a packing order. ``euler`` is an angle about one
-axis."""
+of the corners with the smallest and the largest x, y and z, and ``corners`` are both corners in one cell. ``first`` and
+``second`` are coordinates with the numbers 1 and 2 ("x1", "x2"), before it is known which corners they describe.
+``sequence`` is a packing order. ``number`` is a running number, which may be a packing order. ``euler`` is an angle
+about one axis."""
 
 OWN_COLUMNS: Final = ("length_mm", "width_mm", "height_mm", "weight_kg")
 """petmjx's own names for the sizes and the weight of items, which contain the units."""
@@ -122,7 +123,8 @@ _DIMENSIONS: Final = word_set(
     "dimensiones dimensioni dimensioni wymiary wymiar taille misure medidas shape lxwxh lxbxh lwh lbh whd wdh dwh hwd "
     "wxhxd wxdxh lxlxh bxhxt dimensionen"
 )
-_HALF: Final = word_set("half halfsize halfextents halfextent")
+HALF_WORDS: Final = word_set("half halfsize halfextents halfextent halb halbe halber halbes demi semi mezza mezzo")
+"""Words for half sizes."""
 _BOUNDS: Final = word_set("bbox aabb bounds")
 CONTAINER_WORDS: Final = word_set(
     "container containers bin bins pallet pallets palette paletten paleta palet pale palety palete paletes "
@@ -216,8 +218,8 @@ _BOX: Final = word_set(
 )
 
 _COMPOUND: Final = re.compile(
-    r"^(artikel|aussen|brutt?o|nett?o|box|carton|case|einzel|item|karton|kisten?|kolli|pack(?:age|stuc?k|stueck)|paket|parcel|produkt|stuc?k)"
-    r"(lange|laenge|length|breite|width|hoe?he|height|tiefe|depth|gewicht|weight|vikt|vaegt|vekt|paino|nummer|nr|id)$"
+    r"^(artikel|aussen|brutt?o|nett?o|halbe?|demi|semi|box|carton|case|einzel|item|karton|kisten?|kolli|pack(?:age|stuc?k|stueck)|paket|parcel|produkt|stuc?k)"
+    r"(lange|laenge|length|breite|width|hoe?he|height|tiefe|depth|longueur|largeur|hauteur|mass|gewicht|weight|vikt|vaegt|vekt|paino|nummer|nr|id)$"
 )
 """A word for a box and a word for its size, weight or number, written as one word: "Artikellänge", "Kartongewicht",
 "boxwidth", "Brutogewicht"."""
@@ -439,6 +441,7 @@ def _meanings_of(names: tuple[str, ...]) -> list[ColumnMeaning | None]:
     meanings = [_meaning(name) for name in names]
     if not any(meaning is not None and meaning.kind in ("size", "sizes", "high") for meaning in meanings):
         meanings = [_meaning(_SCALE.sub(" size", name)) for name in names]
+    meanings = _with_corners(meanings)
     bases = [split_unit(name.rpartition(".")[2])[0].strip(" .:") for name in names]
     named_sides = [_OF_SIDE.sub("", base.lower()).replace("floor", "bottom") for base in bases]
     sides = {side: index for index, side in enumerate(named_sides) if side in _SIDES}
@@ -494,6 +497,20 @@ def _meanings_of(names: tuple[str, ...]) -> list[ColumnMeaning | None]:
             if meanings[index] is None and lone is not None:
                 meanings[index] = ColumnMeaning("size", lone, split_unit(names[index])[1], letter=True)
     return meanings
+
+
+def _with_corners(meanings: list[ColumnMeaning | None]) -> list[ColumnMeaning | None]:
+    """The meanings, in which coordinates with the numbers 1 and 2 are those of two corners of a box. If there is only
+    one number, these are coordinates of a corner beside that without a number or with 0 ("x", "x1"), or of a point."""
+    kinds = {meaning.kind for meaning in meanings if meaning is not None}
+    is_end = bool(kinds & {"low", "position", "positions"})
+    ends: dict[Kind, Kind] = {"first": "low", "second": "high"}
+    if not {"first", "second"} <= kinds:
+        ends = dict.fromkeys(ends, "high" if is_end else "position")
+    return [
+        replace(meaning, kind=ends[meaning.kind]) if meaning is not None and meaning.kind in ends else meaning
+        for meaning in meanings
+    ]
 
 
 def _letter_of_weight(single: Mapping[int, str]) -> int | None:
@@ -610,7 +627,7 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
     words, context = set(tail), set(path)
     everything = words | context
     placed = bool(everything & (_PLACED | _ORIENTED))
-    half = bool(everything & _HALF) or "half" in everything
+    half = bool(everything & HALF_WORDS)
     last = tail[-1]
     primed = last == "'" and len(tail) > 1
     if primed:
@@ -618,7 +635,7 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
     size_word = next((size for size, names in _SIZES.items() if words & set(names.split())), None)
     if size_word is None and len(tail) == 1:
         size_word = _SHORT.get(last)
-    if size_word is None and len(tail) == 2 and tail[0] in _BOX | _ORIENTED and last in _LONE:
+    if size_word is None and len(tail) == 2 and tail[0] in _BOX | _ORIENTED | HALF_WORDS and last in _LONE:
         size_word = _LONE[last]
     if last == "qw" or (last == "w" and everything & {"rot", "rotation"}):
         return ColumnMeaning("quaternion", "w")
@@ -649,7 +666,7 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
             "low" if mark in ("min", "lo", "start") else "high" if mark in ("max", "hi", "end") else "position", letter
         )
     if edge is not None and not size_word:
-        return ColumnMeaning("low" if edge[2] in "0" else f"edge{edge[2]}", edge[1])  # type: ignore[arg-type]  # resolved by the caller
+        return ColumnMeaning(("low", "first", "second")[int(edge[2])], edge[1])
     if index and int(index) < 6 and (words & _BOUNDS or {"bounding", "box"} <= words):  # two corners in one list
         return ColumnMeaning("low" if int(index) < 3 else "high", str(int(index) % 3))
     if everything & {"quaternion", "quat", "quaternions", "orientation"} and (axis or last == "w" or index):
@@ -668,7 +685,7 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
     if size_word and not (words & {"unit", "units", "total", "max", "min", "sum", "weight", "nesting", "nested"}):
         return ColumnMeaning("size", size_word, placed=placed, half=half)
     if axis is not None:
-        if is_dims or words & {"d", "delta", "l", "len", "size"} or half:
+        if is_dims or words & {"d", "delta", "l", "len", "ext", "size"} or half:
             return ColumnMeaning("size", axis, placed=placed, half=half)
         if everything & {"rotation", "rot", "angle", "angles", "euler"}:
             return ColumnMeaning("euler", axis)

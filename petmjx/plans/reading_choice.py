@@ -98,7 +98,8 @@ class _Judged:
         rows: the row numbers of all boxes of the layouts.
         units: all choices of units, cheapest first. The costs of units depend on which sides of the load lie on the
             deck.
-        order_cost: how implausible it is that the load begins where it does, and that boxes are listed in this order.
+        begin_cost: how implausible it is that the load begins where it does.
+        order_cost: how implausible it is that boxes are listed in this order.
     """
 
     candidate: Candidate
@@ -108,11 +109,12 @@ class _Judged:
     layouts: tuple[Layout, ...]
     rows: NDArray[np.int64]
     units: tuple[_Units, ...] = ()
+    begin_cost: float = 0.0
     order_cost: float = 0.0
 
     @property
     def cost(self) -> float:
-        return self.candidate.prior + self.layout_cost + self.units[0].cost + self.order_cost
+        return self.candidate.prior + self.layout_cost + self.units[0].cost + self.begin_cost + self.order_cost
 
 
 _Sample = list[tuple[NDArray[np.int64], Mapping[str, float]]]
@@ -175,7 +177,8 @@ def _judge(columns: BoxColumns, wishes: Wishes, candidate: Candidate, sample: _S
     judged = _Judged(candidate, cost, origin, evidence, tuple(layouts), all_rows)
     units = tuple(_units(judged, columns, wishes))
     weight = _PY3DBP_ORDER_WEIGHT if columns.source.form.rule == "py3dbp" else 1.0
-    return replace(judged, units=units, order_cost=_order_cost(judged, LENGTH_UNITS[units[0].length], weight))
+    begin, order = _begin_and_order_cost(judged, LENGTH_UNITS[units[0].length], weight)
+    return replace(judged, units=units, begin_cost=begin, order_cost=order)
 
 
 _UNEQUAL_FLOOR_COST: Final = 5.0
@@ -186,7 +189,7 @@ _PY3DBP_ORDER_WEIGHT: Final = 0.4
 py3dbp fills a container along x, then y, then z, whichever axis is the vertical."""
 
 
-def _order_cost(judged: _Judged, mm: float, weight: float) -> float:
+def _begin_and_order_cost(judged: _Judged, mm: float, weight: float) -> tuple[float, float]:
     """How implausible it is that the loads begin where they do, and that boxes are listed in this order.
 
     Args:
@@ -196,9 +199,8 @@ def _order_cost(judged: _Judged, mm: float, weight: float) -> float:
     anchor = judged.candidate.anchor
     is_close = judged.layout_cost <= 2 * WEAK  # readings with higher costs cannot win
     is_other = is_close and all(are_other_points(layout, mm, judged.candidate.point) for layout in judged.layouts)
-    shifted = _OTHER_POINT_COST * is_other * (1.0 if "corner" in anchor else 0.5)
-    sideways = weight * order_cost(judged.layouts) + _WALL_COST * any(map(is_wall, judged.layouts))
-    return shifted + sideways
+    begin_cost = _OTHER_POINT_COST * is_other * (1.0 if "corner" in anchor else 0.5)
+    return begin_cost, weight * order_cost(judged.layouts) + _WALL_COST * any(map(is_wall, judged.layouts))
 
 
 def _units(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[_Units]:
@@ -317,7 +319,7 @@ def _may_be_turned(best: _Judged, other: _Judged) -> bool:
     the weak evidence speaks against the usual vertical axis, the user is asked; otherwise, a note names the other
     axis."""
     is_known = not np.isnan(best.layouts[0].container[:2]).any()
-    firm, other_firm = (one.layout_cost + is_known * one.units[0].cost for one in (best, other))
+    firm, other_firm = (one.layout_cost + one.begin_cost + is_known * one.units[0].cost for one in (best, other))
     return (
         other.candidate.up != best.candidate.up
         and other.candidate.prior < best.candidate.prior + TIE
@@ -333,7 +335,7 @@ def _is_doubtful(best: _Judged) -> bool:
     so if, in the most plausible reading, boxes overlap, float, are outside or are listed from one side to the other, or
     if the sizes do not lie along the axes that name them."""
     is_exchanged = best.candidate.geometry.axes == XYZ and best.candidate.pair != (0, 1, 2)
-    return best.evidence.n_odd > 0 or is_exchanged or best.order_cost > 0
+    return best.evidence.n_odd > 0 or is_exchanged or best.begin_cost + best.order_cost > 0
 
 
 _LEAST_OVERLAPPING: Final = 6

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
 from petmjx.plans.column_extraction import HALF_EXTENTS, LAST_CELLS, SIZE_WORDS, XYZ, ColumnExtraction, role_of
-from petmjx.plans.column_names import BASE_WORDS, CENTRE_WORDS, LENGTH_UNITS, split_unit, word_set, words_of
+from petmjx.plans.column_names import BASE_WORDS, CENTRE_WORDS, HALF_WORDS, LENGTH_UNITS, split_unit, word_set, words_of
 from petmjx.plans.nested_fields import CORNER_NOISE
 from petmjx.plans.turn_columns import Turns
 
@@ -254,11 +254,11 @@ def corners_in(extraction: ColumnExtraction) -> Geometry | None:
     header = extraction.table.header
     if (eight := _eight_corners(extraction)) is not None:
         return eight
-    low, plain, first, second, high = (
+    low, plain, high = (
         {axis: columns[0] for axis, columns in _on_axes(extraction.columns_of(kind)).items()}
-        for kind in ("low", "position", "edge1", "edge2", "high")
+        for kind in ("low", "position", "high")
     )
-    for begin, finish in ((low, high), (first, second), (low, first), (plain, high), (plain, second)):
+    for begin, finish in ((low, high), (plain, high)):
         if not all(axis in begin and axis in finish for axis in XYZ):
             continue
         lows, highs = [begin[axis] for axis in XYZ], [finish[axis] for axis in XYZ]
@@ -351,7 +351,7 @@ def with_half_extents(geometry: Geometry) -> Geometry | None:
     known to be half extents), or if the places are corners."""
     names = [name for role, name in geometry.columns.items() if role not in (*XYZ, "position")]
     words = {word for name in names for word in words_of(name)}
-    if not words & _EXTENTS or "half" in words or geometry.anchor == "corner":
+    if not words & _EXTENTS or words & HALF_WORDS or geometry.anchor == "corner":
         return None
     columns = {**geometry.columns, HALF_EXTENTS: names[0]}
     return replace(geometry, size=2 * geometry.size, columns=columns, prior=geometry.prior + 0.8)
