@@ -16,6 +16,7 @@ from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.column_extraction import LAST_CELLS, role_of
 from petmjx.plans.column_names import DENSITY_UNITS, LENGTH_UNITS, MASS_UNITS, UNIT_WORDS, names_deck
+from petmjx.plans.convention_checks import HEAVIEST_BOX_KG_M3, LIGHTEST_BOX_KG_M3
 from petmjx.plans.input_conventions import Limits
 from petmjx.plans.nested_containers import FLAT
 from petmjx.plans.plan_fields import (
@@ -46,9 +47,6 @@ _RELATIVE: Final = 1.5
 _LEAST_KG_M3: Final = 25.0
 """A column without a unit, and with a smaller median density, may be in another unit than kg/m³. Cartons of crisps have
 a density of 30 kg/m³ (1.9 lb/ft³), usual cartons 300 kg/m³ (19 lb/ft³)."""
-LIGHTEST_BOX_KG_M3, HEAVIEST_BOX_KG_M3 = 2.0, 5000.0
-"""Densities outside these limits, kg/m³, suggest wrong weights or lengths. The lower limit is below the density of
-foam, and the upper limit above the density of iron parts."""
 _OF_DECKS_MM: Final = ((380.0, 580.0), (1320.0, 1500.0))
 """Limits of the sides of a pallet, mm: the smallest short and long side, and the largest short and long side."""
 _HIGHEST_DECK_MM: Final = 250.0

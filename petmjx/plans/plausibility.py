@@ -312,12 +312,19 @@ _LEAST_OF_WALL: Final = 4  # fewer boxes may be a bridge, which people build to 
 
 
 def share_at_other_heights(layouts: Sequence[Layout]) -> float:
-    """Share of plans that do not begin at the height at which most plans of the file begin, or at 0 if any plan begins
-    at 0."""
-    bottoms = np.array([float(layout.low[:, 2].min()) for layout in layouts if np.isnan(layout.container[2])])
+    """Share of plans that do not begin at the height at which most plans of the file begin. If a plan begins at 0, the
+    others may also begin at the height of any of its boxes, since a plan may lack its bottom layer."""
+    low = [layout.low[:, 2] for layout in layouts if np.isnan(layout.container[2])]
+    if not low:
+        return 0.0
     tolerance = max(map(_tolerance_of, layouts))
-    n_alike = [np.count_nonzero(np.abs(bottoms - level) <= tolerance) for level in (0.0, *bottoms)]
-    return 1.0 - (n_alike[0] or max(n_alike)) / len(bottoms) if len(bottoms) else 0.0
+    bottoms = np.array([heights.min() for heights in low])
+    is_alike = np.abs(np.subtract.outer(bottoms, bottoms)) <= tolerance
+    at_deck = [heights for heights in low if abs(heights.min()) <= tolerance]
+    if at_deck:
+        is_alike = np.abs(np.subtract.outer(np.concatenate(at_deck), bottoms)) <= tolerance
+        return 1.0 - float(is_alike.any(axis=0).mean())
+    return 1.0 - float(is_alike.mean(axis=1).max())
 
 
 def same_layouts(one: Sequence[Layout], other: Sequence[Layout]) -> bool:
