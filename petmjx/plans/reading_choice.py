@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
@@ -279,8 +279,10 @@ def choose_reading(
     ]
     if rivals := close or [other for other in turned if other.candidate.prior < best.candidate.prior]:
         possible = [best, *rivals, *(other for other in turned if other not in rivals)]
-        readings = [_reading(one, columns, wishes) for one in possible]
-        raise AmbiguousFile(tie_text(readings, is_weak), readings[:4])
+        if possible[1].candidate.up != best.candidate.up and not is_weak:
+            possible[2:2] = [other for other in _along_further_axes(judged, possible[:2]) if other not in possible]
+        readings = [_reading(one, columns, wishes) for one in possible[:4]]
+        raise AmbiguousFile(tie_text(readings, is_weak), readings)
     if _is_impossible(best, columns, wishes):
         reading = _reading(best, columns, wishes)
         raise AmbiguousFile(overlap_text(reading), [reading])
@@ -297,6 +299,21 @@ def choose_reading(
         reading = replace(reading, notes=(*reading.notes, *_changes_by_anchor(reading, columns, wishes, sample)))
     alternatives = tuple(_reading(one, columns, wishes) for one in judged[1:4])
     return replace(reading, alternatives=alternatives), best.candidate
+
+
+def _along_further_axes(judged: Sequence[_Judged], two: Sequence[_Judged]) -> list[_Judged]:
+    """The most plausible reading for each vertical axis that two readings lack, if its boxes lie as well as theirs."""
+    axes = {one.candidate.up for one in two}
+    further = []
+    for other in judged:  # most plausible first
+        if (
+            other.candidate.up not in axes
+            and other.evidence.n_odd <= min(one.evidence.n_odd for one in two)
+            and other.layout_cost < min(one.layout_cost for one in two) + TIE
+        ):
+            axes.add(other.candidate.up)
+            further.append(other)
+    return further
 
 
 def _changes_by_anchor(reading: Reading, columns: BoxColumns, wishes: Wishes, sample: _Sample) -> list[str]:

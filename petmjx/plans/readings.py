@@ -290,7 +290,8 @@ def differences(one: Reading, two: Reading) -> list[tuple[str, str, str]]:
 
 
 def tie_text(readings: Sequence[Reading], weak: bool) -> str:
-    """The line about a tie: the two readings, how they differ, and the options that decide."""
+    """The line about a tie: the two readings, how they differ, the vertical axes of other readings, and the options
+    that decide."""
     one, two = readings[0], readings[1]
     parts = differences(one, two)
     first, second = (", ".join(part[index] for part in parts) for index in (1, 2))
@@ -299,6 +300,8 @@ def tie_text(readings: Sequence[Reading], weak: bool) -> str:
     of_units = not weak and (one.units != two.units or one.masses != two.masses)
     evidence = [reading.evidence.of_units() if of_units else str(reading.evidence) for reading in (one, two)]
     ways = f"{first} ({evidence[0]}), or {second} ({evidence[1]})"
+    further = dict.fromkeys(other.up for other in readings[2:] if one.up != two.up and other.up not in (one.up, two.up))
+    ways += "".join(f"; {up} upwards is possible, too" for up in further)
     is_piled = weak and 2 * one.evidence.n_overlapping > one.evidence.n_boxes
     advice = f"{options}, or with --as FILE.toml" if options else "--as FILE.toml"
     return f"{reason} {ways}; {_SEVERAL if is_piled else ''}say which with {advice}"
