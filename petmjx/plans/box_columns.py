@@ -58,8 +58,8 @@ class BoxColumns:
         plan, article, item_id, group: (n,) names; None: no column has them.
         sequence: (n,) packing order; None: no column has it. A column of running numbers is not taken as a packing
             order, since boxes may be numbered in any order.
-        counters: columns of whole numbers that may be a packing order because of their names ("Nr", "Pick"): name →
-            (n,) numbers; NaN for cells that are not whole numbers.
+        counters: columns of whole numbers that may be a packing order, since their names may mean one ("Nr", "Pick") or
+            are unknown: name → (n,) numbers; NaN for cells that are not whole numbers.
         columns: role → name of its column, for all roles except sizes and places.
         faults: row → (column, error text) of the first bad cell in the row.
         unread: names of columns that are not used.
@@ -218,10 +218,10 @@ def weight_column(extraction: ColumnExtraction) -> int | None:
 
 
 def counting_columns(extraction: ColumnExtraction, used: Collection[str]) -> dict[str, FloatArray]:
-    """Unused columns of whole numbers whose names could mean a packing order."""
+    """Unused columns of whole numbers whose names could mean a packing order, or are unknown."""
     columns: dict[str, FloatArray] = {}
     for index, name in enumerate(extraction.table.header):
-        if name in used or not may_count(name):
+        if name in used or not (may_count(name) or extraction.meanings[index] is None):
             continue
         numbers = [cell_number(cell, extraction.table.decimal) for cell in extraction.cells(index)]
         values = np.array([np.nan if number is None or number.unit else number.value for number in numbers])

@@ -168,7 +168,8 @@ _WORDS: Final[dict[Kind, frozenset[str]]] = {
     "layers": word_set("layers layer tiers lagen lage schichten couches couche capas strati warstwy"),
     "sequence": word_set(
         "sequence seq step steps order packingorder packorder loadorder loadingorder placementorder rank reihenfolge "
-        "schritt packreihenfolge ordre etape secuencia sequenza passo kolejnosc krok paso"
+        "schritt packreihenfolge ordre etape secuencia sequenza passo kolejnosc krok paso packfolge stapelfolge "
+        "ladefolge volgorde raekkefolge rekkefolge ordning jarjestys sequencia"
     ),
     "number": word_set(
         "nr no num number numero nummer index idx lfd lfdnr lp n pos position row zeile ligne fila riga wiersz"
@@ -550,7 +551,7 @@ def _numbered_sizes(names: Sequence[str]) -> Iterator[tuple[str, int, bool]]:
 
 _COUNTER: Final = re.compile(
     r"^(?:#|n|nr|no|num|number|numer|numero|nummer|numbering|lfd|laufende|lp|l p|index|idx|i|k|pick|picked|picking|pos|"
-    r"position|posizione|posicion|pozycja|seq|ordine|ordre|orden|order|place|placed|packed|loaded|stacked|poradi|rang|rank|"
+    r"position|posizione|posicion|pozycja|seq|ordine|ordre|orden|ordem|sira|order|place|placed|packed|loaded|stacked|poradi|rang|rank|"
     r"count|counter|cislo|c|row|line|zeile|volgorde|volgnummer|reihe)(?: (?:nr|no|num|nummer|number|deg))?$"
 )
 

@@ -21,7 +21,7 @@ from petmjx.plans.numpy_arrays import loaded_array, loaded_arrays, sources_of_ar
 from petmjx.plans.printed_values import printed_values, values_of_blocks, values_of_lines
 from petmjx.plans.python_objects_and_py3dbp import is_printed_object, python_values, source_of_printed
 from petmjx.plans.raw_cells import cell_number
-from petmjx.plans.raw_tables import BoxList, RawTable, not_placed, rows_with_boxes, united, with_titles
+from petmjx.plans.raw_tables import BoxList, RawTable, not_placed, rows_with_boxes, united, with_names_of, with_titles
 from petmjx.plans.scene_files import is_gltf, is_three_js, source_of_gltf, source_of_scene, source_of_three_js
 from petmjx.plans.table_sections import are_unplaced
 from petmjx.plans.text_tables import decoded_text
@@ -186,7 +186,8 @@ def _sources_of_markup(text: str) -> list[BoxSource]:
 
 
 def sources_of_tables(raw_tables: Sequence[RawTable], kind: str) -> list[BoxSource]:
-    """Turn tables into lists of boxes. Tables with the same header are joined into one list.
+    """Turn tables into lists of boxes. Tables whose columns of sizes and places have the same names, or names with the
+    same meanings, are joined into one list.
 
     Args:
         kind: kind of the file, in words.
@@ -198,6 +199,10 @@ def sources_of_tables(raw_tables: Sequence[RawTable], kind: str) -> list[BoxSour
         if n_unplaced and table in unplaced:
             continue
         key = geometric_names(table.header) if table.has_header else table.header
+        for other_key, (first, *_) in groups.items() if table.has_header and key not in groups else ():
+            renamed = with_names_of(table, first)
+            if geometric_names(renamed.header) == other_key:
+                key, table = other_key, renamed
         groups.setdefault(key, []).append(table)
     sources = []
     for tables in groups.values():

@@ -16,7 +16,7 @@ from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.column_extraction import IGNORED
-from petmjx.plans.column_names import PALLET_WORDS, words_of
+from petmjx.plans.column_names import PALLET_WORDS, may_count, words_of
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, gaps_mm
 from petmjx.plans.plausibility import n_before_support
 from petmjx.plans.raw_cells import cell_text
@@ -176,9 +176,10 @@ def packing_order(
         if not possible:
             notes.append(f"packing order by {printable_name(name)}: rows are not in packing order")
             return counted.astype(np.int64), "sequence", name
-        notes.append(
-            f"{printable_name(name)} may be the packing order, too (--columns sequence={printable_name(name)})"
-        )
+        if may_count(name):
+            notes.append(
+                f"{printable_name(name)} may be the packing order, too (--columns sequence={printable_name(name)})"
+            )
     if not possible:
         order[np.argsort(low[:, 2], kind="stable")] = np.arange(1, len(rows) + 1)
         return order, "height", ""

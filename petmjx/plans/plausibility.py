@@ -81,6 +81,8 @@ def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]
     offset = 0.0
     if abs(bottom) > tolerance:
         offset = 1.0 if 0 < bottom < 1.2 * float(np.median(size[:, 2])) else 4.0
+        if abs(bottom - float(np.median(size[heights <= tolerance, 2])) / 2) <= tolerance:
+            offset = 2.0  # heights are rather those of centres
         half = layout.container[2] / 2
         if not np.isnan(half) and abs(bottom + half) <= 2 * tolerance:
             offset = 0.8
