@@ -188,11 +188,12 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str], units: str, masses
 
 def _geometry_of(sizes: Sizes, places: Places) -> Geometry:
     """Sizes and places, joined into one ``Geometry``. If their units differ, both are converted to millimetres."""
-    size, axes, size_unit, placed, columns = sizes
+    size, axes, size_unit, placed, columns, by_sizes = sizes
     place, place_unit, anchor, more, up = places
     if size_unit and place_unit and size_unit != place_unit:
         size, place = size * LENGTH_UNITS[size_unit], place * LENGTH_UNITS[place_unit]
         size_unit = place_unit = "mm"
+    anchor = anchor or by_sizes
     return Geometry(size, place, axes, size_unit, place_unit, anchor, placed, {**columns, **more}, named_up=up)
 
 

@@ -156,7 +156,7 @@ def wide_encoding(data: bytes | bytearray) -> str | None:
     head = bytes(data[:4])
     marked = next((name for mark, name in _MARKS if head.startswith(mark)), None)
     if marked == "utf-16":  # in Windows-1252, the two bytes of the mark are letters
-        return marked if b"\0" in data[2:4] or len(data) == 2 else None
+        return marked if b"\0" in data[2 : 1 << 12] or len(data) == 2 else None
     if marked is not None:
         return marked
     name = _ZEROS.get(tuple(map(bool, head)))

@@ -80,9 +80,10 @@ def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]
     heights = low[:, 2] - bottom
     offset = 0.0
     if abs(bottom) > tolerance:
-        offset = 1.0 if 0 < bottom < 1.2 * float(np.median(size[:, 2])) else 4.0
+        extent = float(((low + size).max(axis=0) - low.min(axis=0))[:2].max())
+        offset = 1.0 if 0 < bottom < max(1.2 * float(np.median(size[:, 2])), _HIGHEST_DECK * extent) else 4.0
         if abs(bottom - float(np.median(size[heights <= tolerance, 2])) / 2) <= tolerance:
-            offset = 2.0  # heights are rather those of centres
+            offset = 3.0  # heights are rather those of centres
         half = layout.container[2] / 2
         if not np.isnan(half) and abs(bottom + half) <= 2 * tolerance:
             offset = 0.8
@@ -130,6 +131,9 @@ def _floor_of(low: FloatArray, high: FloatArray, tolerance: float) -> float:
     return float(bottoms[0])
 
 
+_HIGHEST_DECK: Final = 0.2
+"""Largest height of a deck above the level from which heights are measured, as a share of the longest side of the
+load: a pallet of 800 mm is 144 mm high."""
 _FEW_BELOW: Final = 0.1
 """Boxes below a level count as errors of the file, and the level as the floor, only if they are at most this share of
 all boxes."""
@@ -215,13 +219,14 @@ _POINTS: Final = ((0.0, 0.0), (0.5, 0.5), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (0
 of the top, if y is the vertical axis."""
 
 
-def are_other_points(layout: Layout, mm: float, point: FloatArray) -> bool:
-    """Whether coordinates that were read as those of one point of each box, such as a corner, are probably those of
-    another point of each box. The vertical axis may be z or y.
+def vote_for_other_points(layout: Layout, mm: float, point: FloatArray) -> int:
+    """1 if coordinates that were read as those of one point of each box, such as a corner, are probably those of
+    another point of each box; −1 if they are probably those of the given point; 0 if unknown. The vertical axis may be
+    z or y.
 
-    Two conditions must hold. If coordinates are read as those of the other point, the load begins at a corner of the
-    deck, or is symmetric to the origin, along both horizontal axes. If coordinates are read as those of the given
-    point, neither is true of the load. The origin may be a corner of the deck, or the middle of a deck.
+    The result is 1 under two conditions. If coordinates are read as those of the other point, the load begins at a
+    corner of the deck, or is symmetric to the origin, along both horizontal axes. If coordinates are read as those of
+    the given point, neither is true of the load. The origin may be a corner of the deck, or the middle of a deck.
 
     Args:
         mm: the unit of the layout's lengths, in millimetres.
@@ -233,18 +238,20 @@ def are_other_points(layout: Layout, mm: float, point: FloatArray) -> bool:
     decks += [(0.0, 0.0), *((short, long) for long, short in decks)]
     if not np.isnan(layout.container[:2]).any():
         decks = [(0.0, 0.0), (float(layout.container[0]), float(layout.container[1]))]
+    fit_given_point = []
     for level in ((0, 1), (0, 2)):
         low, size = layout.low[:, level], layout.size[:, level]
         others = [low + size * (point[list(level)] - other) for other in _POINTS]
         extents = [(begin.min(axis=0), (begin + size).max(axis=0)) for begin in (low, *others)]
-        as_corners, *as_others = (
+        as_given, *as_others = (
             bool(np.abs(begin + end).max() <= tolerance)
             or any(float(np.abs(begin + np.array(deck) / 2).max()) <= tolerance for deck in decks)
             for begin, end in extents
         )
-        if any(as_others) and not as_corners:
-            return True
-    return False
+        if any(as_others) and not as_given:
+            return 1
+        fit_given_point.append(as_given)
+    return -1 if fit_given_point[0] else 0
 
 
 def order_cost(layouts: Sequence[Layout]) -> float:

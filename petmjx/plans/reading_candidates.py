@@ -293,7 +293,7 @@ def _rules(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tupl
     named_rule = wishes.sizes or form.sizes or ("placed" if geometry.placed else "")
     rules = []
     for number, rule in enumerate(columns.turns.rules):
-        if form.rule and rule != form.rule:
+        if form.rule in columns.turns.rules and rule != form.rule:
             continue
         if rule == "py3dbp" and number and not form.rule and "type" not in columns.turns.column.lower():
             continue

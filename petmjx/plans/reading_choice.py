@@ -17,7 +17,6 @@ from petmjx.plans.column_extraction import LAST_CELLS, XYZ
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS
 from petmjx.plans.plausibility import (
     Layout,
-    are_other_points,
     converted_share,
     deck_cost,
     density_cost,
@@ -30,6 +29,7 @@ from petmjx.plans.plausibility import (
     same_layouts,
     share_at_other_heights,
     side_cost,
+    vote_for_other_points,
 )
 from petmjx.plans.reading_candidates import Candidate, candidates, candidates_of_corners, candidates_on_side, layout_of
 from petmjx.plans.readings import POSES, AmbiguousFile, Evidence, Reading, Wishes, differences, overlap_text, tie_text
@@ -52,11 +52,12 @@ WEAK_LEAD: Final = 3.0
 value. If a plan really has odd boxes, even more boxes are odd in wrong readings."""
 _OTHER_POINT_COST: Final = 3.6
 """Cost of a reading in which coordinates are those of corners, if they are probably those of other points
-(``are_other_points``). For a reading with coordinates of centres, the cost is half as large: such coordinates may be
-those of the middles of tops, if y is the vertical axis."""
+(``vote_for_other_points``). For a reading with coordinates of centres, the cost is half as large: such coordinates may
+be those of the middles of tops, if y is the vertical axis."""
 _WALL_COST: Final = 2.0
-"""Cost of a reading in which boxes form a wall (``is_wall``). If y is as likely to be the vertical as z, and the file
-has more than a few boxes, the reading as a flat layer wins; else the user is asked for the vertical axis."""
+"""Cost of a reading in which boxes form a wall (``is_wall``) in all plans; if some plans are walls, their share of the
+cost. If y is as likely to be the vertical as z, and the file has more than a few boxes, the reading as a flat layer
+wins; else the user is asked for the vertical axis."""
 _MOST_BOXES: Final = 400
 _MOST_PLANS: Final = 12
 """Largest number of boxes, and largest number of plans, that are used to judge readings. The chosen reading applies to
@@ -198,9 +199,11 @@ def _begin_and_order_cost(judged: _Judged, mm: float, weight: float) -> tuple[fl
     """
     anchor = judged.candidate.anchor
     is_close = judged.layout_cost <= 2 * WEAK  # readings with higher costs cannot win
-    is_other = is_close and all(are_other_points(layout, mm, judged.candidate.point) for layout in judged.layouts)
+    point = judged.candidate.point
+    is_other = is_close and sum(vote_for_other_points(layout, mm, point) for layout in judged.layouts) > 0
     begin_cost = _OTHER_POINT_COST * is_other * (1.0 if "corner" in anchor else 0.5)
-    return begin_cost, weight * order_cost(judged.layouts) + _WALL_COST * any(map(is_wall, judged.layouts))
+    walls = float(np.mean([is_wall(layout) for layout in judged.layouts]))
+    return begin_cost, weight * order_cost(judged.layouts) + _WALL_COST * walls
 
 
 def _units(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[_Units]:

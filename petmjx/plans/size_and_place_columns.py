@@ -81,13 +81,15 @@ class Geometry:
 
 class Sizes(NamedTuple):
     """The sizes of boxes, and their columns. The fields mean the same as in :class:`Geometry`, where
-    ``unit`` is called ``size_unit``."""
+    ``unit`` is called ``size_unit``. ``anchor`` is the point of a box that places describe according to the sizes: the
+    centre if sizes are half sizes; "": none is given."""
 
     size: FloatArray
     axes: tuple[str, str, str]
     unit: str
     placed: bool
     columns: dict[str, str]
+    anchor: str = ""
 
 
 class Places(NamedTuple):
@@ -115,8 +117,9 @@ def sizes_in(extraction: ColumnExtraction) -> Sizes | None:
         if meaning is not None and meaning.kind == "sizes" and not meaning.of_container:
             values, unit = extraction.triples(index)
             first, second, third = meaning.order if len(meaning.order) == 3 else ("0", "1", "2")
-            factor = 2.0 if meaning.half else 1.0
-            return Sizes(values * factor, (first, second, third), unit, meaning.placed, {"sizes": header[index]})
+            factor, anchor = (2.0, "centre") if meaning.half else (1.0, "")
+            names = {"sizes": header[index]}
+            return Sizes(values * factor, (first, second, third), unit, meaning.placed, names, anchor)
     return None
 
 
@@ -141,7 +144,7 @@ def _sizes_of(extraction: ColumnExtraction, columns: Sequence[int], axes: tuple[
     values, unit = extraction.joined(columns)
     is_half = any((meaning := extraction.meanings[index]) is not None and meaning.half for index in columns)
     names = {role_of(axis): extraction.table.header[index] for axis, index in zip(axes, columns, strict=True)}
-    return Sizes(values * (2.0 if is_half else 1.0), axes, unit, placed, names)
+    return Sizes(values * (2.0 if is_half else 1.0), axes, unit, placed, names, "centre" if is_half else "")
 
 
 def _columns_of_sizes(extraction: ColumnExtraction) -> Iterator[tuple[tuple[int, ...], tuple[str, str, str], bool]]:
