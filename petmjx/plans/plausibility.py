@@ -267,6 +267,11 @@ def order_cost(layouts: Sequence[Layout]) -> float:
     return min(_cost_in_order(layouts, 1), _cost_in_order(layouts, -1))
 
 
+def are_listed_downwards(layouts: Sequence[Layout]) -> bool:
+    """Whether boxes cannot have been placed in the order in which they are listed, but in the reversed order."""
+    return _cost_in_order(layouts, -1) < _EARLY_BOX_COST <= _cost_in_order(layouts, 1)
+
+
 def _cost_in_order(layouts: Sequence[Layout], direction: int) -> float:
     """The cost of placing boxes in the listed order (``direction`` 1) or in the reversed order (-1)."""
     falls, rises, n_early = np.zeros(3), np.zeros(3), 0

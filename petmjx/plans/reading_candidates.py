@@ -42,7 +42,7 @@ _FIRM_COST: Final = 3.0
 rotations."""
 
 
-_UP: Final = {"z": (0, 1, 2), "y": (0, 2, 1), "x": (1, 2, 0)}
+_UP: Final = {"z": (0, 1, 2), "y": (0, 2, 1), "x": (1, 2, 0), "-z": (0, 1, 2), "-y": (0, 2, 1)}
 """The file's vertical axis → the file's axes (by their numbers) along the plan's x, y and z."""
 
 
@@ -76,9 +76,13 @@ class Candidate:
     @property
     def point(self) -> FloatArray:
         """(3,) the anchor, as shares of the extents along the plan's axes. The names of corners refer to the file's
-        axes."""
+        axes: the corner with the smallest coordinates is an upper one if heights are counted downwards."""
         point = np.array(ANCHORS[self.anchor])
-        return point[list(_UP[self.up])] if self.anchor.startswith("corner-") else point
+        if self.anchor.startswith("corner-"):
+            point = point[list(_UP[self.up])]
+        if self.up.startswith("-") and "corner" in self.anchor:
+            point[2] = 1 - point[2]
+        return point
 
     @property
     def along(self) -> tuple[str, str, str]:
@@ -124,7 +128,11 @@ def layout_of(columns: BoxColumns, candidate: Candidate, container: Mapping[str,
         unturned = candidate.geometry.size[:, candidate.pair] * candidate.scale
         place = place + np.einsum("nij,nj->ni", turn, (0.5 - point) * unturned) - (0.5 - point) * size
     size, place = size[:, order], place[:, order]
+    if candidate.up.startswith("-"):
+        place[:, 2] *= -1
     low = place - candidate.point * size
+    if candidate.up.startswith("-") and np.nanmax(low[:, 2] + size[:, 2]) <= 0:
+        low[:, 2] -= np.nanmin(low[:, 2])  # heights are measured from the top
     extents = _container_along(candidate, container or {}, order)
     if candidate.up == "y" and container and container.keys() == {"0", "1", "2"}:
         listed = np.array([container[axis] for axis in "012"])  # perhaps length, width, height, not x, y, z
@@ -200,6 +208,31 @@ def candidates_on_side(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidat
     if free and not (wishes.up or form.up or form.rule == "py3dbp" or columns.source.boxes.containers):
         for candidate in candidates(replace(columns, geometries=free), replace(wishes, up="x")):
             yield replace(candidate, prior=candidate.prior + X_UP_COST)
+
+
+def candidates_downwards(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
+    """Yield all readings in which heights are counted downwards along z or y, unless names, the form or the caller give
+    the vertical."""
+    form = columns.source.form
+    free = [geometry for geometry in columns.geometries if not geometry.named_up]
+    for geometry in () if wishes.up or form.up else free:
+        for up, axis, up_cost in (("-z", 2, 0.0), ("-y", 1, 1.0)):
+            heights = geometry.place[:, axis]
+            is_below = np.nanmax(heights, initial=-math.inf) <= 0 and np.nanmin(heights, initial=0.0) < 0
+            up_cost += _DOWNWARDS_COST if is_below else _DOWNWARDS_ABOVE_0_COST
+            ways = [(replace(wishes, up=up), up_cost)]
+            if not (wishes.anchor or form.anchor or geometry.anchor):
+                ways.append((replace(wishes, up=up, anchor=f"corner{up}"), up_cost + _LOWER_CORNER_COST))
+            for chosen, cost in ways:
+                for candidate in candidates(replace(columns, geometries=[geometry]), chosen):
+                    yield replace(candidate, prior=candidate.prior + cost)
+
+
+_DOWNWARDS_COST, _DOWNWARDS_ABOVE_0_COST = 2.0, 4.5
+"""Costs of a reading in which heights are counted downwards: if no height is above 0, and if some heights are."""
+_LOWER_CORNER_COST: Final = 0.3
+"""Cost of a reading in which heights are counted downwards, and coordinates are those of the lower corner, which has
+the largest height, instead of the upper one."""
 
 
 def candidates_of_corners(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:

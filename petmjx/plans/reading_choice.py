@@ -17,6 +17,7 @@ from petmjx.plans.column_extraction import LAST_CELLS, XYZ
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS
 from petmjx.plans.plausibility import (
     Layout,
+    are_listed_downwards,
     converted_share,
     deck_cost,
     density_cost,
@@ -31,8 +32,25 @@ from petmjx.plans.plausibility import (
     side_cost,
     vote_for_other_points,
 )
-from petmjx.plans.reading_candidates import Candidate, candidates, candidates_of_corners, candidates_on_side, layout_of
-from petmjx.plans.readings import POSES, AmbiguousFile, Evidence, Reading, Wishes, differences, overlap_text, tie_text
+from petmjx.plans.reading_candidates import (
+    Candidate,
+    candidates,
+    candidates_downwards,
+    candidates_of_corners,
+    candidates_on_side,
+    layout_of,
+)
+from petmjx.plans.readings import (
+    POSES,
+    AmbiguousFile,
+    Evidence,
+    Reading,
+    Wishes,
+    differences,
+    overlap_text,
+    tie_text,
+    up_words,
+)
 from petmjx.plans.size_and_place_columns import Geometry
 
 TIE: Final = 1.5
@@ -296,12 +314,27 @@ def choose_reading(
     (reading,) = readings
     if (rival := _other_mass(best)) is not None:
         reading = replace(reading, notes=(f"weights may be in {rival}, too (--units)",))
-    if turned:
-        reading = replace(reading, notes=(*reading.notes, f"{turned[0].candidate.up} may be upwards, too (--up)"))
+    if others := turned or _reversed_piles(judged):
+        note = f"{up_words(others[0].candidate.up).replace(' ', ' may be ')}, too (--up)"
+        reading = replace(reading, notes=(*reading.notes, note))
     if wishes.anchor and not wishes.exact:
         reading = replace(reading, notes=(*reading.notes, *_changes_by_anchor(reading, columns, wishes, sample)))
     alternatives = tuple(_reading(one, columns, wishes) for one in judged[1:4])
     return replace(reading, alternatives=alternatives), best.candidate
+
+
+def _reversed_piles(judged: Sequence[_Judged]) -> list[_Judged]:
+    """The readings in which the pile of the most plausible reading is upside down, if its boxes are listed from the top
+    down, and if the boxes of the reversed pile lie as well."""
+    best = judged[0]
+    return [
+        other
+        for other in judged[1:]
+        if other.candidate.up == f"-{best.candidate.up}"
+        and other.evidence.n_odd <= best.evidence.n_odd
+        and are_listed_downwards(best.layouts)
+        and not same_layouts(best.layouts, other.layouts)
+    ]
 
 
 def _along_further_axes(judged: Sequence[_Judged], two: Sequence[_Judged]) -> list[_Judged]:
@@ -381,8 +414,8 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
             break
         judged.append(_judge(columns, wishes, candidate, sample))
         lowest = min(lowest, judged[-1].cost)
-    for further in (candidates_on_side, candidates_of_corners):
-        if further is candidates_on_side or _is_doubtful(min(judged, key=lambda one: one.cost)):
+    for further in (candidates_on_side, candidates_downwards, candidates_of_corners):
+        if further is not candidates_of_corners or _is_doubtful(min(judged, key=lambda one: one.cost)):
             for candidate in sorted(further(columns, wishes), key=lambda one: one.prior):
                 if candidate.prior + _LOWEST_UNIT_COST > lowest + WEAK_LEAD:
                     break

@@ -102,7 +102,7 @@ class Reading:
         units: unit of lengths. If sizes and coordinates have different units, ``units`` is, for example, "cm/mm".
         masses: unit of masses.
         anchor: the point of a box that coordinates describe.
-        up: the file's vertical axis, "x", "y" or "z".
+        up: the file's vertical axis, "x", "y" or "z"; "-y" or "-z": heights are counted downwards.
         along: names of the sizes that lie along the plan's x, y and z, before boxes are turned.
         sizes: "placed": sizes of boxes as placed; "item": sizes before boxes are turned.
         rule: how boxes are turned (``ROTATION_RULES``).
@@ -170,7 +170,7 @@ class Reading:
             self.form,
             f"{lengths}, {self.masses}",
             f"coordinates of {_ANCHOR_WORDS[self.anchor]}",
-            f"{self.up} upwards",
+            up_words(self.up),
             f"{', '.join(self.along)} along x, y, z",
             self.size_words,
         ]
@@ -181,6 +181,11 @@ class Reading:
                 {"middle": "origin in the middle of the carrier", "floor": "heights from below the deck"}[self.origin]
             )
         return f"read as {'; '.join([*filter(None, parts), *self.notes, *self.odd])}"
+
+
+def up_words(up: str) -> str:
+    """A vertical axis in words: "z" → "z upwards", "-z" → "z downwards"."""
+    return f"{up[1:]} downwards" if up.startswith("-") else f"{up} upwards"
 
 
 _ANCHOR_WORDS: Final = {
@@ -260,7 +265,7 @@ def _column_words(reading: Reading) -> str:
 _DIFFERENCES: Final = (
     (("units",), "--units", _length_words),
     (("masses",), "--units", lambda reading: f"weights in {UNIT_WORDS.get(reading.masses, reading.masses)}"),
-    (("up",), "--up (x, y or z)", lambda reading: f"{reading.up} upwards"),
+    (("up",), "--up (x, y or z)", lambda reading: up_words(reading.up)),
     (("anchor",), "--anchor", lambda reading: f"coordinates of {_ANCHOR_WORDS[reading.anchor]}"),
     (("size_words",), "--sizes", lambda reading: reading.size_words),
     (("pose_words",), "", lambda reading: reading.pose_words),
@@ -286,7 +291,11 @@ def differences(one: Reading, two: Reading) -> list[tuple[str, str, str]]:
             if any(getattr(one, name) != getattr(two, name) for name in names)
         ]
 
-    return parts_of(_DIFFERENCES) or parts_of(_OF_COLUMNS)
+    parts = parts_of(_DIFFERENCES) or parts_of(_OF_COLUMNS)
+    if "-" in one.up + two.up:
+        replaced = "x, y or z", "x, y, z; -z: z downwards"
+        parts = [(option.replace(*replaced), first, second) for option, first, second in parts]
+    return parts
 
 
 def tie_text(readings: Sequence[Reading], weak: bool) -> str:
@@ -301,7 +310,7 @@ def tie_text(readings: Sequence[Reading], weak: bool) -> str:
     evidence = [reading.evidence.of_units() if of_units else str(reading.evidence) for reading in (one, two)]
     ways = f"{first} ({evidence[0]}), or {second} ({evidence[1]})"
     further = dict.fromkeys(other.up for other in readings[2:] if one.up != two.up and other.up not in (one.up, two.up))
-    ways += "".join(f"; {up} upwards is possible, too" for up in further)
+    ways += "".join(f"; {up_words(up)} is possible, too" for up in further)
     is_piled = weak and 2 * one.evidence.n_overlapping > one.evidence.n_boxes
     advice = f"{options}, or with --as FILE.toml" if options else "--as FILE.toml"
     return f"{reason} {ways}; {_SEVERAL if is_piled else ''}say which with {advice}"
@@ -310,7 +319,7 @@ def tie_text(readings: Sequence[Reading], weak: bool) -> str:
 def overlap_text(reading: Reading) -> str:
     """The line about a file in whose most plausible reading most boxes overlap."""
     return (
-        f"no reading is plausible; the best is coordinates of {_ANCHOR_WORDS[reading.anchor]}, {reading.up} upwards "
+        f"no reading is plausible; the best is coordinates of {_ANCHOR_WORDS[reading.anchor]}, {up_words(reading.up)} "
         f"({reading.evidence}); {_SEVERAL}if boxes really overlap, say --anchor {reading.anchor}"
     )
 
@@ -330,7 +339,7 @@ instead of a function, the file is refused without a question."""
 
 _TEXTS: Final = {
     "anchor": tuple(ANCHORS),
-    "up": ("z", "y", "x"),
+    "up": ("z", "y", "x", "-z", "-y"),
     "sizes": ("placed", "item"),
     "rule": tuple(ROTATION_RULES),
     "origin": ORIGINS,
