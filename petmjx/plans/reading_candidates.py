@@ -14,7 +14,7 @@ import numpy as np
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.column_extraction import SIZE_WORDS, XYZ, role_of
-from petmjx.plans.column_names import LENGTH_UNITS, words_of
+from petmjx.plans.column_names import LENGTH_UNITS, word_set, words_of
 from petmjx.plans.input_conventions import ANCHORS
 from petmjx.plans.plausibility import Layout
 from petmjx.plans.readings import POSES, Wishes
@@ -338,6 +338,7 @@ def _rules(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tupl
     turned = _FIRM_COST if named_rule == "placed" else 0.0
     if not named_rule:
         hint = _sizes_by_article(columns, geometry) or _sizes_by_length(columns, geometry)
+        hint = hint or _sizes_by_name(columns, geometry)
         placed, turned = placed + (2.5 if hint == "item" else 0.0), turned + (2.5 if hint == "placed" else 0.0)
     return [("none", placed), *((rule, prior + turned) for rule, prior in rules)]
 
@@ -392,6 +393,20 @@ def _sizes_by_length(columns: BoxColumns, geometry: Geometry) -> str:
     if unturned_share < _LONGER_SHARE:
         return ""
     return "item" if turned_share >= _LONGER_SHARE else "placed" if turned_share <= 1 - _LONGER_SHARE else ""
+
+
+_OF_ITEMS: Final = word_set("item article sku product original nominal unrotated")
+_OF_YAWS: Final = word_set("yaw theta heading azimuth psi")
+"""Words in names of sizes, and in the name of a column of rotations, that mean sizes before the box is turned."""
+
+
+def _sizes_by_name(columns: BoxColumns, geometry: Geometry) -> str:
+    """Whether sizes are those of the item, as names say. The result is "" if names do not say it."""
+    roles = {*map(role_of, geometry.axes), "sizes"}
+    names = [name for role, name in geometry.columns.items() if role in roles]
+    is_item = bool(names) and all(_OF_ITEMS.intersection(words_of(name)) for name in names)
+    is_yaw = columns.turns is not None and bool(_OF_YAWS.intersection(words_of(columns.turns.column)))
+    return "item" if is_item or is_yaw else ""
 
 
 def _anchors(geometry: Geometry, known: str, wishes: Wishes) -> list[tuple[str, float]]:

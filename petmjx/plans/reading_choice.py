@@ -216,7 +216,8 @@ def _begin_and_order_cost(judged: _Judged, mm: float, weight: float) -> tuple[fl
         weight: weight with which the order of boxes counts.
     """
     anchor = judged.candidate.anchor
-    is_close = judged.layout_cost <= 2 * WEAK  # readings with higher costs cannot win
+    # readings with higher costs cannot win, and names may say which point of a box coordinates describe
+    is_close = judged.layout_cost <= 2 * WEAK and not judged.candidate.geometry.anchor
     point = judged.candidate.point
     is_other = is_close and sum(vote_for_other_points(layout, mm, point) for layout in judged.layouts) > 0
     begin_cost = _OTHER_POINT_COST * is_other * (1.0 if "corner" in anchor else 0.5)
