@@ -196,7 +196,8 @@ def _judge(columns: BoxColumns, wishes: Wishes, candidate: Candidate, sample: _S
     judged = _Judged(candidate, cost, origin, evidence, tuple(layouts), all_rows)
     units = tuple(_units(judged, columns, wishes))
     weight = _PY3DBP_ORDER_WEIGHT if columns.source.form.rule == "py3dbp" else 1.0
-    begin, order = _begin_and_order_cost(judged, LENGTH_UNITS[units[0].length], weight)
+    knows_anchor = bool(candidate.geometry.anchor or wishes.anchor)
+    begin, order = _begin_and_order_cost(judged, LENGTH_UNITS[units[0].length], weight, knows_anchor)
     return replace(judged, units=units, begin_cost=begin, order_cost=order)
 
 
@@ -208,18 +209,20 @@ _PY3DBP_ORDER_WEIGHT: Final = 0.4
 py3dbp fills a container along x, then y, then z, whichever axis is the vertical."""
 
 
-def _begin_and_order_cost(judged: _Judged, mm: float, weight: float) -> tuple[float, float]:
+def _begin_and_order_cost(judged: _Judged, mm: float, weight: float, knows_anchor: bool) -> tuple[float, float]:
     """How implausible it is that the loads begin where they do, and that boxes are listed in this order.
 
     Args:
         mm: millimetres of a unit of the layouts.
         weight: weight with which the order of boxes counts.
+        knows_anchor: whether names or the caller say which point of a box coordinates describe.
     """
     anchor = judged.candidate.anchor
-    # readings with higher costs cannot win, and names may say which point of a box coordinates describe
-    is_close = judged.layout_cost <= 2 * WEAK and not judged.candidate.geometry.anchor
+    is_close = judged.layout_cost <= 2 * WEAK  # readings with higher costs cannot win
     point = judged.candidate.point
-    is_other = is_close and sum(vote_for_other_points(layout, mm, point) for layout in judged.layouts) > 0
+    is_other = (
+        is_close and not knows_anchor and sum(vote_for_other_points(layout, mm, point) for layout in judged.layouts) > 0
+    )
     begin_cost = _OTHER_POINT_COST * is_other * (1.0 if "corner" in anchor else 0.5)
     walls = float(np.mean([is_wall(layout) for layout in judged.layouts]))
     return begin_cost, weight * order_cost(judged.layouts) + _WALL_COST * walls
