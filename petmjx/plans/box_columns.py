@@ -143,6 +143,7 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str], units: str, masses
     used = {name for geometry in geometries for name in geometry.columns.values()}
     plan, plan_name = extraction.texts("plan", role="plan")
     plan = extraction.filled_down(plan, plan_name, least_rows=2.0)
+    extraction.check_numbers(plan, plan_name)
     article, article_name = extraction.texts("article", role="article")
     item_id, item_name = extraction.texts("item_id", "number", role="item_id")
     if item_id is None and article is None:

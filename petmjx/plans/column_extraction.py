@@ -380,6 +380,23 @@ class ColumnExtraction:
         self.source = replace(self.source, notes=(*self.source.notes, f"{printable_name(column)} filled down"))
         return filled_names
 
+    def check_numbers(self, names: list[str] | None, column: str) -> None:
+        """Check the names of plans or orders: if all names but that of a single row are whole numbers, this name is a
+        damaged number. Each number must occur several times.
+
+        Args:
+            names: the name of each row; None: there is no column.
+            column: name of the column.
+
+        Raises:
+            InputError: a name is a damaged number.
+        """
+        odd = [row for row, name in enumerate(names or ()) if not name.isdecimal()]
+        if names is None or len(odd) != 1 or 2 * len(set(names)) > len(names):
+            return
+        text = f'{printable_name(column)} must be a whole number ≥ 0, as in all other rows, got "{names[odd[0]]}"'
+        raise InputError(f"{self.table.places[odd[0]]}: {text}")
+
     def indices(self, kind: str, *, of_container: bool = False) -> list[int]:
         """Indices of the columns with this kind of meaning. Columns about containers are left out unless
         ``of_container`` is True."""

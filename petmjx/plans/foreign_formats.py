@@ -174,15 +174,13 @@ def _sources_of_markup(text: str) -> list[BoxSource]:
     Raises:
         InputError: the text has no lists of boxes.
     """
-    kind = foreign_kind(text.encode()[:4096]) or "is XML of another kind"
     if re.search(r"<table[\s>]", text, re.IGNORECASE) and re.search(r"<t[dh][\s>]", text, re.IGNORECASE):
         return sources_of_tables(tables_of_page(text), "a web page (HTML)")
-    try:
-        if sources := _sources_of_value(value_of_xml(text), "XML"):
-            return [replace(source, form=X3D) for source in sources] if re.search(r"<X3D[\s>]", text) else sources
-    except InputError:
-        pass
-    raise NoBoxes(kind)
+    if "HTML" in (kind := foreign_kind(text.encode()[:4096]) or ""):
+        raise NoBoxes(kind)
+    if not (sources := _sources_of_value(value_of_xml(text), "XML")):
+        raise NoBoxes("is XML without a list of boxes: petmjx looks for elements with places and sizes")
+    return [replace(source, form=X3D) for source in sources] if re.search(r"<X3D[\s>]", text) else sources
 
 
 def sources_of_tables(raw_tables: Sequence[RawTable], kind: str) -> list[BoxSource]:

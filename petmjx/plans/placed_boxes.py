@@ -115,14 +115,15 @@ def _deck_heights(
 
 def rows_below_deck(low: FloatArray, plans: Mapping[str, NDArray[np.int64]], size: FloatArray) -> set[int]:
     """Numbers of the rows of boxes below the deck, whose heights are probably wrong. A plan's deck is taken to be at
-    height 0 if the boxes below 0 have, together, less than half of the base area of the boxes at 0: such boxes cannot
-    carry the boxes at 0."""
+    height 0 if the boxes below 0 cannot carry the boxes at 0: if they have, together, less than half of the base area
+    of the boxes at 0, or if there are fewer of them, and the top of none is at 0."""
     below: set[int] = set()
     area = size[:, 0] * size[:, 1]
     for rows in plans.values():
         small = _LEVEL * float(np.nanmedian(size[rows, 2]))
         lower, at_0 = (rows[where] for where in (low[rows, 2] < -small, np.abs(low[rows, 2]) <= small))
-        if np.nansum(area[lower]) < np.nansum(area[at_0]) / 2:
+        carries = (np.abs(low[lower, 2] + size[lower, 2]) <= small).any()
+        if np.nansum(area[lower]) < np.nansum(area[at_0]) / 2 or (len(lower) < len(at_0) and not carries):
             below |= {*lower.tolist()}
     return below
 

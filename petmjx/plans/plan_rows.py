@@ -29,6 +29,8 @@ _MANY_OVERLAP: Final = 0.3
 """If at least this share of the boxes overlaps, two pallets have probably been read as one."""
 _LEAST_OF_PALLETS: Final = 4
 """Smallest number of boxes in a file for which petmjx searches for a column that names the pallets."""
+_LARGEST_NUMBER: Final = 2**53
+"""Largest number of a packing order. Larger numbers of this type may be rounded."""
 _OF_STACKS: Final = frozenset(("stack", "stacks", "stack id", "stack_id", "stack no", "stack_no", "stackid"))
 """Names of columns that may name pallets, or stacks of one pallet."""
 
@@ -197,6 +199,8 @@ def repeated_number(columns: BoxColumns, rows: NDArray[np.int64]) -> str | None:
         value = float(sequence[row])
         if not value.is_integer():
             return f"{places[row]}: {name} must be a whole number, got {value:g}"
+        if abs(value) > _LARGEST_NUMBER:
+            return f"{places[row]}: {name} is too large, got {value:g}"
         if value in first_rows:
             plans = "" if columns.plan else "; several plans? then name their column: --columns plan=NAME"
             unused = f"no packing order? then --columns sequence={IGNORED}"

@@ -47,7 +47,7 @@ from petmjx.plans.readings import (
     Reading,
     Wishes,
     differences,
-    overlap_text,
+    implausible_text,
     tie_text,
     up_words,
 )
@@ -310,7 +310,7 @@ def choose_reading(
         raise AmbiguousFile(tie_text(readings, is_weak), readings)
     if _is_impossible(best, columns, wishes):
         reading = _reading(best, columns, wishes)
-        raise AmbiguousFile(overlap_text(reading), [reading])
+        raise AmbiguousFile(implausible_text(reading), [reading])
     units = _likely_units(best, wishes)
     readings = [_reading(best, columns, wishes, choice) for choice in units]
     if len(units) > 1:
@@ -399,13 +399,21 @@ _LEAST_OVERLAPPING: Final = 6
 """A layout is impossible only if at least this number of its boxes overlap."""
 
 
+_LARGEST_PRIOR: Final = 7.0
+"""A reading with a vertical other than z and y is not taken if it costs at least this before any numbers are
+considered: then its points are unusual, too, or it contradicts names. It may be the most plausible reading because a
+number is damaged."""
+
+
 def _is_impossible(best: _Judged, columns: BoxColumns, wishes: Wishes) -> bool:
-    """Whether more than half of the boxes overlap in the most plausible reading, and neither the form nor the caller
-    says which point of a box coordinates describe."""
+    """Whether more than half of the boxes overlap in the most plausible reading, or the reading is unusual
+    (``_LARGEST_PRIOR``); and neither the form nor the caller says which point of a box coordinates describe."""
     n_overlapping = best.evidence.n_overlapping
     form = columns.source.form
     is_said = bool(wishes.anchor or wishes.exact or (form.anchor and form.up))
-    return not is_said and n_overlapping >= _LEAST_OVERLAPPING and 2 * n_overlapping > best.evidence.n_boxes
+    overlaps = n_overlapping >= _LEAST_OVERLAPPING and 2 * n_overlapping > best.evidence.n_boxes
+    is_unusual = best.candidate.up not in ("z", "y") and best.candidate.prior >= _LARGEST_PRIOR
+    return not is_said and (overlaps or is_unusual)
 
 
 def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> list[_Judged]:

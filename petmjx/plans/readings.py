@@ -316,11 +316,14 @@ def tie_text(readings: Sequence[Reading], weak: bool) -> str:
     return f"{reason} {ways}; {_SEVERAL if is_piled else ''}say which with {advice}"
 
 
-def overlap_text(reading: Reading) -> str:
-    """The line about a file in whose most plausible reading most boxes overlap."""
+def implausible_text(reading: Reading) -> str:
+    """The line about a file in whose most plausible reading most boxes overlap, or that contradicts names."""
+    options = f"if that is right, say --up {reading.up} --anchor {reading.anchor}"
+    if 2 * reading.evidence.n_overlapping > reading.evidence.n_boxes:
+        options = f"{_SEVERAL}if boxes really overlap, say --anchor {reading.anchor}"
     return (
         f"no reading is plausible; the best is coordinates of {_ANCHOR_WORDS[reading.anchor]}, {up_words(reading.up)} "
-        f"({reading.evidence}); {_SEVERAL}if boxes really overlap, say --anchor {reading.anchor}"
+        f"({reading.evidence}); {options}"
     )
 
 
