@@ -165,7 +165,7 @@ def packing_order(
 ) -> tuple[NDArray[np.int64], str, str]:
     """(n,) packing order of a plan's rows, from 1; the source of this order ("sequence", "rows" or "height"); and the
     name of the column of running numbers that is used as packing order ("": none). Adds notes to ``notes``."""
-    if columns.sequence is not None:
+    if columns.sequence is not None and not np.isnan(columns.sequence[rows]).all():
         return columns.sequence[rows].astype(np.int64), "sequence", ""
     order = np.arange(1, len(rows) + 1)
     possible = _can_be_placed(order, low, size)
@@ -192,7 +192,7 @@ def repeated_number(columns: BoxColumns, rows: NDArray[np.int64]) -> str | None:
     """The fault of a plan's packing order: a number that is repeated or is not whole. The result is None if there is no
     fault."""
     sequence, places = columns.sequence, columns.source.boxes.table.places
-    if sequence is None:
+    if sequence is None or np.isnan(sequence[rows]).all():
         return None
     name, first_rows = columns.columns["sequence"], dict[float, int]()
     for row in rows.tolist():

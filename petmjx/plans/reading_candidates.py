@@ -16,6 +16,7 @@ from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.column_extraction import SIZE_WORDS, XYZ, role_of
 from petmjx.plans.column_names import LENGTH_UNITS, word_set, words_of
 from petmjx.plans.input_conventions import ANCHORS
+from petmjx.plans.known_forms import SCENE
 from petmjx.plans.plausibility import Layout
 from petmjx.plans.readings import POSES, Wishes
 from petmjx.plans.size_and_place_columns import Geometry
@@ -185,6 +186,8 @@ def _ups(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tuple[
     if wishes.up:
         return [(wishes.up, 0.0)]
     form = columns.source.form
+    if form.name == SCENE.name:
+        return [(form.up, 0.0)]
     named_axis = form.up or geometry.named_up
     if named_axis:
         return [(up, 0.0 if up == named_axis else _FIRM_COST) for up in ("z", "y")]
@@ -217,8 +220,10 @@ def candidates_downwards(columns: BoxColumns, wishes: Wishes) -> Iterator[Candid
     free = [geometry for geometry in columns.geometries if not geometry.named_up]
     for geometry in () if wishes.up or form.up else free:
         for up, axis, up_cost in (("-z", 2, 0.0), ("-y", 1, 1.0)):
-            heights = geometry.place[:, axis]
-            is_below = np.nanmax(heights, initial=-math.inf) <= 0 and np.nanmin(heights, initial=0.0) < 0
+            tops = geometry.place[:, axis]
+            if geometry.anchor == "corner" and geometry.axes == XYZ:
+                tops = tops + geometry.size[:, axis]
+            is_below = np.nanmax(tops, initial=-math.inf) <= 0 and np.nanmin(tops, initial=0.0) < 0
             up_cost += _DOWNWARDS_COST if is_below else _DOWNWARDS_ABOVE_0_COST
             ways = [(replace(wishes, up=up), up_cost)]
             if not (wishes.anchor or form.anchor or geometry.anchor):

@@ -426,7 +426,7 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
             break
         judged.append(_judge(columns, wishes, candidate, sample))
         lowest = min(lowest, judged[-1].cost)
-    for further in (candidates_on_side, candidates_downwards, candidates_of_corners):
+    for further in (candidates_on_side, candidates_of_corners, candidates_downwards):
         if further is not candidates_of_corners or _is_doubtful(min(judged, key=lambda one: one.cost)):
             for candidate in sorted(further(columns, wishes), key=lambda one: one.prior):
                 if candidate.prior + _LOWEST_UNIT_COST > lowest + WEAK_LEAD:

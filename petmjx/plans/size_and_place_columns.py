@@ -13,8 +13,17 @@ from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
 from petmjx.plans.column_extraction import HALF_EXTENTS, LAST_CELLS, SIZE_WORDS, XYZ, ColumnExtraction, role_of
-from petmjx.plans.column_names import BASE_WORDS, CENTRE_WORDS, HALF_WORDS, LENGTH_UNITS, split_unit, word_set, words_of
+from petmjx.plans.column_names import (
+    BASE_WORDS,
+    CENTRE_WORDS,
+    HALF_WORDS,
+    LENGTH_UNITS,
+    split_unit,
+    word_set,
+    words_of,
+)
 from petmjx.plans.nested_fields import CORNER_NOISE
+from petmjx.plans.plausibility import density_cost, side_cost
 from petmjx.plans.turn_columns import Turns
 
 _ON_AXES: Final = {"0": "x", "1": "y", "2": "z", "length": "x", "width": "y", "height": "z", "depth": "z"}
@@ -453,7 +462,8 @@ def array_extras(extraction: ColumnExtraction, geometries: Sequence[Geometry]) -
     column of weights, and whether the weights are densities.
 
     A column of whole numbers from 0 to 5, some of them 0, holds rotations. A column of numbers up to ``_DENSEST`` holds
-    densities relative to water. A column of larger numbers holds weights.
+    densities relative to water. A column of larger numbers holds weights; if densities in
+    kg/m³ are more plausible, it holds these.
     """
     header = extraction.table.header
     used = {header.index(name) for name in geometries[0].columns.values()} if geometries else set()
@@ -466,8 +476,29 @@ def array_extras(extraction: ColumnExtraction, geometries: Sequence[Geometry]) -
                 rules = ("swap", "py3dbp") if values.max() <= 1 else ("py3dbp",)
                 turns = Turns(header[index], rules, values.astype(np.int64))
         elif weight is None and _mostly(values > 0):
-            weight, is_density = index, bool(values.max() <= _DENSEST)
+            weight = index
+            is_density = bool(values.max() <= _DENSEST) or _are_densities(values, geometries[0])
     return turns, weight, is_density
+
+
+def _are_densities(values: FloatArray, geometry: Geometry) -> bool:
+    """Whether numbers are more plausible as densities of boxes in kg/m³ than as weights in kg or g."""
+    is_good = (geometry.size > 0).all(axis=1)
+    values, volume = values[is_good], geometry.size[is_good].prod(axis=1)
+    if not len(values):
+        return False
+    costs = [
+        side_cost(float(np.median(volume)) ** (1 / 3) * mm)
+        + density_cost(float(np.median(values / volume)) * kg / (mm / 1000) ** 3)
+        for mm in (1.0, 10.0, 1000.0)
+        for kg in (1.0, 0.001)
+    ]
+    side = min(side_cost(float(np.median(volume)) ** (1 / 3) * mm) for mm in (1.0, 10.0, 1000.0))
+    return side + density_cost(float(np.median(values))) + _OF_DENSITIES < min(costs)
+
+
+_OF_DENSITIES: Final = 1.5
+"""Cost of reading an array's column without a name as densities in kg/m³. Such columns mostly hold weights."""
 
 
 def _mostly(rows: NDArray[np.bool_]) -> bool:
