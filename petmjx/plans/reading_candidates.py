@@ -10,6 +10,7 @@ from itertools import chain, permutations
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
@@ -20,6 +21,7 @@ from petmjx.plans.known_forms import SCENE
 from petmjx.plans.plausibility import Layout
 from petmjx.plans.readings import POSES, Wishes
 from petmjx.plans.size_and_place_columns import Geometry
+from petmjx.plans.turn_columns import Turns
 
 _SIX: Final = np.array([(0, 1, 2), (1, 0, 2), (1, 2, 0), (2, 1, 0), (2, 0, 1), (0, 2, 1)])
 """py3dbp's ``rotation_type`` → which of width, height and depth lies along each of the three axes (as in its function
@@ -102,18 +104,49 @@ def turned_sizes(columns: BoxColumns, candidate: Candidate) -> FloatArray:
     turns = columns.turns
     if candidate.rule == "none" or turns is None:
         return size
-    if candidate.rule == "letters":
-        assert turns.letters is not None
-        return np.take_along_axis(geometry.size, turns.letters, axis=1)
-    codes = np.maximum(turns.codes, 0)
     if candidate.rule in ("swap", "swap back", "degrees"):
+        codes = np.maximum(turns.codes, 0)
         first, second, _ = _UP[candidate.up]
         level = [{first: second, second: first}.get(axis, axis) for axis in range(3)]
         odd = codes % 2 == (candidate.rule != "swap back")
         return np.where(odd[:, None], size[:, level], size)
-    first = 1 if candidate.rule.endswith("from 1") else 0
-    six = _PERMUTATIONS if candidate.rule.startswith("permutations") else _SIX
-    return np.take_along_axis(size, six[np.clip(codes - first, 0, 5)], axis=1)
+    placed_sides = _sides_along_axes(turns, candidate.rule)
+    return np.take_along_axis(geometry.size if candidate.rule == "letters" else size, placed_sides, axis=1)
+
+
+def _sides_along_axes(turns: Turns, rule: str) -> NDArray[np.int64]:
+    """(n, 3) which of the three sizes of each box lies along each of the file's axes, for rules that may turn a box
+    about any axis."""
+    if rule == "letters":
+        assert turns.letters is not None
+        return turns.letters
+    first = 1 if rule.endswith("from 1") else 0
+    six = _PERMUTATIONS if rule.startswith("permutations") else _SIX
+    sides: NDArray[np.int64] = six[np.clip(np.maximum(turns.codes, 0) - first, 0, 5)]
+    return sides
+
+
+_TIPPED_COST, _TIPPED_NEXT_COST = 1.5, 1.0
+"""Costs of a reading in which some boxes are tipped on a side. The second cost holds if py3dbp's rotations are only 0
+and 1, since py3dbp tries 1 next if a box does not fit unturned, whichever axis is the vertical."""
+
+
+def tipping_cost(columns: BoxColumns, candidate: Candidate, rows: NDArray[np.int64]) -> float:
+    """How implausible it is that boxes are turned as in a reading: boxes on pallets mostly stay upright, so the same
+    side of all boxes is vertical.
+
+    Args:
+        rows: numbers of the rows that are examined.
+    """
+    turns, sizes = columns.turns, candidate.geometry.size[rows]
+    if turns is None or candidate.rule in ("none", "swap", "swap back", "degrees", *POSES):
+        return 0.0
+    sides = _sides_along_axes(turns, candidate.rule)[rows, axis_up(candidate.up)]
+    is_cube = np.ptp(sizes, axis=1) == 0  # its rotation shows nothing
+    if len(set(sides[~is_cube].tolist())) < 2:
+        return 0.0
+    codes = set(turns.codes[rows].tolist())
+    return _TIPPED_NEXT_COST if candidate.rule == "py3dbp" and codes <= {0, 1} else _TIPPED_COST
 
 
 def layout_of(columns: BoxColumns, candidate: Candidate, container: Mapping[str, float] | None = None) -> Layout:

@@ -39,6 +39,7 @@ from petmjx.plans.reading_candidates import (
     candidates_of_corners,
     candidates_on_side,
     layout_of,
+    tipping_cost,
 )
 from petmjx.plans.readings import (
     POSES,
@@ -118,7 +119,7 @@ class _Judged:
         units: all choices of units, cheapest first. The costs of units depend on which sides of the load lie on the
             deck.
         begin_cost: how implausible it is that the load begins where it does.
-        order_cost: how implausible it is that boxes are listed in this order.
+        order_cost: how implausible it is that boxes are listed in this order, and turned in this way.
     """
 
     candidate: Candidate
@@ -198,6 +199,7 @@ def _judge(columns: BoxColumns, wishes: Wishes, candidate: Candidate, sample: _S
     weight = _PY3DBP_ORDER_WEIGHT if columns.source.form.rule == "py3dbp" else 1.0
     knows_anchor = bool(candidate.geometry.anchor or wishes.anchor)
     begin, order = _begin_and_order_cost(judged, LENGTH_UNITS[units[0].length], weight, knows_anchor)
+    order += tipping_cost(columns, candidate, all_rows)
     return replace(judged, units=units, begin_cost=begin, order_cost=order)
 
 
