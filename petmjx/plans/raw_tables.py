@@ -89,7 +89,10 @@ def united(tables: Sequence[RawTable]) -> RawTable:
 def with_names_of(table: RawTable, first: RawTable) -> RawTable:
     """The table, in which a column whose name has the same meaning as that of another table's column gets the other
     name ("Pos. X [mm]" → "X [mm]"). The meaning must be known, and no further column of the two tables may have it."""
-    meanings, others = column_meanings(table.header), column_meanings(first.header)
+    meanings, others = (
+        [meaning and replace(meaning, letter=False) for meaning in column_meanings(header)]
+        for header in (table.header, first.header)
+    )
     names = {
         meaning: first.header[others.index(meaning)]
         for meaning in meanings

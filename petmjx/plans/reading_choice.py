@@ -307,7 +307,8 @@ def choose_reading(
     if rivals := close or [other for other in turned if other.candidate.prior < best.candidate.prior]:
         possible = [best, *rivals, *(other for other in turned if other not in rivals)]
         if possible[1].candidate.up != best.candidate.up and not is_weak:
-            possible[2:2] = [other for other in _along_further_axes(judged, possible[:2]) if other not in possible]
+            further = _along_further_axes(judged, possible[:2])
+            possible = [*possible[:2], *further, *(other for other in possible[2:] if other not in further)]
         readings = [_reading(one, columns, wishes) for one in possible[:4]]
         raise AmbiguousFile(tie_text(readings, is_weak), readings)
     if _is_impossible(best, columns, wishes):
@@ -344,8 +345,9 @@ def _reversed_piles(judged: Sequence[_Judged]) -> list[_Judged]:
 
 
 def _along_further_axes(judged: Sequence[_Judged], two: Sequence[_Judged]) -> list[_Judged]:
-    """The most plausible reading for each vertical axis that two readings lack, if its boxes lie as well as theirs."""
-    axes = {one.candidate.up for one in two}
+    """The most plausible reading for each of the axes x, y and z that is the vertical in neither of two readings, if
+    its boxes lie as well as theirs."""
+    axes = {"-y", "-z", *(one.candidate.up for one in two)}
     further = []
     for other in judged:  # most plausible first
         if (
