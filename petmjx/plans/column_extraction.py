@@ -69,7 +69,7 @@ _UNIT_WORDS: Final = word_set("unit units uom einheit masseinheit unite unites u
 _SURE_UNITS: Final = frozenset(("mm", "cm", "kg", "lb", "lbs", "inch", "inches"))
 """Texts that are recognised as units in a column of any name. Other units, such as "m" or "in", may also be words with
 another meaning."""
-_ORDER_WORDS: Final = frozenset(("order", "ordre", "orden", "ordine"))
+_ORDER_WORDS: Final = frozenset(("order", "ordre", "orden", "ordine", "ordem"))
 
 
 def role_of(axis: str) -> str:

@@ -169,7 +169,7 @@ _WORDS: Final[dict[Kind, frozenset[str]]] = {
     "sequence": word_set(
         "sequence seq step steps order packingorder packorder loadorder loadingorder placementorder rank reihenfolge "
         "schritt packreihenfolge ordre etape secuencia sequenza passo kolejnosc krok paso packfolge stapelfolge "
-        "ladefolge volgorde raekkefolge rekkefolge ordning jarjestys sequencia"
+        "ladefolge volgorde raekkefolge rekkefolge ordning jarjestys sequencia orden ordine ordem"
     ),
     "number": word_set(
         "nr no num number numero nummer index idx lfd lfdnr lp n pos position row zeile ligne fila riga wiersz"

@@ -270,6 +270,7 @@ def corners_in(extraction: ColumnExtraction) -> Geometry | None:
         {axis: columns[0] for axis, columns in _on_axes(extraction.columns_of(kind)).items()}
         for kind in ("low", "position", "high")
     )
+    high = high or _lists_beyond(extraction, low or plain)
     for begin, finish in ((low, high), (plain, high)):
         if not all(axis in begin and axis in finish for axis in XYZ):
             continue
@@ -290,6 +291,28 @@ def corners_in(extraction: ColumnExtraction) -> Geometry | None:
             near = ["its near corner"] * 3
             return _between(extraction, both[:, :3], both[:, 3:], unit, [index] * 3, near, {"corners": header[index]})
     return None
+
+
+def _lists_beyond(extraction: ColumnExtraction, near: Mapping[str, int]) -> dict[str, int]:
+    """x, y and z → the columns of the only list of three numbers of an unknown meaning, if its numbers are beyond the
+    near corners of nearly all boxes; else empty.
+
+    Args:
+        near: x, y and z → the columns of the near corners.
+    """
+    stems: dict[str, dict[str, int]] = {}
+    for index, meaning in enumerate(extraction.meanings):
+        stem, _, number = extraction.table.header[index].rpartition("[")
+        if meaning is None and number in ("0]", "1]", "2]"):
+            stems.setdefault(stem, {})[XYZ[int(number[0])]] = index
+    lists = [columns for columns in stems.values() if len(columns) == 3]
+    if len(lists) != 1 or near.keys() < {*XYZ}:
+        return {}
+    begin, end = (
+        np.array([extraction.numbers_or_median(columns[axis]) for axis in XYZ]) for columns in (near, lists[0])
+    )
+    is_beyond = _mostly(np.asarray((end > begin).all(axis=0))) and np.ptp(end, axis=1).any()  # colours may be equal
+    return lists[0] if is_beyond else {}
 
 
 _CORNER_NAME: Final = re.compile(r"([xyz])(?:[\s_.-]?([1-8])|\[([0-7])\])", re.IGNORECASE)

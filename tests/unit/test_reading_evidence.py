@@ -79,6 +79,8 @@ def test_numbered_coordinates_are_two_corners_in_json(tmp_path: Path) -> None:
     ends = np.hstack([np.array(PILE)[:, :3], np.array(PILE)[:, :3] + np.array(PILE)[:, 3:6], np.array(PILE)[:, 6:]])
     boxes = [dict(zip(names, row, strict=True)) for row in ends.tolist()]
     check(load(tmp_path, "plan.json", json.dumps({"unit": "mm", "boxes": boxes})))
+    lists = [{"flb": row[:3], "tbr": row[3:6], "kg": row[6]} for row in ends.tolist()]  # a list of an unknown name
+    check(load(tmp_path, "plan.json", json.dumps({"unit": "mm", "boxes": lists})))
 
 
 def test_numbers_of_several_plans_are_a_packing_order(tmp_path: Path) -> None:
