@@ -382,6 +382,8 @@ def height_fault(reading: Reading, candidate: Candidate, row: int) -> str:
     return f"{_place_names(reading.columns)[axis]} is below the deck, on which other boxes stand, got {height:g}"
 
 
+_FAR_MM: Final = 1000.0
+"""Smallest distance, mm, of a box that is far from all others."""
 _ALONG_EDGE: Final = 3
 """Least number of boxes that must begin at coordinate 0 if an edge of the load is to be assumed at 0. If the container
 is known, one box less is enough."""
@@ -400,7 +402,8 @@ def edge_faults(
     columns: BoxColumns, reading: Reading, candidate: Candidate, plans: Mapping[str, NDArray[np.int64]]
 ) -> dict[int, str]:
     """Row → fault, for the only box of a plan with a negative x or y, if most of it is beyond the edge of the load and
-    it touches no box at this edge. (If the origin is the middle of a side, a sound plan may have a box beside it.)"""
+    it touches no box at this edge (if the origin is the middle of a side, a sound plan may have a box beside it); and
+    for a box that is farther from all others than these extend."""
     faults: dict[int, str] = {}
     layout = layout_of(columns, candidate)
     for name, rows in plans.items() if reading.origin != "middle" else ():
@@ -415,7 +418,31 @@ def edge_faults(
                 row = int(rows[beyond[0]])
                 got = f"got {candidate.geometry.place[row, named]:g}"
                 faults[row] = f"{_place_names(reading.columns)[named]} is beyond the edge of the other boxes, {got}"
+    far = _FAR_MM / LENGTH_UNITS[reading.length_units[1]]
+    for rows in plans.values():
+        good_rows = rows[np.isfinite(layout.low[rows] + layout.size[rows]).all(axis=1)]
+        for axis, named in enumerate(level_axes(candidate.up)):
+            low = layout.low[good_rows, axis]
+            for box in _far_boxes(low, low + layout.size[good_rows, axis], far):
+                row = int(good_rows[box])
+                got = f"got {candidate.geometry.place[row, named]:g}"
+                faults.setdefault(row, f"{_place_names(reading.columns)[named]} is far from the other boxes, {got}")
     return faults
+
+
+def _far_boxes(low: FloatArray, high: FloatArray, least: float) -> list[int]:
+    """Indices of the boxes that are farther from all others along an axis than these extend.
+
+    Args:
+        low, high: (n,) where the boxes begin and end.
+        least: smallest distance of such a box.
+    """
+    far_boxes = []
+    for box in {int(np.argmin(high)), int(np.argmax(low))} if len(low) > _ALONG_EDGE else ():
+        begin, end = np.delete(low, box).min(), np.delete(high, box).max()
+        if max(begin - high[box], low[box] - end) > max(end - begin, least):
+            far_boxes.append(box)
+    return far_boxes
 
 
 def range_faults(columns: BoxColumns, reading: Reading, candidate: Candidate) -> dict[int, str]:

@@ -296,7 +296,7 @@ def choose_reading(
     if not sample:
         raise InputError("no row can be used")
     judged = _judged_candidates(columns, wishes, sample)
-    best = judged[0]
+    best = _without_last_cells(judged)
     tie = TIE + _FEW_MORE * (len(best.rows) < _FEW_BOXES)
     is_weak = best.layout_cost > WEAK
     lead = max(tie, WEAK_LEAD * is_weak)
@@ -328,6 +328,22 @@ def choose_reading(
         reading = replace(reading, notes=(*reading.notes, *_changes_by_anchor(reading, columns, wishes, sample)))
     alternatives = tuple(_reading(one, columns, wishes) for one in judged[1:4])
     return replace(reading, alternatives=alternatives), best.candidate
+
+
+def _without_last_cells(judged: Sequence[_Judged]) -> _Judged:
+    """The most plausible reading. If it takes far corners for the last cells of boxes, and a reading as ends is about
+    as plausible and gives the same piles but for the size of a cell, that reading is returned instead."""
+    best = judged[0]
+    if LAST_CELLS not in best.candidate.geometry.columns:
+        return best
+    ends = (
+        other
+        for other in judged
+        if LAST_CELLS not in other.candidate.geometry.columns
+        and other.cost < best.cost + TIE
+        and same_layouts(best.layouts, other.layouts)
+    )
+    return next(ends, best)
 
 
 def _reversed_piles(judged: Sequence[_Judged]) -> list[_Judged]:

@@ -15,6 +15,7 @@ from dataclasses import replace
 from typing import Final
 
 from petmjx.common.errors import InputError
+from petmjx.common.text import printable_name
 from petmjx.plans.embedded_tables import rows_of_sql, text_of_latex
 from petmjx.plans.file_formats import NoBoxes, wide_encoding
 from petmjx.plans.header_and_total_rows import LEAST_KNOWN, SEARCHED_ROWS, count_known_names
@@ -105,6 +106,11 @@ def tables_of_text(data: bytes | bytearray) -> list[RawTable]:
     rows = list(_fields(text, delimiter))
     if len(rows) > MOST_ROWS:
         raise InputError(f"has more than {MOST_ROWS:,} rows")
+    if len(rows) > 1 and not text.endswith("\n") and len(rows[-1]) < len(rows[-2]):
+        words = " ".join(rows[-1]).split()
+        if len(words) == 1:  # the beginning of a row; a remark has more words
+            lost.append((f"row {len(rows) - 1 + begin}", f"is no box: {printable_name(words[0])}; truncated?"))
+            del rows[-1]
     tables = tables_of_rows(rows, begin, lost=lost)
     comma = any(table.decimal == "," for table in tables)
     if comma:
