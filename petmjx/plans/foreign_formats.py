@@ -197,10 +197,11 @@ def sources_of_tables(raw_tables: Sequence[RawTable], kind: str) -> list[BoxSour
         if n_unplaced and table in unplaced:
             continue
         key = geometric_names(table.header) if table.has_header else table.header
-        for other_key, (first, *_) in groups.items() if table.has_header and key not in groups else ():
+        for other_key, (first, *_) in groups.items() if table.has_header else ():
             renamed = with_names_of(table, first)
             if geometric_names(renamed.header) == other_key:
                 key, table = other_key, renamed
+                break
         groups.setdefault(key, []).append(table)
     sources = []
     for tables in groups.values():

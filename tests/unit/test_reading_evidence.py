@@ -206,12 +206,13 @@ def test_sheets_with_other_names_of_columns_are_one_file(tmp_path: Path) -> None
     for sheet, header in (
         (book.active, "X [mm],Y [mm],Z [mm],L [mm],W [mm],H [mm],kg,Seq"),
         (book.create_sheet("B"), "Pos X [mm],Pos Y [mm],Pos Z [mm],Length [mm],Width [mm],Height [mm],Weight [kg]"),
+        (book.create_sheet("C"), "X [mm],Y [mm],Z [mm],L [mm],W [mm],H [mm],Gross weight [kg]"),
     ):
         names = header.split(",")
         for row in (names, *([*box, number][: len(names)] for number, box in enumerate(PILE))):
             sheet.append(row)
     book.save(tmp_path / "book.xlsx")
-    assert len(petmjx.load_plans(tmp_path / "book.xlsx").plans) == 2
+    assert len(petmjx.load_plans(tmp_path / "book.xlsx").plans) == 3
 
 
 PRINTED = """:::: pallet(1200x800x1500, max_weight:9)
