@@ -103,7 +103,7 @@ that did not compute intervals of possible forces lack the columns with the smal
 _OVER: Final = dict(
     zip(("overloaded", "surely_overloaded", "possibly_overloaded", "overloaded_at_peak"), _SHARES.values(), strict=True)
 )
-"""Name of a column of the table ``plans`` → name of the column of the table ``boxes`` from which it is computed: a
+"""Name of a column of the table ``plans`` → name of the column of the table ``boxes`` from which it is computed. A
 world is overloaded if the share of at least one of its boxes is above 1."""
 
 
@@ -121,9 +121,9 @@ class Loads:
         notes: warnings, one per line: about an unfinished run, about articles without a known strength, and about
             forces at rest in stacks that were wrapped in film and then shaken.
         stacking: the options with which these results were computed: how much strength boxes lose by stacking.
-        ways: for the run of a transport chain, one row for each plan and remedy (a change to the chain or the load):
-            the share of worlds that arrive, and the share that arrive without crushed boxes. ``ways`` is None if the
-            run did not simulate a transport chain.
+        ways: one row for each plan and remedy (a change to the chain or the load), with the share of worlds that
+            arrive, and the share that arrive without crushed boxes; only for the run of a transport chain. ``ways`` is
+            None if the run did not simulate a transport chain.
     """
 
     run: Path

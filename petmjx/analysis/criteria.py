@@ -224,8 +224,8 @@ def tolerable_acceleration_g(contacts: PlanContacts, hulls: Hulls, friction: flo
     far, begins to slide or tip.
 
     The box and the load count as rigid bodies. A body slides when the acceleration in g reaches the coefficient of
-    friction. A body tips when the acceleration in g reaches a / h. a is the horizontal distance between the body's
-    centre of mass and the edge over which the body tips, and h is the height of the centre above this edge. Both
+    friction. A body tips when the acceleration in g reaches a / h. Here, a is the horizontal distance between the
+    body's centre of mass and the edge over which the body tips, and h is the height of the centre above this edge. Both
     conditions follow from statics; EN 12195-1 has the same conditions.
     """
     half_mm = contacts.centre_mm[:, 2] - contacts.corner_mm[:, 2]
@@ -294,7 +294,7 @@ def load_points(contacts: PlanContacts) -> dict[str, float]:
         ]
     )
     middle = edges.mean(axis=0) if on_carrier.any() else np.full(2, np.inf)
-    # (n, 2) the share of each box's base whose x, or whose y, is smaller than that of the footprint's middle
+    # (n, 2) the share of each box's base that is on the lower side of the footprint's middle, along x and along y
     left = np.clip((middle - low[:, :2]) / contacts.size_mm[:, :2], 0.0, 1.0)
     quadrants = [contacts.mass_kg @ (x * y) for x in (left[:, 0], 1 - left[:, 0]) for y in (left[:, 1], 1 - left[:, 1])]
     above = ~np.isin(np.arange(contacts.n_boxes), contacts.upper[on_carrier])

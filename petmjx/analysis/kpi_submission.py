@@ -2,8 +2,8 @@
 submission's file.
 
 The file has a name of the form ``{DATE}_{SURNAME}_{ALGORITHM}_{TASK}.json``. The leaderboard's page
-(floriankagerer.github.io/leaderboard) defines the tasks: either all items are known (offline), or items arrive one
-after the other (O3DBP), or p items are known and the packer chooses one of the next s (O3DBP-p-s).
+(floriankagerer.github.io/leaderboard) defines three tasks. All items are known (offline); or items arrive one after the
+other (O3DBP); or p items are known, and the packer chooses one of the next s (O3DBP-p-s).
 """
 
 from __future__ import annotations

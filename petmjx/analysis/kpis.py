@@ -305,9 +305,9 @@ def kpis_of(plan: Plan, order: Order, matching: Matching | None = None) -> dict[
 
 
 def _interlocked_share(plan: Plan, n_below: np.ndarray[Any, np.dtype[np.int64]]) -> float | None:
-    """Among the boxes that lie on other boxes, the share that holds the pile together: boxes that lie on several boxes,
-    and boxes that lie on one box and are turned differently from the plan's first box. The share is None if all boxes
-    stand on the target."""
+    """The share of boxes that hold the pile together, among the boxes that lie on other boxes. A box holds the pile
+    together if it lies on several boxes, or if it lies on one box and is turned differently from the plan's first box.
+    The share is None if all boxes stand on the target."""
     turned = plan.turned != plan.turned[0]
     n_above = int(np.count_nonzero(n_below))
     interlocked = (n_below > 1) | ((n_below == 1) & turned)
@@ -375,8 +375,8 @@ def _notes(plans: Mapping[str, Plan], orders: Mapping[str, Order]) -> list[str]:
 def _odd_boxes(
     plans: Mapping[str, Plan], orders: Mapping[str, Order], matchings: Mapping[str, Matching]
 ) -> Iterator[str]:
-    """Yield up to two lines for the user: one about boxes that were not ordered, with the first plan that has such
-    boxes, and one about boxes that were matched with ordered items by size alone."""
+    """Yield up to two lines for the user. One is about boxes that were not ordered, and names the first plan that has
+    such boxes. The other is about boxes that were matched with ordered items by size alone."""
     odd = OddBoxes()
     for name, matching in matchings.items():
         odd.add(plans[name], orders[name], matching)
@@ -384,8 +384,7 @@ def _odd_boxes(
 
 
 def _unknown(frame: pd.DataFrame, stability: Stability) -> list[str]:
-    """Lines for the user about plans for which no run tells whether they stand, although the runs tell it for other
-    plans."""
+    """Lines for the user about plans of which no run tells whether they stand, if runs tell it of other plans."""
     notes = []
     for column, known in (("kpi_6", stability.their_rule), ("stable", stability.stable)):
         missing = frame.loc[frame[column].isna(), "plan_id"].tolist()

@@ -115,18 +115,18 @@ class PackerComparison:
         runs: name of each packer → folder of its run.
         confidence: confidence of all intervals.
         packers: one row for each packer and size class of orders; the class ``all``, of all orders, comes first.
-            Columns: ``size``; ``packer``; the number ``n`` of compared orders; the number ``n_stable`` of compared
-            orders whose plan stands; ``share`` (n_stable / n) with its Wilson interval ``low``, ``high``; the means of
-            ``MEASURES`` over the compared orders and, if orders are given, the means of ``KPIS``; the number
-            ``n_orders`` of orders in the size class, of which ``n_invalid`` have an invalid simulation and
-            ``n_missing`` have no plan; and ``share_at_worst``. Runs of transport chains also have the mean of
-            ``p_arrives`` (the probability of arrival), with its interval ``p_low``, ``p_high`` over orders.
+            Columns: ``size``; ``packer``; ``n``, the number of compared orders; ``n_stable``, the number of these
+            orders whose plan stands; ``share`` (n_stable / n) with its Wilson interval ``low``, ``high``; and the means
+            of ``MEASURES`` over the compared orders. If orders are given, the means of ``KPIS`` are added. ``n_orders``
+            is the number of all orders in the size class: ``n_invalid`` of them have an invalid simulation, and
+            ``n_missing`` have no plan. The last column is ``share_at_worst``. Runs of transport chains also have the
+            mean of ``p_arrives`` (the probability of arrival), with its interval ``p_low``, ``p_high`` over orders.
         pairs: one row for each pair of packers and size class. Columns: ``a``, ``b``, ``n``; the numbers of orders
-            whose plans stand for ``both`` packers, ``only_a``, ``only_b`` or ``neither``; ``difference`` (share of b −
-            share of a) with Newcombe's interval ``low``, ``high``; ``p`` of McNemar's exact test; and ``p_holm``, which
-            is corrected for the number of pairs. ``p`` and ``p_holm`` exist only for the class ``all``, because the
-            other classes are not meant for tests. Runs of chains also have ``p_gain``, the mean over orders of
-            (``p_arrives`` of b − ``p_arrives`` of a), with its interval ``p_gain_low``, ``p_gain_high``.
+            whose plans stand for ``both`` packers, ``only_a``, ``only_b`` or ``neither``; and ``difference`` (share of
+            b − share of a) with Newcombe's interval ``low``, ``high``. ``p`` is the p-value of McNemar's exact test;
+            ``p_holm`` is ``p``, corrected for the number of pairs. ``p`` and ``p_holm`` exist only for the class
+            ``all``, because the other classes are not meant for tests. Runs of chains also have ``p_gain``, the mean
+            over orders of (``p_arrives`` of b − ``p_arrives`` of a), with its interval ``p_gain_low``, ``p_gain_high``.
         reasons: why a plan of one packer falls although the other packer's plan for the same order stands. Columns: the
             pair ``a``, ``b``; the packer ``lost_by`` whose plans fall; the ``reason``; and the number ``n`` of orders
             with this reason.

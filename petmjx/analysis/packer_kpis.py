@@ -1,5 +1,5 @@
-"""Compares packers' plans with the orders for which the plans were made: finds out which boxes of the plans were
-ordered, and computes the KPIs (key performance indicators) of BED-BPP, a public benchmark for packing."""
+"""Compares packers' plans with the orders for which the plans were made: finds out which boxes were ordered, and
+computes the KPIs (key performance indicators) of BED-BPP, a public benchmark for packing."""
 
 from __future__ import annotations
 

@@ -44,8 +44,8 @@ column exists if all runs simulated transport chains."""
 
 
 def with_engine_of(run: RunResults, options: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """The options for scoring a further packer, with the engine of a run of another packer: verdicts near a threshold
-    may differ between engines, so ``auto`` must not choose another engine for plans that are compared.
+    """The options for scoring a further packer. They name the engine of another packer's run: verdicts near a threshold
+    may differ between engines, so plans that are compared need the same engine.
 
     Args:
         run: a run of another packer that was made with the same options on this machine.

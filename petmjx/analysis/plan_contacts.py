@@ -1,5 +1,5 @@
-"""Finds the contacts of boxes: the rectangles on which boxes lie, the rectangles at which boxes touch side by side, and
-the points at which boxes touch when a simulation has come to rest.
+"""Finds the contacts of boxes: rectangles on which boxes lie, rectangles at which boxes touch side by side, and points
+at which boxes touch at rest, after a simulation.
 
 ``find_contacts`` and ``find_sides`` use the places of boxes in the plan. ``find_touch_points`` uses the boxes' final
 poses in a simulation, and MuJoCo's collision detection. ``Hulls`` holds the convex hulls of the areas on which boxes
@@ -61,9 +61,8 @@ class Hulls:
         return inside
 
     def reach(self, hull: IntArray, middle: FloatArray, point: FloatArray) -> FloatArray:
-        """(p,) distance of each of p points from another point, ``middle``, inside the polygon of a box, as a share of
-        the distance from ``middle`` to the polygon's edge in the same direction: 0 at ``middle``, 1 on the edge, more
-        than 1 outside.
+        """(p,) position of each of p points on the ray from ``middle``, a point inside the box's polygon, through the
+        point: 0 at ``middle``, 1 on the polygon's edge, more than 1 outside.
 
         Args:
             hull: (p,) for each point, the index of the box whose polygon is used.
@@ -149,9 +148,9 @@ class PlanContacts:
     boxes, so even a box that extends beyond the carrier lies on it with its whole base. If the carrier is made of
     boards, the box lies on the deck boards that it overlaps along x and y, and each board is a separate contact.
 
-    A box lies on another box if the other box was placed earlier, the bottom of the box is at the height of the other
-    box's top, and the two boxes overlap along x and y. If the lower of two boxes is placed after the upper box, it
-    bears nothing: the upper box would already have fallen.
+    A box lies on another box if that box was placed earlier, its top is at the height of the upper box's bottom, and
+    the two boxes overlap along x and y. If the lower of two boxes is placed after the upper box, it bears nothing: the
+    upper box would already have fallen.
 
     Attributes:
         size_mm, corner_mm: (n, 3) sizes and corners of the boxes, as in the plan.
@@ -352,8 +351,8 @@ def _with_walls(sides: Sides, contacts: PlanContacts, room: Room) -> Sides:
 
 LYING_GAP_M: Final = TOUCH_M
 """Largest gap between two boxes of which one lies on the other, m, as in the criteria. A smaller limit would ignore
-some supports: if three supports have the same planned height, differences of micrometres determine which of them bear
-the load, and these differences vary between simulators and between real pallets."""
+some supports. If three supports have the same planned height, differences of micrometres determine which of them bear
+the load. These differences vary between simulators, and between real pallets."""
 
 SIDE_GAP_M: Final = 1e-5
 """Largest gap between two boxes that touch side by side, m: slightly more than the rounding error of a pose in float32.
@@ -403,7 +402,7 @@ def find_touch_points(scene: Scene, physics: Physics, pos: FloatArray, quat: Flo
 
     model = build_spec(scene, physics).compile()
     model.pair_margin[:] += LYING_GAP_M
-    model.geom_margin[:] += LYING_GAP_M / 2  # half of it, because MuJoCo adds the margins of two geoms
+    model.geom_margin[:] += LYING_GAP_M / 2  # half of the gap, because MuJoCo adds the margins of two geoms
     data = mujoco.MjData(model)
     poses = data.qpos.reshape(-1, 7)[1:]  # the first row is the pose of the carrier
     poses[:, :3], poses[:, 3:] = scene.frames(pos, quat), quat

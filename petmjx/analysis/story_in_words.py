@@ -226,7 +226,7 @@ def _leans(story: Story) -> str:
 
 
 def first_box_in_words(story: Story) -> str:
-    """A sentence that states which box failed first, at which time and why; "" if no box failed."""
+    """A sentence about the first box that failed: which box, when and why; "" if no box failed."""
     box = story.outcome.culprit
     if box < 0:
         return ""
@@ -244,8 +244,8 @@ def _gap_mm(story: Story, box: int) -> float:
 
 
 def _signs(story: Story, box: int) -> list[str]:
-    """A text for each limit that the box had crossed at the moment at which the first box of the world failed, such as
-    "was tilted by 20.1° (limit 20°)". Values between two frames are interpolated."""
+    """A text for each limit that the box had crossed when the first box of the world failed, such as "was tilted by
+    20.1° (limit 20°)". Values between two frames are interpolated."""
     limits = thresholds_of(story)
     pos, quat = (_at(story, values[:, box])[None] for values in (story.history.pos, story.history.quat))
     if not np.isfinite(pos).all():

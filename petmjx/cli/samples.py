@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
 DEFAULT_SAMPLES: Final = 100
 MOST_SHOWN: Final = 10
-"""Largest number of lines about random orders with boxes left out (one line per order), and largest number of orders
-that the line names about orders without a packing that stands often enough."""
+"""Largest number of lines about random orders with boxes left out, one line per order. One more line is about orders
+without a packing that stands often enough, and names at most this number of orders."""
 
 
 @opt.takes(

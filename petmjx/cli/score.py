@@ -31,13 +31,13 @@ def score(plans: opt.PlanPaths = None, names: Names = None, as_json: opt.JsonOpt
     The command reads the plans, simulates the placement of their boxes, and writes a verdict for each plan and metrics
     for each plan and box, as Parquet. Unusable plans are skipped, counted and listed.
 
-    With --confidence N, the command also reports how certain the verdicts are: it simulates each plan N more times with
+    With --confidence N, the command also reports how certain the verdicts are. It simulates each plan N more times with
     random errors, and reports the share of these simulations in which the plan stands, with a 95 % interval. The
     command also reports plans whose interval contains one half, since such a plan may as well stand as fall.
 
-    With --chain NAME, the command also reports how likely each plan is to arrive at the end of a transport chain: the
-    share of simulations in which the plan stands after all legs (stages of the transport), the weakest leg, and
-    remedies.
+    With --chain NAME, the command also reports how likely each plan is to arrive at the end of a transport chain. It
+    reports the share of simulations in which the plan stands after all legs (stages of the transport), the weakest leg,
+    and remedies.
     """
     from petmjx import api
 

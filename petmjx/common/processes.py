@@ -64,9 +64,9 @@ def _begin(gpu: bool, nice: int) -> None:
 
 
 DEFAULT_THREADS: Final = 2
-"""Default number of threads. More threads would only wait for Python's global lock. As an example, computing places for
-boxes on 2,048 pallets took 155 ms with one thread, 118 ms with two, 141 ms with eight and 158 ms with sixteen, on the
-CPU of a machine with an H200 GPU."""
+"""Default number of threads. More threads would only wait for Python's global lock. On the CPU of a machine with an
+H200 GPU, computing places for boxes on 2,048 pallets took 155 ms with one thread, 118 ms with two, 141 ms with eight
+and 158 ms with sixteen."""
 
 _FEW: Final = 2
 """Largest number of calls that ``on_threads`` makes on the calling thread alone. For one or two calls, other threads

@@ -8,7 +8,7 @@ then two attempts with conjugate gradients (CG). In the paper's reference implem
 solver only repeats the first, deterministic simulation. In petmjx, attempts 2 and 4 give the solver up to
 ``CAREFUL_ITERATIONS`` iterations and the tolerance ``CAREFUL_TOLERANCE``, which help if the solver stopped too early.
 
-C MuJoCo is the *fallback* of the MJX engines (``FALLBACKS``): it simulates the worlds that an MJX engine cannot
+C MuJoCo is the *fallback* of the MJX engines (``FALLBACKS``). It simulates the worlds that an MJX engine cannot
 simulate, and the worlds for which an MJX engine returned no outcome because of an error. ``mujoco`` itself and engines
 that users wrote have no fallback.
 """

@@ -50,11 +50,11 @@ the adaptive schedule took 17 s, and 4,000 plans with the fixed schedule took 21
 cheap steps, in which all boxes are at rest. In the remaining steps, boxes move and pallets collapse."""
 
 JAX_POWER, WARP_POWER = 2.0, 1.0
-"""Over whole runs, the cost of a step grows with the number of boxes to the power ``JAX_POWER`` on ``mjx-jax``, and to
-the power ``WARP_POWER`` on ``mjx-warp``, where steps at rest are cheap and plans with more boxes are at rest in a
-larger share of their steps. While n boxes are placed one by one, the cost of a step on ``mjx-warp`` is the mean of the
-costs with 1, 2, …, n boxes: about 1 / (``WARP_POWER`` + 1) of the cost with n boxes. On ``mjx-jax``, all boxes are in
-the model from the beginning, so every step has the full cost."""
+"""Over whole runs, the cost of a step grows with the number of boxes: to the power ``JAX_POWER`` on ``mjx-jax``, and to
+the power ``WARP_POWER`` on ``mjx-warp``. On ``mjx-warp``, steps at rest are cheap, and plans with more boxes are at
+rest in a larger share of their steps. While n boxes are placed one by one, the cost of a step on ``mjx-warp`` is the
+mean of the costs with 1, 2, …, n boxes. This is about 1 / (``WARP_POWER`` + 1) of the cost with n boxes. On
+``mjx-jax``, all boxes are in the model from the beginning, so every step has the full cost."""
 
 SHAKEN_FACTOR = 2.5
 """Cost of a step of a drive on a device, relative to a step of the same pallet with the fixed schedule. Measured on an
@@ -65,12 +65,12 @@ FALLING_FACTOR = 4.0
 plans of 24 boxes that fall took 4 s."""
 
 DRIVE_TAIL_STEPS = 1150
-"""The longest drives of a run on a device take as long as if the mean drive had this number of steps and ended like a
-placement, whatever the length of the profile: after some drives, boxes creep for a long time."""
+"""On a device, the longest drives of a run take as long as if the mean drive had this number of steps and ended like a
+placement. The length of the profile does not matter: after some drives, boxes creep for a long time."""
 
 TAIL_WORLDS = 5
 """The longest of n worlds on a device takes ``Costs.gpu_tail_s`` · ln(1 + n / ``TAIL_WORLDS``) per unit of the mean
-world's work: lengths of worlds have an exponential tail, so the longest of n worlds grows with the logarithm of n."""
+world's work. The lengths of worlds have an exponential tail, so the largest length grows with the logarithm of n."""
 
 REST_POWER = 1.25
 """The cost of a step at rest on a CPU thread grows with this power of the number of standing boxes."""
@@ -112,8 +112,8 @@ FALL_BOXES = 7
 
 STATIC_FALL_BOXES = 12
 """A fall in a static check of n boxes costs n / ``STATIC_FALL_BOXES`` times as much as a fall while boxes are placed
-one by one, since all boxes may fall. Static checks of plans of 24 boxes took 1 to 1.4 times as long as
-placing the boxes one by one, and those of generated plans of 41 boxes 1.6 to 5 times as long."""
+one by one, since all boxes may fall. Static checks took 1 to 1.4 times as long as placing the boxes one by one for
+plans of 24 boxes, and 1.6 to 5 times as long for generated plans of 41 boxes."""
 
 LOST = 0.5
 """Number of steps of a fall in a placement with errors, relative to a fall in a placement without errors. The cost of
@@ -146,8 +146,8 @@ FAILING_BOXES = 0.008
 20 plans of 18 to 71 boxes, about 26 failed; of ten worlds of two plans of 146 and 238 boxes, six failed."""
 
 FAILING_POWER = 2.5
-"""The time of a world with errors grows with this power of the share of boxes that are placed before one fails: the
-number of steps grows with the share, and the time of a step with the number of standing boxes."""
+"""The time of a world with errors grows with this power of the share of boxes that are placed before one fails. The
+number of steps grows with this share, and the time of a step grows with the number of standing boxes."""
 
 DRIVEN_SWAY = 4.0
 """Number of additional steps of a drive of compliant boxes, relative to those of one placement: a drive makes a pile
@@ -169,8 +169,8 @@ slowly; a pile that sways much more falls before all boxes are placed. The numbe
 DISPLACED_COST, CARRIED_COST = 2.8, 4.5
 """Cost of a placement with errors on a device, relative to a placement without errors. ``DISPLACED_COST`` is for boxes
 that appear at places with errors, and may slip into gaps between other boxes. ``CARRIED_COST`` is for boxes that are
-carried to their places. On one GPU, 8,000 worlds with errors (of 500 plans) took 35 s if boxes appeared, 4,000 worlds
-with errors (of 250 plans) took 30 s if boxes were carried by hand, and 10,003 worlds without errors took 17 s."""
+carried to their places. On one GPU, 10,003 worlds without errors took 17 s. With errors, 8,000 worlds (of 500 plans)
+took 35 s if boxes appeared, and 4,000 worlds (of 250 plans) took 30 s if boxes were carried by hand."""
 
 
 _SHARES = 50
@@ -178,9 +178,9 @@ _SHARES = 50
 
 LONG_PLACEMENT, LONG_DRIVE = 3.0, 2.5
 """A world is long if its placement takes more than ``LONG_PLACEMENT`` times as many steps as a placement whose boxes
-stand, or its drive more than ``LONG_DRIVE`` times the expected steps, not counting the rest window. A placement of
-fewer than ``FALL_STEPS`` steps is never long. So worlds of few boxes that fall are not long, although they take 400 to
-650 steps, while worlds of few boxes that stand take only 165 to 210."""
+stand, or if its drive takes more than ``LONG_DRIVE`` times the expected steps. The rest window does not count. A
+placement of fewer than ``FALL_STEPS`` steps is never long. So worlds of few boxes that fall are not long, although they
+take 400 to 650 steps, while worlds of few boxes that stand take only 165 to 210."""
 
 
 def rest_steps(sim: Simulation, rest_s: float, quiet_steps: int = DRIVEN_QUIET_STEPS) -> int:
@@ -233,8 +233,8 @@ class Work:
         displaced: number of placements in which boxes appear at places with errors, or with changed sizes.
         carried: number of placements with errors of places or sizes in which boxes are carried to their places.
         drive_steps: steps of one drive, including ``rest_steps``; the mean over profiles.
-        rounds: number of drives of a pallet that follow one another, since the results of earlier drives decide on
-            them: the rounds of a search, or the legs of a chain.
+        rounds: number of drives of a pallet that must follow one another, because later drives depend on the results of
+            earlier ones: the rounds of a search, or the legs of a chain.
         filmed: share of the steps of drives in which pallets are wrapped in film, 0 to 1: one value for all plans, or
             one for each plan.
         gentle: share of the steps of drives whose largest horizontal acceleration is at most ``STEADY_G``, 0 to 1, as
@@ -245,8 +245,8 @@ class Work:
         ties: for each plan, the mean number of supports that a box has in addition to its first support
             (petmjx.plans.loose_boxes); if ``ties`` is empty, ``TYPICAL_TIES`` is used.
         placed_share: for each plan, the share of its boxes that are placed before the first box that tips over at once
-            (petmjx.plans.loose_boxes); 1 without such a box. If ``placed_share`` is empty, the share is unknown, and no
-            box is expected to tip over.
+            (petmjx.plans.loose_boxes); 1 if no box tips over at once. If ``placed_share`` is empty, the share is
+            unknown, and no box is expected to tip over.
         driven_share: for each plan, the share of its drives' steps that are expected to be simulated, 0 to 1. Legs
             after the leg in which the pallet probably falls are not simulated. If ``driven_share`` is empty, all drives
             are simulated.
@@ -302,7 +302,7 @@ class Work:
         return np.where(self._falls, 0.0, self.drives * share * stand)
 
     def _ends_with_failure(self, way: WayOfPlacing) -> bool:
-        """Whether a world ends when one of its boxes, which are placed in this way, fails because of errors."""
+        """With this way of placing: whether a world ends when one of its boxes fails because of errors."""
         one_by_one = self.sim.check is Check.ONE_BY_ONE
         return way.has_errors and way.is_carried and self.sim.early_stop and one_by_one
 
@@ -650,7 +650,7 @@ class Costs:
         """(n,) for each job, the number of steps from which on its world counts as long (``LONG_PLACEMENT``,
         ``LONG_DRIVE``). The number depends neither on the machine nor on the other jobs."""
         steps = np.full(len(jobs), float(seconds_to_steps(sim.rest_window_s, sim.physics.timestep_s)))
-        for settles in (False, True):  # _expected_work needs jobs that all settle, or none of which settles
+        for settles in (False, True):  # _expected_work takes jobs that all settle, or jobs that all do not settle
             rows = [row for row, job in enumerate(jobs) if job.settles is settles]
             some = [jobs[row] for row in rows]
             work, drive_steps = _expected_work(some, sim)
@@ -718,8 +718,8 @@ On C MuJoCo, the time of a single fall varies from a tenth of the mean to ten ti
 plans that fall are less exact. The estimates leave out the time for simulating worlds again with smaller timesteps.
 
 The costs of devices were fitted to records of one H100 and one H200. The times do not include start and compilation.
-The runs were: 10, 300, 3,000 and 10,003 generated plans; 300 plans that fall; 2,000 and 4,000 generated plans with the
-fixed schedule; 100, 500 and 1,000 plans with ``confidence`` 16, whose boxes appear at their places; 100 plans with
-``confidence`` 16, whose boxes are carried by hand; 128,000 and a million worlds of 12 boxes with placement errors; the
-profile of EUMOS for 20 plans; and searches of EUMOS's levels for 30 plans. ``mjx-warp`` compiles for 13 to 23 s (0.1 to
-1.6 s if an earlier run has compiled the kernels)."""
+The runs were: 10, 300, 3,000 and 10,003 generated plans; 300 plans that fall; and 2,000 and 4,000 generated plans with
+the fixed schedule. With ``confidence`` 16, the runs were: 100, 500 and 1,000 plans whose boxes appear at their places,
+and 100 plans whose boxes are carried by hand. Further runs were: 128,000 and a million worlds of 12 boxes with
+placement errors, the profile of EUMOS for 20 plans, and searches of EUMOS's levels for 30 plans. ``mjx-warp`` compiles
+for 13 to 23 s (0.1 to 1.6 s if an earlier run has compiled the kernels)."""

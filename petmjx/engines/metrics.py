@@ -31,10 +31,10 @@ TEXT: Final = ""
 RESTLESS_M_S: Final = 0.01
 RISING_M_S2: Final = 0.5
 """Limits that determine which steps count for the largest force on a box's top. Samples and the steps of a drive always
-count (docs/rules.md, section 7). Another step counts if two conditions hold: some box is faster than ``RESTLESS_M_S``
-when the step begins; and some box accelerates upwards by more than ``RISING_M_S2``, or the rules check in this step
-whether the pallet is quiet. C MuJoCo checks speeds only every few steps, and therefore counts some more steps
-(petmjx/engines/mujoco/stepper.py).
+count (docs/rules.md, section 7). Another step counts if two conditions hold. First, some box is faster than
+``RESTLESS_M_S`` when the step begins. Second, some box accelerates upwards by more than ``RISING_M_S2``, or the rules
+check in this step whether the pallet is quiet. C MuJoCo checks speeds only every few steps, and therefore counts some
+more steps (petmjx/engines/mujoco/stepper.py).
 
 Boxes press with more than their weight only while they accelerate upwards. So if no box accelerates upwards by more
 than ``RISING_M_S2``, a force exceeds the weight on the top by at most a twentieth."""

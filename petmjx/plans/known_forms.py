@@ -200,7 +200,7 @@ def _by_pallet_rows(boxes: BoxList) -> tuple[BoxList, str]:
             continue
         last_of_pallet = [*(row - 1 for row in pallets[1:]), len(types) - 1]
         if any(map(int.__eq__, pallets, last_of_pallet)):
-            continue  # a pallet would have no boxes, so this column does not tell pallets from boxes
+            continue  # a pallet would have no boxes, so this column does not show which rows are pallets
         numbers = [sum(pallet <= row for pallet in pallets) for row in range(len(types))]
         names = [_name_in(table.rows[row], index) or str(number) for number, row in enumerate(pallets, start=1)]
         if len(set(names)) < len(names):

@@ -34,8 +34,8 @@ Rows = Float[Array, "contact 3"]
 
 class Bodies(NamedTuple):
     """The moving bodies of a world: origins, m; unit quaternions; rotation matrices; velocities as in MuJoCo's qvel;
-    and ``mass``, with six values per body: three times the mass, kg, then the three principal moments of inertia,
-    kg·m²."""
+    and ``mass``, with six values per body: the mass, kg, repeated three times, then the three principal moments of
+    inertia, kg·m²."""
 
     place: Float[Array, "body 3"]
     quat: Float[Array, "body 4"]

@@ -38,8 +38,9 @@ from petmjx.world.job import ACCELERATION, Job
 MOST_WORLDS = 256
 """Largest number of worlds in a batch on a GPU or another accelerator if the user does not set ``lanes``.
 
-On a CPU, if ``lanes`` is not set, each world is a separate batch, and each thread simulates a batch: on a CPU, XLA
-needs eight times as long for eight worlds as for one, and worlds that do not wait for each other need fewer steps.
+On a CPU, if ``lanes`` is not set, each world is a separate batch, and each thread simulates a batch. There are two
+reasons: on a CPU, XLA needs eight times as long for eight worlds as for one; and worlds that do not wait for each other
+need fewer steps.
 """
 
 FEWEST_WORLDS = 8

@@ -52,7 +52,8 @@ class Rules:
     carries: bool = False
 
     def parked_pose(self) -> Float[Array, "box 7"]:
-        """Poses to which boxes are moved that are not in play (not placed, or in a world that has ended)."""
+        """Poses to which the rules move boxes that are out of play: boxes that are not placed, or that are in a world
+        that has ended."""
         quat = jnp.broadcast_to(jnp.array(IDENTITY_QUAT), (self.capacity, 4))
         return jnp.concatenate([parked_positions(self.capacity), quat], axis=-1)
 

@@ -91,8 +91,8 @@ class State(NamedTuple):
     violent_since: Int[Array, " world"]
 
     # Trembling: the number of looks since the last placement, and whether each box trembles (1) or stays (2). Then, for
-    # the time since boxes were last examined for both: the length of each box's path, the box's largest distance from
-    # the beginning of this path, m, and the box's pose at this beginning.
+    # the time since boxes were last examined for trembling and staying: the length of each box's path, the box's
+    # largest distance from the beginning of this path, m, and the box's pose at this beginning.
     tremble_looks: Int[Array, " world"]
     trembles: Int[Array, "world box"]
     tremble_path: Float[Array, "world box"]

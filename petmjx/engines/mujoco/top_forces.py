@@ -78,8 +78,9 @@ def pressed_box(
 def top_forces(data: mujoco.MjData, bodies: NDArray[np.integer], n_boxes: int, pyramidal: bool) -> FloatArray:
     """(n_boxes,) force on top of each box, N (docs/metrics.md, "The force on a box's top").
 
-    The force on a box is the sum of the z components at those contacts whose normal is within 45° of z, and in which
-    the centre of the box is lower than that of the other body. The floor counts as lower than all boxes.
+    The force on a box is the sum of the z components at those contacts that meet two conditions: the normal is within
+    45° of z, and the centre of the box is lower than the centre of the other body. The floor counts as lower than all
+    boxes.
 
     Args:
         bodies: (ngeom,) the body to which each geom belongs (``petmjx.world.mujoco_model.geom_bodies``).

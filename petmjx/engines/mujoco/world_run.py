@@ -269,8 +269,8 @@ class WorldRun:
         return True
 
     def _may_confirm(self) -> bool:
-        """Whether the first sign of failure is so long ago, and was followed by so many placements, that the fall is
-        confirmed if the culprit is still over a threshold (``CONFIRM_S``)."""
+        """Whether the fall is confirmed if the culprit is still over a threshold: since the first sign of failure,
+        enough time has passed and enough boxes have been placed (``CONFIRM_S``)."""
         step, live = self._step, self._live
         steps = seconds_to_steps(CONFIRM_S, self._sim.physics.timestep_s)
         is_complete = live.n_placed == self._job.scene.n_boxes and live.hand is None

@@ -253,8 +253,8 @@ class Cluster:
             if cls._latest is not None and not cls._latest.users:
                 cls._latest.wait_until_ended()
                 cls._latest = None
-            # Only one thread at a time imports Ray. Otherwise, settings that Ray changed during the import in another
-            # thread would later be restored as the settings of the process.
+            # Only one thread at a time imports Ray. During its import, Ray changes settings of the process, which
+            # ``import_ray`` restores: a second import at the same time would take Ray's settings for the process's own.
             self.ray = import_ray()
             if not self.ray.is_initialized():
                 cls._latest = _LocalRay(self.ray, address)

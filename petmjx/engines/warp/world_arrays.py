@@ -134,7 +134,8 @@ class Model:
     poll_steps: int
     hand_rate: float  # Natural angular frequency of the hand's spring, 1/s.
     lowering_rate: float  # Damping constant / mass, for the damper by which the hand sets boxes down, 1/s.
-    # A hand holds a box at the end of its path for at most so many steps, and then sets it down in at most so many.
+    # Largest number of steps for which a hand holds a box at the end of its path, and in which it then sets the box
+    # down.
     stuck_steps: int
     film_rate: float  # Natural angular frequency of a box that film holds, 1/s.
     landing_time: float  # Time in which a landing box is stopped, s.
@@ -218,8 +219,8 @@ class Workspace:
     body_component: Annotated[wp.array2d[int], "block body"]
     body_root: Annotated[wp.array2d[int], "block body"]  # The body from which distances in a component are counted.
     body_level: Annotated[wp.array2d[int], "block body"]  # Distance from the root, in contacts.
-    position: Annotated[wp.array2d[int], "block free_body"]  # Position of a body in the solver's system.
-    # By position of a body: the lowest position among the body itself and the bodies that it touches.
+    position: Annotated[wp.array2d[int], "block free_body"]  # Index of a body in the solver's system of equations.
+    # By index in the solver's system: the lowest index among a body and the bodies that it touches.
     lowest: Annotated[wp.array2d[int], "block free_body"]
     bodies_conadr: Annotated[wp.array2d[int], "block contact"]  # first contact of each pair of free bodies, unsorted
     ncon: Annotated[wp.array[int], "block"]
