@@ -289,7 +289,7 @@ class _AttemptRun(Generic[AnyWorld]):
     def _join(self, attempt: AttemptRecipe, pending: Pending[AnyWorld]) -> bool:
         """Put an attempt in stiffer contacts into the stream, where it runs together with first attempts. Returns False
         if the attempt must wait in ``retry_queue``. The attempt must wait if the engine cannot mix attempts, if the
-        world is recorded, or if thousands of worlds with errors may need the attempt: many such attempts are faster if
+        world is recorded, or if thousands of worlds with errors may need the attempt. So many attempts are faster if
         they do not run together with first attempts."""
         world, before, _ = pending
         if attempt.stiff not in self.stream.stiff or world.job.record is not None:
@@ -327,8 +327,8 @@ class _AttemptTasks(Generic[AnyWorld]):
         return len(self._in_flight)
 
     def prepare(self, jobs: Sequence[Job], retries: Sequence[AttemptRecipe]) -> None:
-        """At the beginning of a large run, start two kinds of processes: those that check outcomes, and one that makes
-        the attempts that few worlds need. The process for attempts first simulates one box. So the kernel of this
+        """At the beginning of a large run, start two kinds of processes: check processes, and the process that makes
+        attempts if few worlds need them. The process for attempts first simulates one box. So the kernel of this
         process is compiled early: compiling takes as long as simulating many worlds."""
         if self.needs_pool:
             self.check_pool = self.check_pool or self.lent or check_pool_for(self.engines.primary, len(jobs))

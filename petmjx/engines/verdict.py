@@ -76,8 +76,8 @@ class Flag(IntFlag):
     LEANS = 32768
     """The world is stable, but a box leans or lies lower than planned (petmjx.engines.outcome_checks)."""
     NOT_PLACED = 65536
-    """A hand (the force that carries a box to its place) found no room for a box: it released the box farther than
-    ``MISSED_M`` from its place (petmjx.world.hand), before any box had crossed a threshold."""
+    """A hand (the force that carries a box to its place) found no room for a box. Before any box had crossed a
+    threshold, the hand released the box farther than ``MISSED_M`` from its place (petmjx.world.hand)."""
     ITERATION_LIMIT = 131072
     """The world used up its iterations (``Simulation.iteration_limit``) before any box had failed."""
 
@@ -118,9 +118,10 @@ class Outcome:
     build_edge_m: float = math.nan
     build_edge_box: int = -1
     build_edge_step: int = -1
-    """The fields from ``plan_edge_m`` to ``build_edge_step`` have the smallest distances of loads from edges (m), the
-    numbers of the boxes that have these loads, and the number of the box after whose placement ``build_edge_m`` occurs,
-    or -1 if there is no such box. petmjx.engines.outcome_checks sets these fields, and the distances of all boxes."""
+    """The fields from ``plan_edge_m`` to ``build_edge_step`` have the smallest distances of loads from edges (m), and
+    the numbers of the boxes that have these loads. ``build_edge_step`` is the number of the box after whose placement
+    ``build_edge_m`` occurs, or -1 if there is no such box. petmjx.engines.outcome_checks sets these fields, and the
+    distances of all boxes."""
     message: str = ""
     """One line that says why there is no result, if ``reason`` is ``failed`` or ``timeout``."""
     history: History | None = None

@@ -116,10 +116,10 @@ def margins_m(
 ) -> tuple[Float[Array, " placement"], Float[Array, " placement"], Bool[Array, " placement"]]:
     """Three arrays (q,), with a value for each of q boxes that might be put onto the pile. The first array has the
     distance by which the box's weight would act inside the hull of the box's contacts, m. The second array has the
-    smallest distance by which the load of any box of the pile would act inside the hull of that box's contacts, m; it
-    is ``FAR_M`` if the new box stands on the carrier. The third array tells whether the load of each box of the pile
-    would act inside that box's hull by at least ``Statics.least``. A distance above ``FAR_M`` is replaced by
-    ``FAR_M``."""
+    smallest distance, m, by which the load of any box of the pile would act inside the hull of that box's contacts.
+    This distance is ``FAR_M`` if the new box stands on the carrier. The third array tells whether the load of each box
+    of the pile would act inside that box's hull by at least ``Statics.least``. A distance above ``FAR_M`` is replaced
+    by ``FAR_M``."""
     floats = ~contacts.bears.any(axis=1) & ~contacts.on_carrier
     inside = jnp.where(floats, -FAR_M, -planes[..., 0].max(axis=1))
     moments, inverse = _moments(contacts)

@@ -43,9 +43,9 @@ MOST_ERRORS_DRAWN: Final = 2**31
 class Errors:
     """Random errors, as in ``petmjx score --confidence``, for a box that is put onto a standing pallet.
 
-    The place, the rotation, the size and the mass of the new box have errors, but those of the boxes on the pallet have
-    none. The coefficient of friction has the same error for all boxes, because all cartons are made of the same board
-    and have the same humidity. A simulated hand carries the box to its place (docs/placing.md).
+    The new box has errors of place, rotation, size and mass; the boxes on the pallet have no such errors. The
+    coefficient of friction has the same error for all boxes, because all cartons are made of the same board and have
+    the same humidity. A simulated hand carries the box to its place (docs/placing.md).
     """
 
     def __init__(self, count: int, sim: Simulation) -> None:

@@ -312,8 +312,8 @@ def _scenes(boxes: Mapping[str, FloatArray], ground: Ground, sim: Simulation) ->
 
 
 def _steps(times_s: Any, timestep_s: float) -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
-    """Three arrays: (t,) the times; (2, t) the numbers of the steps before and after each time, which are equal if the
-    time is on a step; and (t,) the position of the time between these two steps, from 0 to 1.
+    """Three arrays: (t,) the times; (2, t) the numbers of the steps before and after each time (the same step twice if
+    the time is on a step); and (t,) the position of the time between these two steps, from 0 to 1.
 
     Raises:
         InputError: values are not times, or do not increase.

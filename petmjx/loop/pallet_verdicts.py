@@ -1,7 +1,7 @@
 """Verdicts on open pallets (pallets to which boxes can be added), as ``petmjx.score`` would give them. A score
 simulates a plan, and may simulate the plan again with other settings (further attempts). The first attempt may continue
-from the pallet's current state, instead of simulating all placements again, if this does not change the result by a
-single bit."""
+from the pallet's current state, instead of simulating all placements again, if the result is then the same to the last
+bit."""
 
 from __future__ import annotations
 

@@ -53,8 +53,8 @@ class Pallets(Closable):
     ``verdict`` and ``score`` return the result of a complete score of the pallet's plan. See docs/loop.md.
 
     Lengths are in millimetres, masses in kilograms. x and y are measured from the carrier's front-left corner; z = 0 is
-    the carrier's top. Many methods have arguments for m boxes: ``size_mm`` (m, 3) are the extents of the boxes as
-    placed, ``corner_mm`` (m, 3) their front-left-bottom corners, ``mass_kg`` (m,) their masses, and ``pallet`` (m,) the
+    the carrier's top. Many methods have arguments for m boxes: ``size_mm`` (m, 3), the extents of the boxes as placed;
+    ``corner_mm`` (m, 3), their front-left-bottom corners; ``mass_kg`` (m,), their masses; and ``pallet`` (m,), the
     numbers of their pallets. A single row applies to all m boxes, and for a single box the first axis can be left out.
     If ``pallet`` is left out, box i is for pallet i, or all boxes are for the only pallet.
 
@@ -235,9 +235,9 @@ class Pallets(Closable):
         simulation. So ``stands`` takes a fraction of the time of ``try_all``. The pallets do not change.
 
         Returns:
-            (m,) whether the pallet stands with each candidate, and (m,) the pallet's margin of stability with the
-            candidate: 1 if the pallet stands beyond doubt, -1 if it falls or the simulation is invalid, else the margin
-            at rest.
+            Two arrays (m,): whether the pallet stands with each candidate, and the pallet's margin of stability with
+            the candidate. The margin is 1 if the pallet stands beyond doubt, -1 if it falls or the simulation is
+            invalid, else the margin at rest.
 
         Raises:
             InputError: see ``try_all``.

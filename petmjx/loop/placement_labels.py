@@ -302,7 +302,7 @@ class _Schedule:
 
     def begin(self, most: int) -> list[Episode]:
         """Begin at most ``most`` episodes. No episode begins if the running episodes are expected to give enough
-        labels, if there is no place for any box of any order, or if too many episodes wait for an earlier episode."""
+        labels, if no box of any order has a place, or if too many episodes wait for an earlier episode."""
         begun: list[Episode] = []
         with self._lock:
             n_lacking = self._n_lacking()

@@ -152,8 +152,9 @@ class OwnCarrier(CheckedRecord):
     """A carrier that a user defines. Lengths are in mm. x and y are measured from the carrier's front-left corner, z
     from the floor.
 
-    A carrier is refused if it could not stand, or if its definition is probably a mistake: if boards overlap or are not
-    connected, no board is on the floor, the top is not level, or no real carrier has such extents or masses.
+    A carrier is refused if it could not stand, or if its definition is probably a mistake. This is so if boards overlap
+    or are not connected, if no board is on the floor, if the top is not level, or if no real carrier has such extents
+    or masses.
     """
 
     name: Name = Field("", description="name of the carrier; by default the name of its file")

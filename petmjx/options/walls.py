@@ -137,6 +137,6 @@ class Walls(CheckedRecord):
 USUAL_WALLS: Final = Walls(
     sides=(), height_mm=1500.0, gap_mm=0.0, thickness_mm=30.0, mass_kg_m2=6.0, friction=None, material="wood"
 )
-"""The values of fields of ``Walls`` that neither the user nor the carrier sets. The mass per area is an assumption,
-derived from roll containers with three walls, which have a mass of 40 to 45 kg in all, a base of about 25 kg, and walls
-of about 3 m²."""
+"""The values of fields of ``Walls`` that neither the user nor the carrier sets. The mass per area is an assumption. It
+is derived from roll containers with three walls, which have a mass of 40 to 45 kg in all, a base of about 25 kg, and
+walls of about 3 m²."""

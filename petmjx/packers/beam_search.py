@@ -1,8 +1,8 @@
 """Beam search for dense packings of an order. Candidates (boxes at places) are those of the packer ``balanced``.
 
 The search keeps ``width`` packings. Every step extends each kept packing by its ``branch`` best candidates. To rate a
-candidate, the packing with this candidate is filled up by best fit, as in ``balanced`` (the pilot method: Duin, Voß
-1999, "The pilot method: a strategy for heuristic repetition with application to the Steiner problem in graphs",
+candidate, the packing with this candidate is filled up by best fit, as in ``balanced``. This is the pilot method (Duin,
+Voß 1999, "The pilot method: a strategy for heuristic repetition with application to the Steiner problem in graphs",
 Networks 34, 181–191). Of all extended packings, the best ``width`` are kept. Filling up is aborted as soon as the
 packing is higher than all of the ``width`` best packings that this step has found so far. In large orders, a step of
 the search places several boxes: first the candidate, then further boxes by best fit.
@@ -180,8 +180,8 @@ def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fil
 
 
 def _worst(best: Sequence[_SearchBranch], width: int, n_items: int) -> float:
-    """Height that a further packing may have at most to be among the ``width`` best packings, mm; infinite if ``best``
-    has fewer than ``width`` packings, or if the worst packing in ``best`` lacks boxes."""
+    """Largest height with which a further packing is among the ``width`` best packings, mm. The height is infinite if
+    ``best`` has fewer than ``width`` packings, or if the worst packing in ``best`` lacks boxes."""
     if len(best) < width or len(best[-1].filled.placed) < n_items:  # at any height, more boxes are better
         return inf
     return best[-1].filled.height_mm

@@ -42,8 +42,8 @@ def free_space(surface: HeightMap, low: FloatArray, high: FloatArray) -> dict[st
 
     Returns:
         A dict: name in ``NAMES`` → (c,) values. ``room_small`` and ``room_large`` measure how low the next carton could
-        stand: the height of a carton's lowest place plus the cost of the air below the carton, m, as the mean over
-        small or large cartons. ``level_small`` and ``level_large`` are the share of places that are level, as the mean
+        stand, as means over small or large cartons: the height of a carton's lowest place, plus the cost of the air
+        below the carton, m. ``level_small`` and ``level_large`` are the share of places that are level, as the mean
         over small or large cartons.
     """
     lines = np.concatenate([surface.lines(low), surface.lines(high)], axis=1)[:, :, None]

@@ -91,8 +91,8 @@ _NUMBERED: Final = word_set("nr no number nummer numero n id num sales purchase 
 _ARTICLE: Final = word_set("indeks towar goods ware good mercancia merce marchandise")
 _TYPE: Final = word_set("type typ kind name code")
 _PIECE: Final = word_set("box carton karton case item package")
-"""A column of unknown meaning has articles if its name is a word of ``_ARTICLE``, or if its name has a word of
-``_TYPE`` and all its other words are in ``_TYPE`` or ``_PIECE``, such as "Box type"."""
+"""A column of unknown meaning has articles if its name is a word of ``_ARTICLE``. It also has articles if its name has
+a word of ``_TYPE``, and all its other words are in ``_TYPE`` or ``_PIECE``, such as "Box type"."""
 _ORDER: Final = word_set("order orders ordre")
 """Names of columns that may have a packing order or customers' orders. The values in such a column decide which of the
 two meanings it has."""

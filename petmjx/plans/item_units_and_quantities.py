@@ -54,13 +54,13 @@ _LIST_PRIOR: Final = {"cm": -1.5, "mm": 0.0, "m": 0.0}
 """Unit that lists of lengths may have → its cost; a smaller cost is more plausible. The unit is cm, as in RoboBPP's
 lists, unless the sizes indicate another unit."""
 ROW_LEAD: Final = 0.75
-"""A weight in a row is usually the weight of one box, even if the row stands for several boxes. But if the reading in
-which weights are those of whole rows has a cost that is lower by more than this value, both readings count as possible,
-and the file is refused. For example, boxes in rows of ten may have an implausible 1,500 kg/m³ if a weight is that of
-one box, and 150 kg/m³ if it is that of the row."""
+"""A weight in a row is usually the weight of one box, even if the row stands for several boxes. But the reading with
+weights of whole rows may have a cost that is lower by more than this value. Both readings then count as possible, and
+the file is refused. For example, boxes in rows of ten may have an implausible 1,500 kg/m³ if a weight is the weight of
+one box, and 150 kg/m³ if it is the weight of the row."""
 _FULL: Final = 1.02
-"""If no column name tells whether a quantity counts the boxes of one layer or of all layers, it counts those of all
-layers if so many boxes in one layer would cover more than this share of the order's target (its carrier)."""
+"""Share of an order's target (its carrier). If no column name tells whether a quantity counts the boxes of one layer or
+of all layers, it counts all layers if so many boxes in one layer would cover more than this share."""
 
 PG: Final = KnownForm("RoboBPP's pg.xlsx", "cm", "kg")
 DELI: Final = KnownForm("RoboBPP's deli.xlsx", "cm")

@@ -203,7 +203,7 @@ def _decoded_value(data: bytes | bytearray, begin: int, window: int, where: str,
     """Decode one JSON value. Returns the value and the position of its end.
 
     The decoder receives a window of the text, and a larger window if the value does not fit. Small windows save time
-    and memory: the decoder's errors count the lines of all text in the window, and text that is not ASCII takes up to
+    and memory. The decoder's errors count the lines of all text in the window, and text that is not ASCII takes up to
     four times its size while it is decoded.
 
     Args:

@@ -1,5 +1,6 @@
-"""Properties of plans from which simulation times are estimated: loose boxes, whose centre of mass is not over their
-supports; ties, which are the further supports of a box after its first; and how far piles of compliant boxes sway."""
+"""Properties of plans from which simulation times are estimated: loose boxes, ties, and how far piles of compliant
+boxes sway. A box is loose if its centre of mass is not over its supports. The ties of a box are its supports without
+the first."""
 
 from __future__ import annotations
 
@@ -34,8 +35,8 @@ class Statics(NamedTuple):
         ties: (n,) for each plan, the mean number of supports that a box has in addition to its first support.
         giving: (n,) number of compliant boxes of each plan.
         sway_mm: (n,) estimate of how far the top of each plan's load moves sideways if compliant boxes sink on one side
-            of it, mm: their mean sinking (``mean_sink_mm``), times the ratio of the load's height to a box's width
-            (1 / ``tipping_g``); 0 without compliant boxes.
+            of it, mm. The estimate is the boxes' mean sinking (``mean_sink_mm``), times the ratio of the load's height
+            to a box's width (1 / ``tipping_g``); 0 without compliant boxes.
     """
 
     placed_share: FloatArray
@@ -132,8 +133,9 @@ def tipping_g(plan: Plan) -> float:
 
 
 def _supports(plan: Plan) -> tuple[NDArray[np.bool_], FloatArray, FloatArray]:
-    """(n, n) whether the box of a row lies on the box of a column; (n,) height of the highest top of an earlier box
-    under each box, mm, 0 if there is none; and (n, n) area in which two boxes overlap if seen from above, mm²."""
+    """Three arrays: (n, n) whether the box of a row lies on the box of a column; (n,) height of the highest top of an
+    earlier box under each box, mm (0: there is none); and (n, n) area in which two boxes overlap if seen from above,
+    mm²."""
     low, high = plan.corner_mm, plan.corner_mm + plan.size_mm
     along = [shared_length(low[:, axis], high[:, axis]) for axis in (0, 1)]
     numbers = np.arange(plan.n_boxes)

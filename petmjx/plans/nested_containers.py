@@ -243,9 +243,9 @@ def _only_name(around: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
 
 
 def _names_of(holders: Sequence[tuple[str, Mapping[str, Any]]]) -> list[str]:
-    """The names of objects around boxes. An object is named by the first field of ``_NAMES`` that it has and whose text
-    no other object has in the same field. An object without such a field is named by its number in its list, from 1,
-    or, outside a list, by the last part of its path."""
+    """The names of objects around boxes. An object gets its name from the first field of ``_NAMES`` in which it has a
+    text that no other object has in this field. An object without such a field is named by its number in its list, from
+    1, or, outside a list, by the last part of its path."""
     texts = {name: [_name_text(holder.get(name)) for _, holder in holders] for name in _NAMES}
     counts = {name: Counter(values) for name, values in texts.items()}
     names = []

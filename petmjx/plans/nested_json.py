@@ -451,8 +451,8 @@ _FLOORS: Final = word_set("floor ground plane boden")
 
 def _with_zeros(flat: list[dict[str, Any]]) -> list[str]:
     """Fill in coordinates that are missing because they are 0, as in JSON of protocol buffers. Coordinates are filled
-    in only under these conditions: some of x, some of y and some of z must be missing, some boxes must lack only a part
-    of their coordinates, and no coordinate may be written as 0. Returns a note if coordinates were filled."""
+    in only if three conditions hold. Some of x, some of y and some of z are missing; some boxes lack only a part of
+    their coordinates; and no coordinate is written as 0. Returns a note if coordinates were filled."""
     names = list(dict.fromkeys(name for row in flat for name in row))
     by_axis: dict[str, list[str]] = {}
     for name, meaning in known_meanings(names).items():

@@ -58,8 +58,8 @@ of the pallet's height. If coordinates are those of centres, the difference for 
 the pallet's height."""
 _LEVEL: Final = 0.01
 """The lowest box counts as standing on the deck if the distance between its bottom and the deck is at most this share
-of the boxes' median height: 2 mm for cartons of 200 mm. The limit is above 0, because centres are often rounded to
-millimetres."""
+of the boxes' median height. For cartons of 200 mm, this is 2 mm. The limit is above 0, because centres are often
+rounded to millimetres."""
 
 
 def placed_boxes(
@@ -117,7 +117,7 @@ def _deck_heights(
 
 def rows_below_deck(low: FloatArray, plans: Mapping[str, NDArray[np.int64]], size: FloatArray) -> set[int]:
     """Numbers of the rows of boxes below the deck, whose heights are probably wrong. A plan's deck is taken to be at
-    height 0 if the boxes below 0 have, together, less than half of the base area of the boxes at 0: such boxes cannot
+    height 0 if the boxes below 0 have, together, less than half of the base area of the boxes at 0. Such boxes cannot
     carry the boxes at 0."""
     below: set[int] = set()
     area = size[:, 0] * size[:, 1]

@@ -593,8 +593,8 @@ def _likelier(own: TableError, other: InputError) -> InputError:
     """The error to report for a table that could be read neither as a table of petmjx nor as one of another tool.
 
     Usually, the error of the reader for other tools is reported, such as a bad cell or two possible readings. The error
-    of petmjx's own reader, which names the missing columns, is reported only if the other reader finds no boxes at all,
-    or if it finds no sizes or places and the table has more than ``_MOSTLY_OWN`` of petmjx's column names.
+    of petmjx's own reader names the missing columns. It is reported only if the other reader finds no boxes at all, or
+    if that reader finds no sizes or places and the table has more than ``_MOSTLY_OWN`` of petmjx's column names.
     """
     lacks_columns = isinstance(other, NoBoxes) or (own.n_known > _MOSTLY_OWN and isinstance(other, NoGeometry))
     return own if lacks_columns else other

@@ -261,7 +261,7 @@ _TRIPLE: Final = re.compile(r"^\s*([\d.,]+)\s*[x×X*/;|]\s*([\d.,]+)\s*[x×X*/;|
 
 
 _MANY: Final = 10
-"""If the numbers with a point are more than this many times as frequent as the numbers with a comma, the commas are no
+"""If numbers with a point are more frequent than numbers with a comma by more than this factor, the commas are no
 decimal signs."""
 
 

@@ -375,9 +375,9 @@ class RunWriter(RunInfo):
         self._room.put(None)
 
     def _write_waiting(self, last: bool = False) -> None:
-        """Write all worlds and tables that wait. ``last`` states that no more worlds will come: a run in memory then
-        stays in memory, and a run without worlds gets a table ``worlds`` without rows, so that readers find the names
-        of the columns.
+        """Write all worlds and tables that wait. ``last`` states that no more worlds will come. A run in memory then
+        stays in memory. A run without worlds gets a table ``worlds`` without rows, so that readers find the names of
+        the columns.
 
         Raises:
             PetmjxError: a file cannot be written.

@@ -171,9 +171,9 @@ def _failures(drawn: pd.DataFrame) -> pd.DataFrame:
 
 
 def _paired_draws(carried: pd.DataFrame, exact: pd.DataFrame) -> pd.DataFrame:
-    """Compare, for each plan, carried boxes with boxes that appear at their places: count the sets of random errors
-    with which the pallet stands in only one of the two cases, and test whether the two numbers differ. If a set of
-    errors gives an invalid world in one of the two cases, the set is not counted."""
+    """Compare, for each plan, carried boxes with boxes that appear at their places. The function counts the sets of
+    random errors with which the pallet stands in only one of the two cases, and tests whether the two numbers differ.
+    If a set of errors gives an invalid world in one of the two cases, the set is not counted."""
     pairs = carried.merge(exact, on=["plan_id", "replicate"], suffixes=("_carried", "_exact"))
     one, other = (pairs[f"verdict_{way}"].astype(str) for way in ("carried", "exact"))
     stands, stands_exact = one == Verdict.STABLE.value, other == Verdict.STABLE.value

@@ -136,9 +136,8 @@ def simulate(
 
 
 def _last_permille_s(ends_s: Sequence[float]) -> float:
-    """How long the run waited for its last worlds, s: the time between the moment at which 99.9 % of the worlds have
-    ended and the moment at which all worlds have ended. With fewer than 1,000 worlds, the result is the time between
-    the ends of the last two worlds."""
+    """How long the run waited for its last worlds, s: the time from the end of 99.9 % of the worlds to the end of all
+    worlds. With fewer than 1,000 worlds, the result is the time between the ends of the last two worlds."""
     last = -(-len(ends_s) // 1000)
     return round(ends_s[-1] - ends_s[-1 - last], 3) if len(ends_s) > last else 0.0
 

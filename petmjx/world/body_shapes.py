@@ -91,8 +91,8 @@ class Body:
         )
 
     def shapes_at(self, pos: FloatArray, quat: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(s, 3) centres, (s, 3, 3) rotation matrices and (s, 3) half extents of the shapes if the body has the
-        position ``pos``, m, and the orientation ``quat``, a quaternion (w, x, y, z)."""
+        """Three arrays for a body with the position ``pos``, m, and the orientation ``quat``, a quaternion (w, x, y,
+        z): (s, 3) centres, (s, 3, 3) rotation matrices and (s, 3) half extents of its shapes, m."""
         turns = np.tile(rotations(quat[None]), (len(self.half_size), 1, 1))
         return pos + np.einsum("sij,sj->si", turns, self.shape_pos), turns, self.half_size
 
@@ -197,8 +197,8 @@ class Room:
         return depth
 
     def _inwards(self, place: FloatArray, half: FloatArray, least_m: float) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """(…, n, 2, 2) distances of boxes' middles from walls' inner faces, m, positive between the walls, and
-        (…, n, 2, 2) whether each box reaches below the top of each wall."""
+        """Two arrays (…, n, 2, 2): the distances of boxes' middles from walls' inner faces, m, positive between the
+        walls; and whether each box reaches below the top of each wall."""
         inwards = (place[..., None, :2] - self.face[..., None, :, :]) * np.array([[1.0], [-1.0]])
         return inwards, (place - half)[..., None, None, 2] < self.top[..., None, :, :] - least_m
 

@@ -52,9 +52,9 @@ OUTWARD: Final = 0.6
 """Factor by which the pressure on a face moves outward if only a small share of the face is pressed. If the pressed
 share of a face is below ``EDGE_SHARE``, the pressure moves towards the deepest edge, by this factor × (``EDGE_SHARE`` /
 share − 1) × the distance to that edge. If a quarter of the face is pressed, the pressure reaches the edge. The angle
-between the two faces is then 12 F / (k·L), rad, for a contact with the force F, whose common area has the width L, and
-whose stiffness is k if the whole common area is pressed. At this angle, of the nine points at which Simpson's rule
-evaluates the pressure, only those at one edge carry load."""
+between the two faces is then 12 F / (k·L), rad. F is the force of the contact, L the width of its common area, and k
+its stiffness if the whole common area is pressed. At this angle, of the nine points at which Simpson's rule evaluates
+the pressure, only those at one edge carry load."""
 
 FACE_COSINE: Final = 0.5
 """Two faces press on one another if the cosine of the angle between one face's normal and the other face's reversed
@@ -114,8 +114,8 @@ def spring_law(physics: Physics, spring_n_m: float, inverse_mass: float) -> tupl
 
 
 def _spring_terms(physics: Physics, spring_n_m: Any, inverse_mass: Any) -> tuple[Any, Any, Any]:
-    """The two numbers of ``solref`` and the impedance, with which contacts act at rest like the given springs: three
-    numbers for one contact, (p,) arrays for p contacts."""
+    """The two numbers of ``solref``, and the impedance, with which contacts act at rest like the given springs: three
+    numbers for one contact, three arrays (p,) for p contacts."""
     time_s, damping = physics.solref
     time_s = time_s if time_s < 0 else max(time_s, 2 * physics.timestep_s)
     # stiffness of the contact's spring at rest × (1 − impedance) × sum of the inverse masses, in 1/s²

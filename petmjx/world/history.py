@@ -123,7 +123,7 @@ class History:
     def then(self, later: History) -> History:
         """This history up to the first frame of ``later``, followed by the history ``later``.
 
-        If both histories have a frame at the same time, the frame of this history is kept: the later simulation started
+        If both histories have a frame at the same time, the frame of this history is kept. The later simulation started
         at that time, so its first frame lacks the forces of the step before.
         """
         is_before, is_after = self.time_s <= later.time_s[0], later.time_s > later.time_s[0]

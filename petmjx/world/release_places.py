@@ -239,8 +239,8 @@ def _separation(place: FloatArray, half_size: FloatArray) -> FloatArray:
 def _widest(
     place: FloatArray, half_size: FloatArray, yaw: FloatArray, first: NDArray[np.intp], second: NDArray[np.intp]
 ) -> tuple[FloatArray, FloatArray]:
-    """(m, p, 2) unit vector along which the gap between the two boxes of each pair is largest, from the first box to
-    the second, and (m, p) this gap, m; negative if the boxes overlap.
+    """Two arrays: (m, p, 2) the unit vector along which the gap between the two boxes of each pair is largest, from the
+    first box to the second; and (m, p) this gap, m (negative if the boxes overlap).
 
     The vector is along one of the four axes of the two boxes: if two rectangles do not overlap, one of these axes
     separates them.

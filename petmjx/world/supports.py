@@ -4,9 +4,9 @@ A support of a box is a body below the box that touches its base. The load of a 
 that rests on it. The load acts at a point of the box's base, the centre of pressure. The box is in balance if its
 centre of pressure lies within the convex hull of its supports. Statics does not determine how several supports share a
 load. This module assumes that supports share a load like a bed of equal springs (Winkler 1867, "Die Lehre von der
-Elasticität und Festigkeit"): the pressure varies linearly over all areas that touch. The balance of force and moments
-determines this pressure. If springs would have to pull somewhere, the module computes the pushing forces with the least
-energy instead (petmjx.world.pushing_forces).
+Elasticität und Festigkeit"). The pressure then varies linearly over all areas that touch. The balance of force and
+moments determines this pressure. If springs would have to pull somewhere, the module computes the pushing forces with
+the least energy instead (petmjx.world.pushing_forces).
 """
 
 from __future__ import annotations
@@ -509,8 +509,8 @@ UPRIGHT: Final = (0.0, 0.0, 1.0)
 """Unit vector along the vertical edges of a box that stands upright."""
 
 _MOST_TILT_COSINE: Final = 0.5
-"""Boxes that are tilted by more than 60°, whose vertical edges have a smaller vertical component than this value, are
-treated as if they stood upright: they no longer rest on the bases that they have in the plan."""
+"""Boxes that are tilted by more than 60° are treated as if they stood upright: they no longer rest on the bases that
+they have in the plan. The vertical edges of these boxes have a smaller vertical component than this value."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -564,8 +564,8 @@ def find_bearings(
             for all scenes, or (s,) one for each scene. The gap can exceed ``TOUCH_M``, since a box may lean onto a
             lower body.
         up: (n, 3) unit vectors along the vertical edges of the boxes in each scene. A tilted box touches a body below
-            it where the gap between the two faces is at most ``most_gap_m``, and a contact is the rectangle around
-            this part of the faces. If ``up`` is empty, all boxes stand upright.
+            it where the gap between the two faces is at most ``most_gap_m``. A contact is the rectangle around this
+            part of the faces. If ``up`` is empty, all boxes stand upright.
     """
     boxes, decks = Boxes.of(scenes, targets), _decks([scene.carrier for scene in scenes])
     return _find_bearings(boxes, decks, most_gap_m, scenes, up)
@@ -642,9 +642,9 @@ def _pressed(
     high: FloatArray,
     most_gap_m: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """(c, 2) lowest and (c, 2) highest corners of the rectangles around those parts of the contacts' rectangles in
-    which the gap between the two faces is at most ``most_gap_m``, m. ``high`` is below ``low`` if no part
-    is left, or if two boxes overlap by more than ``TOUCH_M`` everywhere.
+    """(c, 2) lowest and (c, 2) highest corners of smaller rectangles within the contacts' rectangles, m: each is around
+    the part in which the gap between the two faces is at most ``most_gap_m``. ``high`` is below ``low`` if no part is
+    left, or if two boxes overlap by more than ``TOUCH_M`` everywhere.
 
     Args:
         upper, lower: (c,) numbers of the two bodies of each contact.
@@ -677,8 +677,8 @@ def deck_mm(plan: Plan, sim: Simulation) -> FloatArray:
 
 
 def _decks(carriers: Sequence[Body]) -> tuple[FloatArray, FloatArray, IntArray]:
-    """(b, 2) lowest and (b, 2) highest corners (x, y) of the boards that form the carriers' decks, m, carrier after
-    carrier, and (s,) the number of these boards of each carrier."""
+    """Three arrays: (b, 2) lowest and (b, 2) highest corners (x, y) of the boards that form the carriers' decks, m,
+    carrier after carrier; and (s,) the number of these boards of each carrier."""
     n_boards = [carrier.n_boards for carrier in carriers]
     shape_pos, half = (
         np.concatenate([getattr(carrier, name)[:n] for carrier, n in zip(carriers, n_boards, strict=True)])
@@ -693,8 +693,8 @@ def _decks(carriers: Sequence[Body]) -> tuple[FloatArray, FloatArray, IntArray]:
 def _top_faces(
     boxes: Boxes, scenes: Sequence[Scene], low: FloatArray, high: FloatArray
 ) -> tuple[FloatArray, FloatArray, IntArray]:
-    """(t, 2) lowest and (t, 2) highest corners of the top faces of boxes, m, box after box, and (n,) the number of top
-    faces of each box.
+    """Three arrays: (t, 2) lowest and (t, 2) highest corners of the top faces of boxes, m, box after box; and (n,) the
+    number of top faces of each box.
 
     A box has one top face, a sheet has one per piece, and a pallet among the boxes has one per board of its deck.
 

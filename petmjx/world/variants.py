@@ -241,9 +241,8 @@ MIN_FRICTION_FRACTION = 0.1
 positive."""
 
 STEP_TOLERANCE_M = 0.01
-"""In the plan, the top of a box A may be above the bottom of a box B by up to this length, m, and A still counts as
-below B. So if A and B overlap seen from above, B is set down on A. If the top of A is still higher, A counts as
-standing beside B."""
+"""Box A counts as below box B if, in the plan, A's top is above B's bottom by at most this length, m. So if A and B
+overlap seen from above, B is set down on A. If the top of A is still higher, A counts as standing beside B."""
 
 MOST_SPREADS: Final = 5.0
 """``_farthest_m`` assumes that no random error differs from its mean by more than this number of standard deviations.

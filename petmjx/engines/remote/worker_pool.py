@@ -271,9 +271,8 @@ class WorkerPool(Engine):
         self._ray.kill(worker.actor)
 
     def _news(self, longest_s: float = MESSAGE_WAIT_S) -> list[tuple[_WorkerRecord, Any]]:
-        """The workers from which a message has arrived, each with Ray's reference from which the message can be
-        fetched: ``hello`` for the first message of a worker, ``reports`` for a report about the run. Waits for at most
-        ``longest_s``.
+        """The workers from which a message has arrived, each with Ray's reference to the message: ``hello`` for the
+        first message of a worker, ``reports`` for a report about the run. Waits for at most ``longest_s``.
         """
         sources = [(worker, worker.reports if worker.ready else worker.hello) for worker in self._workers]
         owner = {ref: worker for worker, ref in sources if ref is not None}

@@ -190,9 +190,9 @@ class Forks:
 
 
 def copy(main: Callable[[], None]) -> None:
-    """The program of the process of ``Forks``: for each pair of pipes that arrives at the socket which is the standard
-    input, start a copy of this process that runs the function ``main`` with these pipes. When the socket is closed, the
-    process kills its copies, and ends."""
+    """The program of the process of ``Forks``. Its standard input is a socket, at which pairs of pipes arrive. For each
+    pair, the program starts a copy of this process, and the copy runs the function ``main`` with these pipes. When the
+    socket is closed, the process kills its copies, and ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     copies: list[int] = []  # a copy that has ended keeps its number until ``waitpid``, so no other process is killed
     gc.collect()
@@ -277,8 +277,8 @@ def own_pipes(nice: int) -> tuple[IO[bytes], IO[bytes]]:
 
 
 def next_of(pipe: IO[bytes]) -> Any:
-    """The next object from a pipe. The result is None at the end of the pipe, and also if the object cannot be read,
-    because the pipe ends within the object, memory is short, or its class cannot be imported."""
+    """The next object from a pipe. The result is None at the end of the pipe. It is also None if the object cannot be
+    read, because the pipe ends within the object, memory is short, or the object's class cannot be imported."""
     try:
         return pickle.load(pipe)
     except Exception:  # if this thread ended silently, the run would wait for ever

@@ -79,8 +79,8 @@ class ContinuedWorlds:
             self._get_ready(jobs[0])
 
     def _get_ready(self, job: Job) -> None:
-        """Let the process simulate the first box of a job, with the drive of the job if it has one, so that the process
-        has loaded its kernel and programs before a long world needs them."""
+        """Let the process simulate the first box of a job, with the drive of the job if it has one. The process has
+        then loaded its kernel and programs before a long world needs them."""
         if self._many and (driven := job.drive is not None) not in self._prepared:
             self._prepared.add(driven)
             self._simulator.begin(AttemptTask(READY, ENGINE, Job(job.scene.first(1), job.drive), self._sim))

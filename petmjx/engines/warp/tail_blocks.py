@@ -21,7 +21,7 @@ from petmjx.engines.warp.small_world_blocks import with_first_queue
 
 MOST_EXPECTED: Final = 16
 """While other worlds still wait, at most this number of worlds get the large thread blocks that are meant for the last
-worlds: the worlds that are expected to end last because they have taken the most steps so far. A block for last worlds
+worlds. These worlds are expected to end last, because they have taken the most steps so far. A block for last worlds
 fills a GPU multiprocessor, which otherwise has room for two usual blocks."""
 
 LONG: Final = 2.0

@@ -1,5 +1,6 @@
-"""Time slices (calls of mjx-warp's kernels) in which every world of a table advances: their programs and buffers, the
-work of the CPU between two slices, and the outcomes that the CPU makes of the worlds that end."""
+"""Time slices: calls of mjx-warp's kernels, in which every world of a table advances. The module has the programs and
+buffers of slices, the work of the CPU between two slices, and the outcomes that the CPU makes of the worlds that
+end."""
 
 from __future__ import annotations
 

@@ -49,8 +49,8 @@ FOOTER: Final = 0.045
 """Height of the space at the bottom of a page for the line with the versions, as a share of the page."""
 
 SIDES: Final = (("front", 0, 1, 1.0), ("right", 1, 0, -1.0), ("back", 0, 1, -1.0), ("left", 1, 0, 1.0))
-"""For each view of the load: its name, the horizontal axis in the view, the axis perpendicular to the view, and whether
-this perpendicular axis points away from the eye (1) or towards the eye (-1). Axis 0 is x, axis 1 is y."""
+"""For each view of the load: its name, the horizontal axis in the view, the axis perpendicular to the view, and the
+direction of this perpendicular axis: away from the eye (1) or towards the eye (-1). Axis 0 is x, axis 1 is y."""
 
 MIRRORED: Final = frozenset({"back", "left"})
 """Views in which the horizontal axis points to the left."""

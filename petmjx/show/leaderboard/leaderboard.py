@@ -86,8 +86,8 @@ def leaderboard(
         stories: number of plans per packer that get a page. Plans that fall while another packer's plan for the same
             order stands come first.
         replays: number of plans per entry that are simulated again, unless this call has simulated all plans of the
-            entry. The plans are chosen at random. Replays have the options that ``leaderboard`` was called with or,
-            without such options, the options of the runs, or the defaults if the runs have different options.
+            entry. The plans are chosen at random. Replays have the options with which ``leaderboard`` was called.
+            Without such options, they have the options of the runs, or the defaults if the runs have different options.
         watch: function that returns, for the name of a packer, a context with an object that watches the progress of
             the packer's run.
         overwrite: whether to replace an existing leaderboard.

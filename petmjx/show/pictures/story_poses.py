@@ -103,8 +103,9 @@ def moments(story: Story, names: str | None) -> list[Moment]:
     """The requested moments, in the order of the request.
 
     Args:
-        names: moments, separated by commas. If ``names`` is None, the moments are before the first sign (the first
-            crossing of a threshold by a box), at the first sign, and at the end; or only the end if no box failed.
+        names: moments, separated by commas. If ``names`` is None, there are three moments: before the first sign (the
+            first crossing of a threshold by a box), at the first sign, and at the end. If no box failed, there is only
+            the end.
 
     Raises:
         InputError: a name is unknown, or the story has no such moment.

@@ -151,8 +151,8 @@ def importance(worlds: pd.DataFrame, axes: Sequence[str], summary: pd.DataFrame)
     Returns:
         A table with the columns ``axis``, ``spread`` and ``explained``. For each value of the axis, there is a share of
         worlds that stand; ``spread`` is the difference between the largest and the smallest of these shares.
-        ``explained`` is the squared correlation ratio η² = Σ nᵥ (pᵥ − p)² / (n p (1 − p)), where pᵥ is the share that
-        stands of the nᵥ worlds with value v, and p that of all n worlds. The ratio is NaN if all worlds stand, or if no
+        ``explained`` is the squared correlation ratio η² = Σ nᵥ (pᵥ − p)² / (n p (1 − p)). Of the nᵥ worlds with value
+        v, the share pᵥ stands; of all n worlds, the share p stands. The ratio is NaN if all worlds stand, or if no
         world stands. Sources: Pearson 1905; Fisher's one-way analysis of variance.
     """
     judged = worlds[worlds["verdict"] != Verdict.INVALID.value]

@@ -50,8 +50,8 @@ class WindowProfile:
     """A force profile.
 
     ``replaces`` states what happens when windows overlap. If ``replaces`` is False, the forces of overlapping windows
-    add up. If ``replaces`` is True, windows act as in the reference implementation: the beginning of a window ends the
-    previous window, and the next end of any window, even of one that no longer acts, sets the force to zero. If several
+    add up. If ``replaces`` is True, windows act as in the reference implementation. The beginning of a window ends the
+    previous window. The next end of any window sets the force to zero, even if that window no longer acts. If several
     windows begin in the same step, only the last of them acts. The profile ``radial-chain``, from the demo of the
     reference implementation, needs ``replaces``.
     """

@@ -32,8 +32,8 @@ boxes of up to 0.6 m, and 0.7 µm for boxes of up to 6 m."""
 COLLINEAR = wp.constant(1e-5)
 """Largest distance from the line between two contacts, m, at which a third contact counts as lying on this line: a
 tenth of the default skin. Contacts are removed one after another, and each is compared with the contacts that remain.
-So where several contacts are removed, the edge of the area on which a box stands may move by more than this distance:
-by 23 µm for the worst of 3,000 random arcs of eight contacts."""
+So where several contacts are removed, the edge of the area on which a box stands may move by more than this distance.
+It moved by 23 µm for the worst of 3,000 random arcs of eight contacts."""
 
 FEWEST = wp.constant(4)
 """Number of contacts that are never too many: faces that touch have a contact at each corner of their common area."""
