@@ -32,9 +32,9 @@ MOST_SENTENCES: Final = 15
 
 RATING: Final = (
     "Rating: boxes on plans that stand in the simulation, as a share of all ordered boxes. A box does not count if its "
-    "plan falls or has no valid simulation, if the box is not on the order's target, or if it was not ordered, was "
-    "ordered less often, or was ordered with another size, mass or property. Boxes that were left out, and orders "
-    "without a plan, lower the rating."
+    "plan falls or has no valid simulation, or if the box is not on the order's target. It does not count either if it "
+    "was not ordered, was ordered less often, or was ordered with another size, mass or property. Boxes that were left "
+    "out, and orders without a plan, lower the rating."
 )
 
 _MEANS: Final = {
