@@ -115,9 +115,9 @@ def score(
     ``petmjx.score("plans.json", schedule="fixed", thresholds={"shift_m": 0.03}, out="results")``
 
     Args:
-        plans: a file, a folder, the folder of a run (whose plans are simulated again), a list of files and folders, a
-            data frame with one row per box, a plan, a list of plans or a ``PlanSet``. If ``plans`` is None, the bundled
-            sample plans are simulated.
+        plans: files or folders, or a list of both; the folder of a run (its plans are simulated again); a data frame
+            with one row per box; a plan, a list of plans or a ``PlanSet``. If ``plans`` is None, the bundled sample
+            plans are simulated.
         watcher: an object whose methods are called as the run proceeds. Without a watcher, notebooks show a progress
             bar.
         progress: in a script, print the progress of the run on standard error every few seconds.

@@ -121,9 +121,9 @@ class Loads:
         notes: warnings, one per line: about an unfinished run, about articles without a known strength, and about
             forces at rest in stacks that were wrapped in film and then shaken.
         stacking: the options with which these results were computed: how much strength boxes lose by stacking.
-        ways: one row for each plan and remedy (a change to the chain or the load), with the share of worlds that
-            arrive, and the share that arrive without crushed boxes; only for the run of a transport chain. ``ways`` is
-            None if the run did not simulate a transport chain.
+        ways: only for the run of a transport chain: one row for each plan and remedy (a change to the chain or the
+            load). A row has the share of worlds that arrive, and the share that arrive without crushed boxes. ``ways``
+            is None if the run did not simulate a transport chain.
     """
 
     run: Path

@@ -178,7 +178,7 @@ def documented_thresholds() -> Described:
         | {
             "mcc_published": (
                 DIMENSIONLESS,
-                "MCC of the criterion's own threshold on the plans on which the threshold is judged",
+                "MCC of the published threshold, on the half of the plans on which thresholds are tested",
             )
         }
     )

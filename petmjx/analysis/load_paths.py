@@ -132,7 +132,7 @@ def _loads_on_boxes(contacts: PlanContacts, sharing: Sharing) -> FloatArray:
     weights = contacts.mass_kg[:, None] * np.c_[np.ones(n), contacts.centre_mm[:, :2]]
     on_box[np.arange(n), np.arange(n)] = weights
     share = sharing(contacts)
-    # The loop runs from the last contact to the first: contacts are sorted by their upper box, and each box is placed
+    # The loop runs from the last contact to the first. Contacts are sorted by their upper box, and each box is placed
     # after its supports, so the load of a box is complete before the loop passes it down.
     for contact in range(len(contacts.upper) - 1, -1, -1):
         lower = contacts.lower[contact]

@@ -131,7 +131,7 @@ def plans_of(runs: Mapping[str, RunResults], against: OrderComparison | None = N
         boxes of the plan that were ordered, have the ordered size and mass, and lie on the order's target. Each ordered
         box is counted at most once. ``as_ordered`` is null if this number is unknown. ``listed`` tells whether the
         order enters ratings. ``compared`` tells whether every packer's plan for the order has a valid verdict. If all
-        runs are those of transport chains, there is also the column ``p_arrives``.
+        runs are of transport chains, there is also the column ``p_arrives``.
     """
     table = _worlds_of(runs)
     sizes = None if against is None else against.sizes

@@ -350,9 +350,9 @@ def _with_walls(sides: Sides, contacts: PlanContacts, room: Room) -> Sides:
 
 
 LYING_GAP_M: Final = TOUCH_M
-"""Largest gap between two boxes of which one lies on the other, m, as in the criteria. A smaller limit would ignore
-some supports. If three supports have the same planned height, differences of micrometres determine which of them bear
-the load. These differences vary between simulators, and between real pallets."""
+"""Largest gap, m, between a box and another box that lies on it, as in the criteria. A smaller limit would ignore some
+supports. If three supports have the same planned height, differences of micrometres determine which of them bear the
+load. These differences vary between simulators, and between real pallets."""
 
 SIDE_GAP_M: Final = 1e-5
 """Largest gap between two boxes that touch side by side, m: slightly more than the rounding error of a pose in float32.

@@ -72,8 +72,8 @@ class Story:
     note: str = ""
 
     page: ClassVar[Callable[[Story], str] | None] = None
-    """Function that makes the HTML page of a story for notebooks. The module ``petmjx.show.pages.story_page`` sets
-    this attribute, because it imports the present module, which therefore cannot import it."""
+    """Function that makes the HTML page of a story for notebooks. The module ``petmjx.show.pages.story_page`` sets this
+    attribute: it imports the present module, so the present module cannot import it."""
 
     def __repr__(self) -> str:
         outcome = self.outcome

@@ -146,7 +146,7 @@ class CheckedRecord(BaseModel, metaclass=_OneLine):
 
     @classmethod
     def read(cls, values: Mapping[str, Any], context: Any = None) -> Self:
-        """Make a record from plain values, such as those of a file. ``context`` is passed to the validators."""
+        """Make a record from plain values, such as the values in a file. ``context`` is passed to the validators."""
         try:
             return cls.model_validate(dict(values), context=context)
         except ValidationError as error:

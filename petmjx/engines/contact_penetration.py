@@ -254,8 +254,8 @@ def penetration_excluded(outcomes: Sequence[Outcome], scenes: Sequence[Scene], s
 
 
 def _failed_otherwise(outcome: Outcome, limit_m: float) -> bool:
-    """Whether something other than a descent of boxes led to the verdict of a world: the reason of the verdict is not a
-    shift, or a box shifted too far in another direction than down."""
+    """Whether something other than a descent of boxes led to the verdict of a world. The reason of such a verdict is
+    not a shift, or a box shifted too far in another direction than down."""
     if outcome.reason is not Reason.SHIFT:
         return True
     shift = outcome.boxes.shift_m[: outcome.n_placed]

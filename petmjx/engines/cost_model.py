@@ -634,7 +634,7 @@ class Costs:
 
     def of_jobs(self, jobs: Sequence[Job], sim: Simulation, costs: ThreadCosts | None = None) -> FloatArray:
         """(n,) expected time of each job on one CPU thread, s. ``costs``: costs of the engine. If ``costs`` is None,
-        those of ``mujoco`` are used."""
+        the costs of ``mujoco`` are used."""
         costs = costs or self.mujoco
         work, drive_steps = _expected_work(jobs, sim)
         placing_s = _of_placements(jobs, *(costs.placing_s(work, way) for way in work.ways))

@@ -55,7 +55,7 @@ def resolve_engine(
     that its engine does not have.
 
     Args:
-        costs: costs of the engines; None: the measured ones, scaled to the speed of this machine.
+        costs: costs of the engines; None: the measured costs, scaled to the speed of this machine.
         startup: the workers that ``engine_warmup`` has already started for these options.
         hands_over: whether an engine that ``auto`` chooses may hand worlds over to another engine (``HandoverEngine``).
         earlier: the engine of the run before it was resumed. ``auto`` keeps this engine, although the machine may be

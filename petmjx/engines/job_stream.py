@@ -155,7 +155,7 @@ class JobStream(Generic[Tag]):
         the stream.
 
         Args:
-            jobs: the first ones of the jobs that ``peek`` returned, in the same order.
+            jobs: the first of the jobs that ``peek`` returned, in the same order.
         """
         with self._changed:
             for job in jobs:

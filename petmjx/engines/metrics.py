@@ -1,9 +1,9 @@
 """The table of all metrics: name, unit, type, meaning, time of sampling, and how boxes' values become a world's value.
 
 Four places use this table: the columns of the tables ``boxes`` and ``worlds`` (petmjx.results.schema), the code that
-fills them (petmjx.results.world_rows), the comparison of two runs (petmjx.analysis.run_comparison), and the tables of
-docs/metrics.md (``python -m petmjx.engines.metrics`` prints them). The engines compute the values, in NumPy, JAX and
-Warp.
+fills them (petmjx.results.world_rows), and the comparison of two runs (petmjx.analysis.run_comparison). The fourth
+place is docs/metrics.md: ``python -m petmjx.engines.metrics`` prints its tables. The engines compute the values, in
+NumPy, JAX and Warp.
 
 docs/extending.md explains step by step how to add a metric.
 """

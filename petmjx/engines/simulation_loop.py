@@ -222,8 +222,8 @@ class _AttemptRun(Generic[AnyWorld]):
             self._put_world(world, bounded=False)
 
     def _first_attempts(self) -> Iterator[AttemptResult[AnyWorld] | None]:
-        """Make the first attempts. The run's engine simulates the worlds of the stream, and the fallback engine those
-        of ``for_fallback``."""
+        """Make the first attempts. The run's engine simulates the worlds of the stream, and the fallback engine
+        simulates the worlds of ``for_fallback``."""
         lost = yield from self.first_runner.run_stream(self.engines.primary, self.stream)
         unanswered = list[Pending[AnyWorld]]()
         for pending in lost:

@@ -87,7 +87,7 @@ class Table:
             values[rows] = getattr(table, name)[sources]
 
     def features(self, rows: NDArray[np.int64], names: Sequence[str]) -> NDArray[np.float32]:
-        """(m, a, f) the features of all actions of m episodes. Every action has the features ``FEATURES``, and those
+        """(m, a, f) the features of all actions of m episodes. Every action has the features ``FEATURES``, and the
         further features whose names are in ``names``."""
         features = np.empty((len(rows), self.legal.shape[1], len(names)), np.float32)
         extra_columns = {UPRIGHT: self.side // 2, PALLET: self.pallet}

@@ -24,9 +24,8 @@ FEATURES: Final = ("turned", "x", "y", "z", "length_x", "length_y", "height", "m
 """Features of a candidate (a box at a place): whether the box is turned by 90°; its corner and its extents, mm; its
 mass, kg; and the supported share of its base. ``inside`` is the distance of the box's centre of mass from the edge of
 the hull of the box's contacts, mm. ``below`` is 200 mm if the candidate stands on the carrier. Otherwise, ``below`` is
-computed with the candidate on the pile: for each box of the pile, the distance (mm) of its load from the edge of the
-hull of its contacts, and then the smallest of these distances. Both distances are positive inside a hull, negative
-outside, and at most 200 mm."""
+computed with the candidate on the pile: the smallest distance, mm, of a pile box's load from the edge of the hull of
+that box's contacts. Both distances are positive inside a hull, negative outside, and at most 200 mm."""
 
 _PER_ASIDE: Final = 0.01
 """Cost of a millimetre of distance from the nearest edges of the carrier, as millimetres of height. Because distances

@@ -1,5 +1,5 @@
-"""Static balance of a pile of boxes, as an array program in JAX. The method is that of ``petmjx.packers.pile_balance``,
-whose docstring names the sources, but in single precision.
+"""Static balance of a pile of boxes, as an array program in JAX. The method is as in ``petmjx.packers.pile_balance``,
+but in single precision; the docstring of that module names the sources.
 
 A load is a vector (F, F·x, F·y) in kg and kg·m, where F acts at (x, y). A box presses on the boxes below it with a
 pressure that is a linear function of x and y. The pressure is linear in the load on the box. So for each pair of boxes,
@@ -53,7 +53,7 @@ class Statics(NamedTuple):
 
 class Contacts(NamedTuple):
     """The contacts of q boxes with a pile of k boxes. Lengths are in metres. Coordinates are relative to the middle of
-    each box's base, except those of ``middle``.
+    each box's base, except the coordinates of ``middle``.
 
     Attributes:
         middle: (q, 2) the middle of each box's base.

@@ -63,8 +63,8 @@ class Errors:
 
 
 class PlacingErrors:
-    """Random errors, as in ``petmjx score --confidence``, for boxes that are put onto pallets and stay there. The
-    errors are those of place, rotation, size and mass. The friction on a pallet is not changed."""
+    """Random errors, as in ``petmjx score --confidence``, for boxes that are put onto pallets and stay there. These are
+    errors of place, rotation, size and mass. The friction on a pallet is not changed."""
 
     def __init__(self, sim: Simulation) -> None:
         self._sweep = confidence_sweep(1, None, dict(sim))

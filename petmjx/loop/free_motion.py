@@ -128,7 +128,7 @@ def release(
         vel_m_s: (…, 3) velocities of the centres at the release, m/s.
         angvel_rad_s: (…, 3) angular velocities at the release, along the boxes' own axes, rad/s.
         times_s: (t,) increasing times after the release at which poses are wanted, s. At multiples of the timestep,
-            poses are those of the simulation. Between two steps, positions are interpolated linearly, and orientations
+            poses are exactly as simulated. Between two steps, positions are interpolated linearly, and orientations
             along the shortest rotation.
         inertia_kg_m2: (…, 3) principal moments of inertia along the boxes' axes, kg·m², or one number for all moments
             of all boxes. If ``inertia_kg_m2`` is None, boxes are solid and homogeneous.

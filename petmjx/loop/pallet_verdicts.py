@@ -28,7 +28,7 @@ class SettledEngine(Engine):
     not used if results must be exact to the last digit.
 
     Args:
-        to_the_bit: whether outcomes must be bit-identical to those of a score.
+        to_the_bit: whether outcomes must be bit-identical to the outcomes of a score.
     """
 
     def __init__(self, engine: Engine, open_worlds: OpenWorlds, sim: Simulation, *, to_the_bit: bool = True) -> None:

@@ -48,7 +48,7 @@ class Pallets(Closable):
 
     ``P = petmjx.Pallets(1); P.place(size_mm=(400, 300, 200), corner_mm=(0, 0, 0), mass_kg=6)``
 
-    The rules are those of ``petmjx.score``: each box is placed when the boxes before it are at rest. ``place`` and
+    The rules are as in ``petmjx.score``: each box is placed when the boxes before it are at rest. ``place`` and
     ``try_all`` return the result at the moment when the pallet is at rest again, without the further checks of a score.
     ``verdict`` and ``score`` return the result of a complete score of the pallet's plan. See docs/loop.md.
 
@@ -199,9 +199,9 @@ class Pallets(Closable):
         Args:
             errors: number of additional simulations of each candidate in which a robot places the box inexactly.
                 ``PlacementResults.share`` is the share of these simulations in which the pallet stands. The errors are
-                those of ``petmjx score --confidence``.
+                as in ``petmjx score --confidence``.
             drive: the name of a profile (a motion of the carrier) that shakes the pallet with the candidate on it, such
-                as ``eumos-40509``. If a drive is named, the results are those after the shaking.
+                as ``eumos-40509``. If a drive is named, the results describe the pallets after the shaking.
             level: strength of the profile, in the profile's unit, such as 0.3 for 0.3 g.
             direction_deg: horizontal direction of the profile, degrees.
 
@@ -336,8 +336,9 @@ class Pallets(Closable):
 
     def score(self, pallet: Any = None, *, to_the_bit: bool = True, **options: Any) -> RunResults:
         """Score the plans of the given pallets, or, if ``pallet`` is None, of all pallets that have boxes. The results
-        are bit-identical to those of ``petmjx.score``, which repeats simulations with other settings if necessary.
-        Pallets that have fallen are scored, too. Boxes that were placed with errors are scored at their planned places.
+        are bit-identical to the results of ``petmjx.score``, which repeats simulations with other settings if
+        necessary. Pallets that have fallen are scored, too. Boxes that were placed with errors are scored at their
+        planned places.
 
         On the engine ``mjx-warp``, the simulation continues from the current state of a pallet. On ``mujoco``, plans
         are simulated from their first box on, because on this engine, boxes that wait to be placed affect the last

@@ -110,8 +110,8 @@ _USUAL: Final = frozenset({Carrier.EURO_PALLET, Carrier.ROLLCONTAINER})
 
 def decidable(sim: Simulation) -> bool:
     """Whether decisions of this module are valid for simulations with the options ``sim``. The options must specify
-    rigid boxes that appear at their places, a carrier of one piece without walls, contacts as stiff as those of the
-    preset ``pallet`` or stiffer, and thresholds near the default ones."""
+    rigid boxes that appear at their places, and a carrier of one piece without walls. Contacts must be as stiff as in
+    the preset ``pallet`` or stiffer, and thresholds must be near the default thresholds."""
     limits, physics = sim.thresholds, sim.physics
     return (
         sim.carrier in _USUAL

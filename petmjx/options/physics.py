@@ -82,8 +82,8 @@ class Physics(CheckedRecord):
     slip_correction, landing_s, skin_m), and whether boxes fall into their places. The coefficient of friction between
     boxes, 0.5, is the value for cardboard on cardboard (CTU Code, Annex 7, Appendix 2).
 
-    A ``Physics`` can be made in three ways. The name of a preset gives the values of this preset ("pallet"). A mapping
-    names a preset and changes some of its values (``{"name": "reference", "timestep_s": 0.001}``). The call
+    A ``Physics`` can be made in three ways. The name of a preset, such as "pallet", gives the values of this preset. A
+    mapping names a preset and changes some of its values (``{"name": "reference", "timestep_s": 0.001}``). The call
     ``Physics(timestep_s=0.001)`` changes values of the preset ``pallet``.
     """
 

@@ -1,4 +1,4 @@
-"""Beam search for dense packings of an order. Candidates (boxes at places) are those of the packer ``balanced``.
+"""Beam search for dense packings of an order. Candidates (boxes at places) are as in the packer ``balanced``.
 
 The search keeps ``width`` packings. Every step extends each kept packing by its ``branch`` best candidates. To rate a
 candidate, the packing with this candidate is filled up by best fit, as in ``balanced``. This is the pilot method (Duin,

@@ -138,8 +138,8 @@ class Trial:
         self._nominal: Verdict | None = None
 
     def ask(self, n_worlds: int) -> range:
-        """Request the nominal world (variant 0) and ``n_worlds`` worlds with errors. Returns those of these variants
-        that were not requested before."""
+        """Request the nominal world (variant 0) and ``n_worlds`` worlds with errors. Returns the variants that were not
+        requested before."""
         first, self.n_requested = self.n_requested, 1 + n_worlds
         return range(first, self.n_requested)
 
@@ -209,9 +209,9 @@ def order_evaluation(
 
 
 def decisive_evaluations(judged: Sequence[Evaluation], options: PhysicalOptions) -> Sequence[Evaluation]:
-    """The evaluations among which ``choose`` chooses: the evaluations up to that of the first good packing. Packings
-    are sorted by the volume of their boxes, largest first, so no later packing has a larger volume. If
-    ``options.maximise`` is ``share``, ``choose`` chooses among all evaluations.
+    """The evaluations among which ``choose`` chooses: all up to the evaluation of the first good packing. Packings are
+    sorted by the volume of their boxes, largest first, so no later packing has a larger volume. If ``options.maximise``
+    is ``share``, ``choose`` chooses among all evaluations.
 
     Because later evaluations are ignored, the choice does not depend on how many packings were simulated.
     """

@@ -1,4 +1,4 @@
-"""Hand-made plans (``HANDMADE``), and the numbers of those generated plans that also come with petmjx.
+"""Hand-made plans (``HANDMADE``), and the numbers of the generated plans that also come with petmjx.
 
 ``python -m petmjx.packers.handmade_plans`` writes the file with all these plans.
 

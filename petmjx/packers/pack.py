@@ -184,7 +184,7 @@ def pack_each(
     workers: int = 1,
     **options: Any,
 ) -> Iterator[PackedOrder]:
-    """Yield the result of each order as soon as it is known. All arguments except ``orders`` are those of ``pack``.
+    """Yield the result of each order as soon as it is known. All arguments except ``orders`` are as in ``pack``.
 
     Args:
         orders: pairs of an id and an order.
@@ -243,7 +243,7 @@ def orders_of(
 def reading_of(
     are_read: bool, target: str | None, options: Mapping[str, Any]
 ) -> tuple[OrderReading | None, dict[str, Any]]:
-    """Split options into those that state how a file of orders is read, and the remaining options.
+    """Split options into options that state how a file of orders is read, and the remaining options.
 
     Args:
         are_read: whether orders are read from a file. If orders are generated, options for reading must not be set.

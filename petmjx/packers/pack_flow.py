@@ -33,7 +33,7 @@ class Orders(NamedTuple):
 
     Attributes:
         few: an idle engine waits until the search is complete for this number of orders. The worlds of later orders
-            join those that are running.
+            join the running worlds.
         most: largest number of orders that are simulated at a time. More orders do not make an engine faster.
         worlds: an engine that simulates fewer worlds than this number has spare capacity. Spare capacity is used for
             worlds that may turn out not to be needed.

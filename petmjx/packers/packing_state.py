@@ -213,8 +213,8 @@ class Packing:
         full packing, or None if a top would be higher than ``highest_mm``.
 
         Args:
-            first: candidate that is placed first, one of those that the last call of ``next`` returned. If ``first`` is
-                None, the best candidate is placed first.
+            first: candidate that is placed first, one of the candidates that the last call of ``next`` returned. If
+                ``first`` is None, the best candidate is placed first.
             highest_mm: largest allowed height of a top, mm.
         """
         twin = self.copy()

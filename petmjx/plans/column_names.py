@@ -42,8 +42,8 @@ LENGTH_UNITS: Final = {
     "mmt": 1.0, "cmt": 10.0, "dmt": 100.0, "mtr": 1000.0, "inh": 25.4, "fot": 304.8,
     "um": 0.001, "tick": 1 / 16000, "ticks": 1 / 16000,
 }  # fmt: skip
-"""Name of a unit of length → millimetres. A tick is the unit of packvium's files, 1/16000 mm. Codes such as
-MMT are those of UN/ECE Recommendation 20, which EDI uses."""
+"""Name of a unit of length → millimetres. A tick is the unit of packvium's files, 1/16000 mm. Codes such as MMT come
+from UN/ECE Recommendation 20, which EDI uses."""
 MASS_UNITS: Final = {
     "kg": 1.0, "kgs": 1.0, "kilogram": 1.0, "kilograms": 1.0, "kilo": 1.0, "kilos": 1.0, "kilogramm": 1.0,
     "g": 0.001, "gr": 0.001, "gram": 0.001, "grams": 0.001, "gramm": 0.001, "grammes": 0.001, "gramos": 0.001,

@@ -538,9 +538,9 @@ def _weight(work: _ItemExtraction, columns: dict[str, str]) -> tuple[FloatArray 
 
 
 def _orders_in(work: _ItemExtraction, index: int) -> list[str] | None:
-    """(n,) customers' orders from a column called "order". The column counts as one of customers' orders if some of its
-    values are repeated or are not numbers. If all its values are different numbers, the column is a packing order, and
-    the result is None."""
+    """(n,) customers' orders from a column called "order". The column counts as a column of customers' orders if some
+    of its values are repeated or are not numbers. If all its values are different numbers, the column is a packing
+    order, and the result is None."""
     if not _ORDER.intersection(words_of(work.table.header[index])) or "sequence" in work.fixed:
         return None
     cells = [cell_text(cell) for cell in work.cells(index)]

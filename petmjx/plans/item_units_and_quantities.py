@@ -124,7 +124,7 @@ class _Units(NamedTuple):
     Attributes:
         cost: how implausible the units are; a smaller cost is better.
         length, mass: the units.
-        of_rows: whether a weight is that of a whole row.
+        of_rows: whether a weight is the weight of a whole row.
     """
 
     cost: float
@@ -379,7 +379,7 @@ class _OrderBuilder:
         """(n,) the number of boxes of each row.
 
         Raises:
-            InputError: it is unclear whether a quantity is that of one layer or of all layers.
+            InputError: it is unclear whether a quantity counts the boxes of one layer or of all layers.
         """
         columns = self.columns
         if columns.quantity is None:

@@ -25,7 +25,8 @@ _UTF8_MARK: Final = b"\xef\xbb\xbf"
 def read_text_bytes(path: Path) -> tuple[bytearray, str | None]:
     """The text of a file as bytes, and an error about the whole file (None if there is none).
 
-    Gzip is recognised by content, not by name. Memory holds one copy of the packed bytes and one of the unpacked bytes.
+    Gzip is recognised by content, not by name. Memory holds one copy of the packed bytes and one copy of the unpacked
+    bytes.
 
     Raises:
         OSError: the file cannot be read, is not a regular file, or is too large.

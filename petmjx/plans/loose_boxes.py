@@ -49,8 +49,8 @@ def statics_of(plans: Sequence[Plan], deck_mm_of: Callable[[Plan], FloatArray | 
     """The properties of each plan from which its simulation time is estimated.
 
     If there are more than ``MOST_LOOKED_AT`` plans, only this number is examined, evenly spread over all plans. The
-    values of the examined plans are then repeated, in their order, until there is a value for each plan. So the value
-    of a plan usually is that of another plan.
+    values of the examined plans are then repeated, in their order, until there is a value for each plan. So a plan
+    usually gets the value of another plan.
 
     Args:
         deck_mm_of: function that returns the carrier's boards under a plan, as the argument ``deck_mm`` of

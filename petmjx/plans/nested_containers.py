@@ -268,7 +268,7 @@ def _name_text(value: Any) -> str:
 def container_around(member: NestedBox, articles: Collection[int]) -> dict[str, float]:
     """The size of the container of a box, by axis; empty if no size is given. If the numbers of the box have units, the
     sizes in the fields of the container are converted to millimetres, as are the numbers of the box. Otherwise, the
-    sizes of the container are those in the file.
+    sizes of the container are as in the file.
 
     Args:
         articles: Python's ``id`` of each object that is an article (``articles_around``).

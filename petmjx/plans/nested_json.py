@@ -290,9 +290,9 @@ _FORM_WORDS: Final = word_set(
 def _is_plan_key(value: Mapping[str, Any]) -> bool:
     """Whether the names of an object's fields are names of plans. Every field must hold a list. All lists must have
     similar members with the same fields for sizes and places; if only some lists have places, the others are lists of
-    items. A list may be empty if its name differs from that of another list only in its number. No name may say that
-    boxes are not placed. If only one list is not empty, or if the lists have rows of numbers, no name may have a word
-    of ``_FORM_WORDS``."""
+    items. A list may be empty if its name differs from the name of another list only in its number. No name may say
+    that boxes are not placed. If only one list is not empty, or if the lists have rows of numbers, no name may have a
+    word of ``_FORM_WORDS``."""
     lists = [inner for inner in value.values() if isinstance(inner, list) and inner]
     if not lists or not all(isinstance(inner, list) for inner in value.values()):
         return False
@@ -393,9 +393,9 @@ _KIND_FIELDS: Final = frozenset(("event", "type", "kind", "action", "record", "o
 
 
 def _other_kinds(flat: list[dict[str, Any]]) -> tuple[set[int], str]:
-    """The numbers of the members of a list that are no boxes, such as events "start" and "end" or the lights of a
-    scene; and a line for the user that these members are left out. A member is no box if it has no size (or, in a list
-    without sizes, no place), and if a field such as ``type`` gives it a kind that no box has."""
+    """Two values: the numbers of the members of a list that are no boxes, such as events "start" and "end" or the
+    lights of a scene; and a line for the user about these members, which are left out. A member is no box if it has no
+    size (or, in a list without sizes, no place), and if a field such as ``type`` gives it a kind that no box has."""
     names = list(dict.fromkeys(name for row in flat for name in row))
     geometric = _named(names, _SIZE_KINDS) or _named(names, _GEOMETRIC)
     lacking = {number for number, row in enumerate(flat) if not geometric.intersection(row)}

@@ -38,8 +38,8 @@ if TYPE_CHECKING:
     from petmjx.plans.item_columns import ItemColumns
 
 USUAL_KG_M3: Final = 300.0
-"""Density of boxes if a file has no weights: that of cartons in BED-BPP's orders. Verdicts hardly depend on a density
-that is the same for all boxes."""
+"""Density of boxes if a file has no weights: the density of cartons in BED-BPP's orders. Verdicts hardly depend on a
+density that is the same for all boxes."""
 _WATER_KG_M3: Final = 1000.0
 _RELATIVE: Final = 1.5
 """If no density in a column without a unit exceeds this value, the densities are relative to the density of water."""

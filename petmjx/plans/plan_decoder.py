@@ -141,7 +141,7 @@ def _decode(
     """Decode the entries of some plans, in order.
 
     Args:
-        colons: for each text, the number of its colons: those after names of fields, and those inside strings.
+        colons: for each text, the number of its colons, both after names of fields and inside strings.
     """
     plain = {
         number: placements

@@ -453,7 +453,7 @@ class _PlanLoader:
         """Read a table. Returns an error if the table cannot be read, else None.
 
         Args:
-            otherwise: function that reads the table as one of another tool, if it has none of petmjx's forms. The
+            otherwise: function that reads the table as a table of another tool, if it has none of petmjx's forms. The
                 function returns an error if it could not read the table, else None.
         """
         from petmjx.plans.placement_table import TableError

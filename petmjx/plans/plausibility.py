@@ -252,8 +252,8 @@ def order_cost(layouts: Sequence[Layout]) -> float:
     Packers mostly place boxes from the ground up. From one box to the next, the height falls in 14 % of the steps in
     plans of the packer ``baseline``, and in 25 % in plans of the packer ``balanced``. Each level coordinate falls in 30
     % and 39 % of the steps (200 plans each, ``petmjx samples -n 200 --seed 33901``). If a level coordinate falls less
-    often than the height, its axis may be the vertical. A box is hardly ever placed below one that is listed before it.
-    In lists in any other order, such as that of articles, all axes have about the same cost.
+    often than the height, its axis may be the vertical. A box is hardly ever placed below a box that is listed before
+    it. In lists in any other order, such as the order of articles, all axes have about the same cost.
     """
     return min(_cost_in_order(layouts, 1), _cost_in_order(layouts, -1))
 
@@ -313,7 +313,7 @@ _LEAST_OF_WALL: Final = 4  # fewer boxes may be a bridge, which people build to 
 
 
 def begin_at_different_heights(layouts: Sequence[Layout]) -> bool:
-    """Whether the lowest boxes of several plans are at different heights, and those of no plan at 0."""
+    """Whether the lowest boxes of several plans are at different heights, and no plan has its lowest box at 0."""
     bottoms = [float(layout.low[:, 2].min()) for layout in layouts if np.isnan(layout.container[2])]
     tolerance = max(map(_tolerance_of, layouts))
     return bool(bottoms) and max(bottoms) - min(bottoms) > tolerance and min(map(abs, bottoms)) > tolerance

@@ -329,9 +329,9 @@ def _may_be_turned(best: _Judged, other: _Judged) -> bool:
 
 
 def _is_doubtful(best: _Judged) -> bool:
-    """Whether another axis may be the vertical, or coordinates may be those of another corner. This may be so if, in
-    the most plausible reading, boxes overlap, float, are outside or are listed from one side to the other. It may also
-    be so if the sizes do not lie along the axes that name them."""
+    """Whether another axis may be the vertical, or coordinates may describe another corner. This may be so if, in the
+    most plausible reading, boxes overlap, float, are outside or are listed from one side to the other. It may also be
+    so if the sizes do not lie along the axes that name them."""
     is_exchanged = best.candidate.geometry.axes == XYZ and best.candidate.pair != (0, 1, 2)
     return best.evidence.n_odd > 0 or is_exchanged or best.order_cost > 0
 

@@ -295,7 +295,7 @@ def tie_text(readings: Sequence[Reading], weak: bool) -> str:
 def overlap_text(reading: Reading) -> str:
     """The line about a file in whose most plausible reading most boxes overlap."""
     return (
-        f"no reading is plausible; the best is coordinates of {_ANCHOR_WORDS[reading.anchor]}, {reading.up} upwards "
+        f"no reading is plausible; the best has coordinates of {_ANCHOR_WORDS[reading.anchor]}, {reading.up} upwards "
         f"({reading.evidence}); {_SEVERAL}if boxes really overlap, say --anchor {reading.anchor}"
     )
 

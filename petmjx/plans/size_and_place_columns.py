@@ -103,7 +103,7 @@ class Places(NamedTuple):
 
 def sizes_in(extraction: ColumnExtraction) -> Sizes | None:
     """The sizes of the boxes; None if there are no columns with sizes. If there are several sets of columns with sizes,
-    those of placed boxes are preferred to those of items."""
+    sizes of placed boxes are preferred to sizes of items."""
     header, fixed = extraction.table.header, extraction.fixed
     if "sizes" in fixed:
         values, unit = extraction.triples(fixed["sizes"])

@@ -31,7 +31,7 @@ class PlanLookup:
     """Which plans of a run were found, which are missing, and which have changed since the run.
 
     Attributes:
-        plans: plan id → plan, for the plans that were found and equal those that the run simulated.
+        plans: plan id → plan, for the plans that were found and are equal to the simulated plans.
         missing: ids of the plans that were not found, sorted.
         changed: ids of the plans that exist but differ from the simulated plan, sorted.
         gone: files from which the run read plans, but which no longer exist.

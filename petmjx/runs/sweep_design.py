@@ -239,8 +239,8 @@ class Design:
         return (replicate,)
 
     def _sampled(self) -> Iterator[Variant]:
-        """The variants of a sample: the value of each axis is drawn at random. All plans have the same variants. The
-        replicate number of a variant differs from those of all other variants."""
+        """The variants of a sample: the value of each axis is drawn at random. All plans have the same variants. Every
+        variant has a replicate number of its own."""
         axes = [*self._axes(placement=True), *self._axes(placement=False)]
         for number in range(1, (self.sweep.sample or 0) + 1):
             key = WorldKey(self.sweep.seed, "", number)

@@ -396,7 +396,7 @@ def load_sweep(path: str | Path, plans_given: bool = False, simulation: Mapping[
     Args:
         plans_given: whether the caller provides plans. If the caller provides plans, the file need not name plans, and
             plans that the file names need not exist.
-        simulation: fields of ``Simulation`` that replace those of the file.
+        simulation: fields of ``Simulation`` that replace the fields of the file.
 
     Raises:
         InputError: the file is wrong. The message is one line with file and field, such as "x.toml: axes.scale must be
@@ -470,7 +470,7 @@ def chain_sweep(file: str | Path, n_worlds: int | None, simulation: Mapping[str,
     Args:
         file: a sweep file with legs, or the name of a ready-made one.
         n_worlds: number of worlds with errors for each plan. If ``n_worlds`` is None, the number in the file is used.
-        simulation: fields of ``Simulation`` that replace those of the file.
+        simulation: fields of ``Simulation`` that replace the fields of the file.
 
     Raises:
         InputError: the file is unusable or has no legs.

@@ -71,7 +71,7 @@ class SearchAnswer:
 
 SAME_STEP_ATTEMPTS = tuple(attempt for attempt in ATTEMPTS if attempt.timestep_divisor == 1 and not attempt.soft)
 """The attempts for placements whose states are stored, and for the simulations that start from these states. Attempts
-with half the timestep or with soft boxes are left out: a state counts time in steps of the usual timestep, and attempts
+with half the timestep or with soft boxes are left out. A state counts time in steps of the usual timestep, and attempts
 with soft boxes neither store states nor start from them."""
 
 

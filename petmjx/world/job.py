@@ -104,12 +104,12 @@ class KeptState:
 class Job:
     """One world to simulate.
 
-    With early stop, a world in which places of boxes have errors (``has_errors``) ends not only when a box has dropped,
-    but also when a box is *lost*: tilted by more than the threshold. The verdict depends on the largest tilt, so the
-    verdict is known once a box is lost. Simulating further after a box is lost would be the most expensive part of the
-    simulation. A large shift does not end a world, since it may be temporary. For example, a board that tips when one
-    box is placed on it may become level again when the next box is placed. A world with a drive ends when the culprit
-    (the box that failed first) is lost, since only then is it known how the culprit failed.
+    With early stop, a world in which places of boxes have errors (``has_errors``) ends when a box has dropped, and also
+    when a box is *lost*: tilted by more than the threshold. The verdict depends on the largest tilt, so the verdict is
+    known once a box is lost. Simulating further after a box is lost would be the most expensive part of the simulation.
+    A large shift does not end a world, since it may be temporary. For example, a board that tips when one box is placed
+    on it may become level again when the next box is placed. A world with a drive ends when the culprit (the box that
+    failed first) is lost, since only then is it known how the culprit failed.
 
     Attributes:
         scene: the world.

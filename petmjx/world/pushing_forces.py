@@ -73,7 +73,7 @@ def pushes(load: FloatArray, owner: IntArray, low: FloatArray, high: FloatArray)
 
     Args:
         load: (p, 3) load of each box: force, and first moments along x and y (force × coordinate).
-        owner: (c,) number of the load on each contact, rising. Each load has at least one contact.
+        owner: (c,) number of the load on each contact, in ascending order. Each load has at least one contact.
         low, high: (c, 2) lowest and highest corners (x, y) of the contacts' areas, m.
     """
     begins = np.flatnonzero(np.diff(owner, prepend=-1))

@@ -455,11 +455,11 @@ def _lower(scene: Scene) -> NDArray[np.bool_]:
 def _set_down(scene: Scene, half_size: FloatArray, start_pos: FloatArray, yaw: FloatArray) -> FloatArray:
     """(m, n) heights of the boxes' middles, m, after boxes are set down on the actual tops of the boxes below.
 
-    Boxes are set down from the bottom up. Box A is below box B if A's planned top is not above B's planned bottom (with
-    a tolerance of ``STEP_TOLERANCE_M``), and the two overlap seen from above, at their planned or actual places. The
-    planned gap between a box and the highest box below is kept. The planned gap is 0.1 mm because of the reduction of
-    sizes, or more for a box that floats in the plan. If the two boxes overlap vertically in the plan, they do not
-    overlap afterwards.
+    Boxes are set down from the bottom up. Box A is below box B under two conditions: A's planned top is not above B's
+    planned bottom (with a tolerance of ``STEP_TOLERANCE_M``), and the two overlap, seen from above, at their planned or
+    actual places. The planned gap between a box and the highest box below is kept. The planned gap is 0.1 mm because of
+    the reduction of sizes, or more for a box that floats in the plan. If the two boxes overlap vertically in the plan,
+    they do not overlap afterwards.
     """
     planned_bottom = scene.target[:, 2] - scene.half_size[:, 2]
     planned_top = scene.target[:, 2] + scene.half_size[:, 2]

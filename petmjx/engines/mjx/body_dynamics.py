@@ -33,8 +33,8 @@ Rows = Float[Array, "contact 3"]
 
 
 class Bodies(NamedTuple):
-    """The moving bodies of a world: origins, m; unit quaternions; rotation matrices; velocities as in MuJoCo's qvel;
-    and ``mass``, with six values per body: the mass, kg, repeated three times, then the three principal moments of
+    """The moving bodies of a world: origins, m; unit quaternions; rotation matrices; and velocities as in MuJoCo's
+    qvel. ``mass`` has six values per body: the mass, kg, repeated three times, then the three principal moments of
     inertia, kg·m²."""
 
     place: Float[Array, "body 3"]

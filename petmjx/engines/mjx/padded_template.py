@@ -126,8 +126,8 @@ def override_fields(
     ``gives``, contacts of compliant boxes get their own laws.
 
     Derived fields are computed as in MuJoCo's compiler. ``body_invweight0`` and ``dof_invweight0`` of a free body are
-    1/m and the mean of 1/I. ``geom_rbound`` is the half diagonal. Tests compare all these fields with those of the
-    compiler.
+    1/m and the mean of 1/I. ``geom_rbound`` is the half diagonal. Tests compare all these fields with the fields that
+    the compiler makes.
     """
     n_worlds, shapes = worlds.shape_half.shape[:2]
     boards = shapes - worlds.half.shape[1]

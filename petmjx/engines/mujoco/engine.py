@@ -42,8 +42,8 @@ class MujocoEngine(Engine):
     reasons are a model that does not compile, a lack of memory, or an error in MuJoCo.
 
     Args:
-        threads: number of worlds that are simulated at once. If ``threads`` is None, the number is that of the CPU
-            threads that this process may use.
+        threads: number of worlds that are simulated at once. If ``threads`` is None, this is the number of CPU threads
+            that the process may use.
         world_timeout_s: longest wall-clock time of one attempt at a world, s. If ``world_timeout_s`` is None, the limit
             follows from the world's expected time (petmjx/engines/mujoco/cpu_budget.py).
     """

@@ -95,7 +95,7 @@ class Beds:
 
     def step1(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """``mj_step1`` of MuJoCo with beds of springs. All results except the contacts of compliant boxes are
-        bit-identical to those of ``mj_step1``.
+        bit-identical to the results of ``mj_step1``.
         """
         mujoco.mj_checkPos(model, data)
         mujoco.mj_checkVel(model, data)

@@ -211,7 +211,7 @@ class OracleMetrics:
         start of the drive. Whether boxes are at rest is judged at the end of the drive.
 
         If no box is beyond a threshold now, signs of failure during the placement (such as a hard landing) are
-        forgotten. From then on, the first sign of failure is the first one during the drive.
+        forgotten. From then on, the first sign of failure is the first sign during the drive.
         """
         k = len(pos)
         self._sway_origin = pos.copy()

@@ -102,7 +102,7 @@ class _PoolRun:
 
 
 class WorkerPool(Engine):
-    """The engine ``recipe.name`` in many processes. Outcomes are the same as those of the engine itself.
+    """The engine ``recipe.name`` in many processes. Outcomes are the same as on the engine itself.
 
     A worker that dies is replaced, and its jobs without an outcome are given out again (``JobDealer``). Workers are
     kept between runs, until :meth:`close`.
@@ -186,7 +186,7 @@ class WorkerPool(Engine):
     def run(
         self, jobs: Sequence[Job] | JobStream[Any], sim: Simulation, progress: Progress | None = None
     ) -> Iterator[Outcome]:
-        """Simulate each job once. Outcomes are the same as those of the engine itself, and are yielded in any order, as
+        """Simulate each job once. Outcomes are the same as on the engine itself, and are yielded in any order, as
         worlds finish.
 
         Raises:

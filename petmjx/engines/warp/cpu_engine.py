@@ -29,8 +29,8 @@ class MjxWarpCpuEngine(MjxWarpEngine):
     The outcome of a world does not depend on the number of threads.
 
     Args:
-        threads: number of worlds that are simulated at once. If ``threads`` is None, the number is that of the CPU
-            threads that this process may use.
+        threads: number of worlds that are simulated at once. If ``threads`` is None, this is the number of CPU threads
+            that the process may use.
 
     Raises:
         EngineUnavailable: Warp is not installed, or JAX uses a GPU in this process. The message names the reason.

@@ -81,7 +81,8 @@ def record(cls: type, tables: Sequence[type] = (), without: Sequence[str] = ()) 
 
 @record
 class Model:
-    """Constants of a run: first those of contacts and the solver, then those of the rules (docs/rules.md)."""
+    """Constants of a run: first the constants of contacts and the solver, then the constants of the rules
+    (docs/rules.md)."""
 
     timestep: float
     gravity: float

@@ -52,13 +52,13 @@ class Replay:
 
     @classmethod
     def judged(cls, plan_id: str, claimed: str, verdict: str, reason: str, margin: float, flags: int) -> Replay:
-        """Make a replay from the values of its simulation. The values are those of a row of the table ``worlds``."""
+        """Make a replay from the values of its simulation. The values come from a row of the table ``worlds``."""
         near = verdict not in _VALID or not abs(margin) >= NEAR_MARGIN or bool(flags & NEAR_FLAGS)
         return cls(plan_id, claimed, verdict, reason, near)
 
     @property
     def differs(self) -> bool:
-        """Whether the verdict in the entry's run is valid and differs from that of the replay."""
+        """Whether the verdict in the entry's run is valid and differs from the replay's verdict."""
         return self.claimed in _VALID and self.verdict != self.claimed
 
 

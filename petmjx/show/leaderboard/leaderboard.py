@@ -185,8 +185,8 @@ def _rated_board(
 
 
 def _options_of(of_simulation: Mapping[str, Any], entries: Sequence[Entry]) -> Simulation:
-    """The simulation options of the board: those with which ``leaderboard`` was called. Without such options, the board
-    has the options of the runs, or the defaults if runs have different options."""
+    """The simulation options of the board: the options with which ``leaderboard`` was called. Without such options, the
+    board has the options of the runs, or the defaults if runs have different options."""
     settings = [entry.run.info.get("config", {}).get("simulation") for entry in entries]
     if of_simulation or not isinstance(settings[0], Mapping) or any(setting != settings[0] for setting in settings):
         return Simulation(**of_simulation)
