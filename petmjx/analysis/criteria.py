@@ -206,7 +206,7 @@ def corner_and_area_slack(share: FloatArray, corners: IntArray, least: tuple[flo
 
 SUPPORT_CRITERIA: Final = {f"support_{100 * share:.0f}": share for share in (1.0, 0.9, 0.8, 0.75, 0.7, 0.6, 0.5)}
 """Name of a criterion → share of a box's base that must lie on boxes or the carrier. The share 1 is the whole base; the
-other shares are those in Bortfeldt & Wäscher's survey and in the ADAMS study."""
+other shares are as in Bortfeldt & Wäscher's survey and in the ADAMS study."""
 
 LEAST_CORNERS: Final = 3
 
@@ -418,7 +418,7 @@ CRITERIA: Final = (
     ),
     Criterion(
         "stacking_tree",
-        "weight and load, passed down by the lever rule, act inside the contact hull of the box and of all boxes below",
+        "for the box and each box below: weight and load act inside the contact hull; loads pass down by the lever rule",
         "smallest distance of a resultant inside its hull's edge",
         _MM,
         "Zhao et al. 2022, arXiv 2108.13680",
@@ -427,7 +427,7 @@ CRITERIA: Final = (
     ),
     Criterion(
         "equilibrium",
-        "weight and load, passed down in balance, act inside the contact hull of the box and of all boxes below",
+        "for the box and each box below: weight and load act inside the contact hull; loads pass down in balance",
         "smallest distance of a resultant inside its hull's edge",
         _MM,
         "Ramos et al. 2016",

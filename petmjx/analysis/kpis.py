@@ -93,7 +93,7 @@ COLUMNS: Final = (
         "n_pal_items",
         "int64",
         "1",
-        "number of boxes on the target that are as ordered, each ordered box counted once, and begin at or below 2.0 m",
+        "number of boxes on the target that are as ordered and begin at or below 2.0 m; each ordered box counts once",
     ),
     KpiColumn("height_below_2m_m", "float64", "m", "greatest height of boxes that end at or below 2.0 m"),
     KpiColumn("volume_m3", "float64", "m^3", "volume of the boxes"),

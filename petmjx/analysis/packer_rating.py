@@ -1,7 +1,7 @@
 """A rating of packers by physics: the share of all ordered boxes that are part of a plan that stands.
 
-The rating has the same form as that of the benchmark BED-BPP (docs/kpis.md), but uses petmjx's verdict. docs/packers.md
-states which boxes and which orders count.
+The rating has the same form as the rating of the benchmark BED-BPP (docs/kpis.md), but uses petmjx's verdict.
+docs/packers.md states which boxes and which orders count.
 """
 
 from __future__ import annotations

@@ -107,7 +107,7 @@ def tell(
 
     ``petmjx.tell("s0-000016", "results")`` tells the story of plan ``s0-000016`` in the run in the folder ``results``.
     A new simulation uses the options of the run, and repeats failed attempts as the run did, so its result is
-    bit-identical to that of the run. If the run's engine cannot run on this machine, ``mujoco`` is used instead, and
+    bit-identical to the run's result. If the run's engine cannot run on this machine, ``mujoco`` is used instead, and
     ``Story.note`` states whether the result differs.
 
     Args:

@@ -150,8 +150,9 @@ FAILING_POWER = 2.5
 number of steps grows with this share, and the time of a step grows with the number of standing boxes."""
 
 DRIVEN_SWAY = 4.0
-"""Number of additional steps of a drive of compliant boxes, relative to those of one placement: a drive makes a pile
-sway further. Columns of 18 boxes of 50 N/mm took 470 additional steps in EUMOS's profile, and 30 in a placement."""
+"""Number of additional steps of a drive of compliant boxes, relative to the additional steps of one placement: a drive
+makes a pile sway further. Columns of 18 boxes of 50 N/mm took 470 additional steps in EUMOS's profile, and 30 in a
+placement."""
 
 FALLING_SWAY_MM = 50.0
 """A pile of compliant boxes is expected to fall when its ``Work.sway_mm`` has reached this value. While boxes are
@@ -400,8 +401,8 @@ class Work:
 
     @property
     def on_device(self) -> float:
-        """Cost of all placements of a plan on a device, with and without errors. A cost of 1 is that of one placement
-        of this plan in which boxes appear exactly at their places."""
+        """Cost of all placements of a plan on a device, with and without errors. A cost of 1 is the cost of one
+        placement of this plan in which boxes appear exactly at their places."""
         planned = CARRIED_COST if self.sim.placing.carries else 1.0
         return planned * self.planned + DISPLACED_COST * self.displaced + CARRIED_COST * self.carried
 

@@ -1,10 +1,10 @@
 """Finds candidate places for a box at the extreme points of a pile, as seen from all four corners of the carrier. At an
 extreme point, a box touches other boxes or the carrier's edges. The module is an array program in JAX.
 
-The extreme points are those of ``petmjx.packers.learned_candidates``: Crainic, Perboli, Tadei (2008), "Extreme
-point-based heuristics for three-dimensional bin packing", INFORMS Journal on Computing 20(3), 368–384, computed for the
-pile and for its three mirror images. With the extreme points as seen from a single corner, narrow useless strips would
-remain along the opposite edges of the carrier.
+The extreme points are as in ``petmjx.packers.learned_candidates``, for the pile and for its three mirror images
+(Crainic, Perboli, Tadei 2008, "Extreme point-based heuristics for three-dimensional bin packing", INFORMS Journal on
+Computing 20(3), 368–384). With the extreme points as seen from a single corner, narrow useless strips would remain
+along the opposite edges of the carrier.
 """
 
 from __future__ import annotations

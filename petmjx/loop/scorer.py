@@ -47,7 +47,8 @@ class Scored:
 
 
 class Scorer(Closable):
-    """Scores plans with an engine that is already running. Results are bit-identical to those of ``petmjx.score``.
+    """Scores plans with an engine that is already running. Results are bit-identical to the results of
+    ``petmjx.score``.
 
     ``S = petmjx.Scorer(engine="mujoco", threads=2); S.score(plans).worlds.verdict``
 
@@ -103,7 +104,7 @@ class Scorer(Closable):
 
     def tell(self, *, size_mm: Any, corner_mm: Any, mass_kg: Any) -> PlacementResults:
         """Score m plans that are given as arrays, and return the results as arrays. ``PlacementResults.pallet`` is the
-        number of the plan. Forces are those at rest.
+        number of the plan. Forces are the forces at rest.
 
         Args:
             size_mm, corner_mm: (m, k, 3) extents and corners of the boxes, as in ``Plan.from_boxes``; ``mass_kg``: (m,

@@ -247,7 +247,7 @@ class ColumnMeaning:
         unit: name of the unit in ``LENGTH_UNITS``, ``MASS_UNITS`` or ``DENSITY_UNITS``; "": no unit.
         anchor: for positions, the point according to the name (``centre``, ``base-centre``, ``corner``); "": none is
             given.
-        placed: whether the name implies that sizes are those of the box as placed.
+        placed: whether the name implies that sizes are given for the box as placed.
         half: whether sizes are half extents.
         of_container: whether the column describes the container or the pallet, not the box.
         letter: whether the axis is given by a single letter.

@@ -61,7 +61,7 @@ def foreign_orders(data: bytes | bytearray, path: Path, source: str, reading: Or
 
 
 def frame_orders(frame: Any, source: str, reading: OrderReading) -> ForeignOrders:
-    """Read the orders in a data frame or an Arrow table. Arguments and errors are those of :func:`foreign_orders`."""
+    """Read the orders in a data frame or an Arrow table. Arguments and errors are as in :func:`foreign_orders`."""
     return _orders_of(_best_source(sources_of_frame(frame), reading.items), source, reading)
 
 

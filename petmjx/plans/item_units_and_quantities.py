@@ -262,8 +262,8 @@ class _OrderBuilder:
         """The most plausible units.
 
         Raises:
-            InputError: two units of lengths are possible, or it is unclear whether a weight is that of a box or of a
-                row, or no row is good.
+            InputError: two units of lengths are possible; or it is unclear whether a weight is the weight of a box or
+                of a row; or no row is good.
         """
         columns, wishes = self.columns, self.reading.wishes
         is_good = np.array([row not in self.faults for row in range(columns.n_rows)])

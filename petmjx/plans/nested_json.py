@@ -102,7 +102,7 @@ _TYPES: Final[Mapping[str, type | tuple[type, ...]]] = {
     "arrayValue": dict,
 }  # fmt: skip
 """Databases export a value as an object with a single field, whose name states the type of the value, such as
-{"$numberInt": "5"}. Name of such a field → Python type of its value. The names are those of MongoDB's extended JSON,
+{"$numberInt": "5"}. Name of such a field → Python type of its value. The names come from MongoDB's extended JSON,
 DynamoDB and Firestore."""
 _TYPED_NAME: Final = re.compile(r'\{\s*"(?:\$number\w+|\$oid|[NS]|(?:integer|double|string)Value)"\s*:')
 

@@ -225,8 +225,8 @@ def _equal_measures(box: FloatArray, item: FloatArray) -> NDArray[np.bool_]:
 
 
 def _equal_centres(box: FloatArray, item: FloatArray) -> NDArray[np.bool_]:
-    """Whether the centre of mass of each box is at the same point as that of its item, in at least one orientation of
-    the box.
+    """Whether the centre of mass of each box is at the same point as in its item, in at least one orientation of the
+    box.
 
     Args:
         box, item: (…, 6) lengths, widths and heights, and centres of mass along them, mm.

@@ -104,7 +104,7 @@ def read_order_frame(
 ) -> Iterator[tuple[str, Order]]:
     """Yield (order id, order) for each order of a data frame, or of any object with Arrow's stream interface.
 
-    Arguments and errors are those of :func:`read_orders`. Messages call the frame "orders".
+    Arguments and errors are as in :func:`read_orders`. Messages call the frame "orders".
     """
     from petmjx.plans.foreign_orders import frame_orders
     from petmjx.plans.item_units_and_quantities import OrderReading
@@ -214,7 +214,7 @@ def _foreign(path: Path, name: str, reading: OrderReading | None) -> ForeignOrde
 def _good_orders(
     orders: ForeignOrders, on_bad_order: Callable[[InputError], None] | None
 ) -> Iterator[tuple[str, Order]]:
-    """Yield the good orders of a file. Errors are those of :func:`read_orders`."""
+    """Yield the good orders of a file. Errors are as in :func:`read_orders`."""
     for _, line in orders.refused:
         error = InputError(line)
         if on_bad_order is None:

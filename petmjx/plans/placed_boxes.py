@@ -53,8 +53,8 @@ _OF_DECKS_MM: Final = ((380.0, 580.0), (1320.0, 1500.0))
 """Limits of the sides of a pallet, mm: the smallest short and long side, and the largest short and long side."""
 _HIGHEST_DECK_MM: Final = 250.0
 _LEAST_HEIGHT_SHARE: Final = 0.49
-"""Along the vertical axis, the coordinate of a box on a pallet is larger than that of the pallet by at least this share
-of the pallet's height. If coordinates are those of centres, the difference for a thin box is little more than half of
+"""Along the vertical axis, the coordinate of a box on a pallet is larger than the pallet's coordinate by at least this
+share of the pallet's height. If coordinates describe centres, the difference for a thin box is little more than half of
 the pallet's height."""
 _LEVEL: Final = 0.01
 """The lowest box counts as standing on the deck if the distance between its bottom and the deck is at most this share
@@ -242,7 +242,8 @@ def masses_kg(
         size: (n, 3) sizes of the boxes, mm.
         length_unit: unit of the file's sizes.
         usual_kg_m3: density of boxes without weights if the caller gives none.
-        counts: (n,) number of boxes of each row, if a weight is that of all these boxes; None: it is that of one box.
+        counts: (n,) number of boxes of each row, if a weight is the weight of all these boxes; None: it is the weight
+            of one box.
 
     Raises:
         InputError: densities have no unit, and may be in kg/m³ or in another unit.

@@ -60,8 +60,8 @@ FRAME: Final = "data frame"
 OBJECT: Final = "python"
 """Names in messages: ``FRAME`` stands for a data frame, ``OBJECT`` for any other Python object."""
 _MOSTLY_OWN: Final = 4
-"""If a table has more than this number of petmjx's own column names, but no sizes or places, its error is that of
-petmjx's own reader (``_likelier``)."""
+"""If a table has more than this number of petmjx's own column names, but no sizes or places, petmjx's own reader
+reports the error (``_likelier``)."""
 OPTIONS_OF_OTHERS: Final = (
     ("up", "--up"), ("sizes", "--sizes"), ("columns", "--columns"), ("density", "--density"), ("items", "--items"),
     ("reading", "--as"),
@@ -443,7 +443,7 @@ class _PlanLoader:
         self, source: str, read: Callable[[], Table], otherwise: Callable[[], InputError | None] | None
     ) -> None:
         """Read a table of a file. If the table cannot be read, the file is skipped (see :meth:`_skip`). Arguments are
-        those of :meth:`_table_fault`."""
+        as in :meth:`_table_fault`."""
         if (fault := self._table_fault(source, read, otherwise)) is not None:
             self._skip(source, None, f"{source}: {fault}", fault)
 

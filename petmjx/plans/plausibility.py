@@ -46,7 +46,7 @@ _LARGE_MM: Final = 1000.0
 """The footprint of a load counts as evidence only for carriers at least this long. Smaller carriers are no larger than
 two cartons, so a footprint of their size may be chance."""
 _NEAR: Final = 0.03
-"""A deck counts as a usual deck if its sides differ from those of the usual deck by at most this share."""
+"""A deck counts as a usual deck if its sides differ from the sides of the usual deck by at most this share."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,12 +214,12 @@ of the top, if y is the vertical axis."""
 
 
 def are_other_points(layout: Layout, mm: float, point: FloatArray) -> bool:
-    """Whether coordinates that were read as those of one point of each box, such as a corner, are probably those of
-    another point of each box. The vertical axis may be z or y.
+    """Whether coordinates that were read as one point of each box, such as a corner, probably describe another point of
+    each box. The vertical axis may be z or y.
 
-    Two conditions must hold. If coordinates are read as those of the other point, the load begins at a corner of the
-    deck, or is symmetric to the origin, along both horizontal axes. If coordinates are read as those of the given
-    point, neither is true of the load. The origin may be a corner of the deck, or the middle of a deck.
+    Two conditions must hold. If coordinates describe the other point, the load begins at a corner of the deck, or is
+    symmetric to the origin, along both horizontal axes. If coordinates describe the given point, neither is true of the
+    load. The origin may be a corner of the deck, or the middle of a deck.
 
     Args:
         mm: the unit of the layout's lengths, in millimetres.

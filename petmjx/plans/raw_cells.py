@@ -296,7 +296,7 @@ def decimal_of(rows: Sequence[Sequence[Any]]) -> str:
     if commas or points:
         return "," if commas > points else "."
     if maybe["."] > _MANY * maybe[","] > 0:
-        return "."  # the commas are those of a few damaged cells
+        return "."  # the commas come from a few damaged cells
     if maybe[","]:
         return "," if long_whole and not maybe["."] else ""
     return "" if beside_whole and not long_whole else "."

@@ -319,9 +319,9 @@ def _sizes_by_article(columns: BoxColumns, geometry: Geometry) -> str:
 
 _LEAST_BY_LENGTH: Final = 3
 """Least number of turned boxes, and of unturned boxes, with different lengths and widths. With fewer such boxes,
-lengths and widths do not show whether sizes are those of placed boxes or of items."""
+lengths and widths do not show whether sizes are given for placed boxes or for items."""
 _LONGER_SHARE: Final = 0.9
-"""Lengths and widths show whether sizes are those of placed boxes or of items only if the length exceeds the width in
+"""Lengths and widths show whether sizes are given for placed boxes or for items only if the length exceeds the width in
 at least this share of the unturned boxes."""
 
 

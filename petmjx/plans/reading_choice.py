@@ -51,9 +51,9 @@ WEAK_LEAD: Final = 3.0
 """A weak reading (see ``WEAK``) wins only if its cost is lower than the cost of every other reading by at least this
 value. If a plan really has odd boxes, even more boxes are odd in wrong readings."""
 _OTHER_POINT_COST: Final = 3.6
-"""Cost of a reading in which coordinates are those of corners, if they are probably those of other points
-(``are_other_points``). For a reading with coordinates of centres, the cost is half as large: such coordinates may be
-those of the middles of tops, if y is the vertical axis."""
+"""Cost of a reading in which coordinates describe corners, if they probably describe other points
+(``are_other_points``). For a reading with coordinates of centres, the cost is half as large: such coordinates may
+describe the middles of tops, if y is the vertical axis."""
 _WALL_COST: Final = 2.0
 """Cost of a reading in which boxes form a wall (``is_wall``). If y is as likely to be the vertical as z, and the file
 has more than a few boxes, the reading as a flat layer wins. Otherwise, the user is asked for the vertical axis."""

@@ -231,8 +231,8 @@ def _instances(node: Mapping[str, Any], place: str) -> list[FloatArray]:
 
 
 def source_of_gltf(value: Mapping[str, Any]) -> BoxSource:
-    """The boxes of a glTF scene: nodes with a mesh. The extents of a mesh are those of its positions, as its accessor
-    gives them; if the accessor gives none, the mesh is a unit cube.
+    """The boxes of a glTF scene: nodes with a mesh. The extents of a mesh are the extents of its positions, as its
+    accessor gives them; if the accessor gives none, the mesh is a unit cube.
 
     Raises:
         InputError: the pose of a node is damaged, or no node has a mesh.

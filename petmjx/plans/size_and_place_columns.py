@@ -59,7 +59,7 @@ class Geometry:
         axes: names of the axes of the sizes: words, or x, y, z, or "0", "1", "2" if they have no names.
         size_unit, place_unit: unit according to names or cells; "": none is given.
         anchor: the point of a box according to the names; "": none is given.
-        placed: whether the sizes are known to be those of the box as placed.
+        placed: whether the sizes are known to be given for the box as placed.
         columns: role → name of its column.
         prior: how unlikely this choice of columns is, before any numbers are considered; 0: usual.
         turn: (n, 3, 3) rotations of poses; None: no poses.

@@ -77,7 +77,8 @@ def _orders_line(path: Path, options: Mapping[str, Any]) -> tuple[str, str]:
         line = str(error).removeprefix(f"{printable(str(path))}: ")
         return line if line.startswith(TWO_WAYS) and not has_named_places(path) else "", ""
     if not sizes or has_named_places(path):
-        of_plans = not errors or OF_PLAN in str(errors[0])  # then the record has an error of the reader of plans
+        # without an error about orders, or if the file has plans, the record already has the error of the plans' reader
+        of_plans = not errors or OF_PLAN in str(errors[0])
         return "", "" if sizes or of_plans else str(errors[0])
     plain = f"read as BED-BPP's orders; {count_text(len(sizes), 'order')}, {count_text(sum(sizes), 'box', 'boxes')}"
     line = str(notes[0].message).removeprefix(f"{printable(str(path))}: ") if notes else plain

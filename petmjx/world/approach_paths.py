@@ -54,7 +54,7 @@ class ApproachPath(NamedTuple):
     """The paths on which the n boxes of a scene reach their places.
 
     For several scenes with arrays of equal shapes, every array has an additional first axis, with one entry per scene.
-    Positions are those of the boxes' middles, m.
+    Positions are the positions of the boxes' middles, m.
 
     Attributes:
         lift: (n, 3) vector from each box's place to the end of its path, m. The box is released at the end of its path.

@@ -115,7 +115,7 @@ def _solved_loads(
     """(n, 3) loads of one scene, and (n,) distances by which these loads are beyond edges, m. The result is None if the
     linear programme has no solution.
 
-    The programme determines the loads of the boxes ``changed``. The loads of all other boxes are those in ``load``. The
+    The programme determines the loads of the boxes ``changed``. The loads of all other boxes are as in ``load``. The
     unknowns of the programme are
 
     - the forces at the four corners of each contact in ``contacts``,

@@ -73,8 +73,8 @@ class Body:
     def with_walls(
         self, center: FloatArray, half_size: FloatArray, mass: FloatArray, friction: FloatArray, sides: Sequence[Side]
     ) -> Body:
-        """This body with additional walls, one for each of ``sides``. The other arguments are those of ``of_boards``,
-        with one row per wall."""
+        """This body with additional walls, one for each of ``sides``. The other arguments are as in ``of_boards``, with
+        one row per wall."""
         boards = self.pos + self.shape_pos
         body = Body.of_boards(
             np.vstack([self.pos, center]),

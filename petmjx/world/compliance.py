@@ -85,8 +85,8 @@ def compliances(stiffness_n_m: FloatArray, half_size: FloatArray) -> FloatArray:
 
 def shared_area_m2(one: Face, two: Face) -> float:
     """Area in which two shapes overlap, seen from above, at their planned places, m². If they overlap by less than
-    ``LEAST_SHARE`` of the smaller shape, the area is this share. If neither shape is above the other, the area is that
-    of the smaller shape."""
+    ``LEAST_SHARE`` of the smaller shape, the area is this share. If neither shape is above the other, the area of the
+    smaller shape is used."""
     (ax, ay, az), (bx, by, bz) = one.middle, two.middle
     (al, aw, ah), (bl, bw, bh) = one.half, two.half
     smaller = 4.0 * min(al * aw, bl * bw)
@@ -163,7 +163,7 @@ def sinks_m(scene: Scene, gravity_m_s2: float) -> FloatArray | None:
     """(n,) distance by which each box is expected to sink once all boxes are placed, m; None if no box is compliant.
 
     A box sinks by the compression of the springs below it, plus the distance by which its supports sink (the largest,
-    if they differ). The loads on the springs are those of the complete plan.
+    if they differ). The loads on the springs are the loads of the complete plan.
     """
     if scene.stiffness is None:
         return None

@@ -91,8 +91,8 @@ def pulls_m_s2(solref: tuple[float, float], solimp: Triple, timestep_s: float) -
 
 
 def cone_factor(physics: Physics, one: FloatArray | float, two: FloatArray | float) -> FloatArray:
-    """The factor by which contacts with pyramidal friction cones are softer than those with elliptic cones. ``one`` and
-    ``two`` are the coefficients of sliding friction of the two shapes.
+    """The factor by which contacts with pyramidal friction cones are softer than contacts with elliptic cones. ``one``
+    and ``two`` are the coefficients of sliding friction of the two shapes.
 
     Each of the four edges of a pyramid has 2μ²(1 + μ²) times the regularisation of the elliptic cone's normal, and all
     four edges act together.

@@ -71,7 +71,7 @@ class Contacts:
         return f"Contacts({count_text(len(self.frame), 'contact')})"
 
     def then(self, later: Contacts) -> Contacts:
-        """The contacts of this object, followed by those of ``later``."""
+        """The contacts of this object, followed by the contacts of ``later``."""
         names = [field.name for field in fields(self)]
         return Contacts(**{name: np.concatenate((getattr(self, name), getattr(later, name))) for name in names})
 
@@ -85,8 +85,8 @@ class History:
     was placed directly after the step, its forces and accelerations in this frame are 0.
 
     Attributes:
-        time_s: (f,) time since the soft start (the phase in which gravity grows), s. The first frame is that of the
-            first placement or, with check ``static``, that at time 0.
+        time_s: (f,) time since the soft start (the phase in which gravity grows), s. The first frame is taken at the
+            first placement or, with check ``static``, at time 0.
         n_placed: (f,) number of boxes placed so far.
         pos: (f, n, 3) centres of the boxes, m.
         quat: (f, n, 4) orientations of the boxes as quaternions (w, x, y, z).

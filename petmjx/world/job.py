@@ -24,8 +24,8 @@ class Excitation:
     Attributes:
         name: name of the profile, for messages.
         kind: "force" or "acceleration". Samples that are forces act on the carrier; their unit is total mass × 9.81
-            m/s². Samples that are accelerations are those of the carrier; their unit is m/s². The engine clamps the
-            carrier and subtracts the acceleration from gravity.
+            m/s². Samples that are accelerations are accelerations of the carrier; their unit is m/s². The engine clamps
+            the carrier and subtracts the acceleration from gravity.
         samples: (n_steps, 3) vectors. Row i acts during step i + 1 of the profile. Nothing acts after the last row.
     """
 

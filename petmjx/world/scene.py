@@ -250,7 +250,7 @@ def carrier_of(plan: Plan, sim: Simulation) -> Body:
 
 def build_scenes(plans: Iterable[Plan], sim: Simulation) -> Iterator[Scene]:
     """The scene of each plan, in order, as from ``build_scene``. Many plans are computed together; the scenes are
-    bit-identical to those of ``build_scene``."""
+    bit-identical to the scenes of ``build_scene``."""
     slabs, source = _is_slab(sim), iter(plans)
     while batch := list(islice(source, AT_A_TIME)):
         alike = [plan for plan in batch if slabs and _is_plain(plan)]

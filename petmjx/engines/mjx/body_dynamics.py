@@ -1,7 +1,7 @@
 """Free bodies of one world in MuJoCo's coordinates, in closed form: places, accelerations, contacts, steps.
 
 MJX computes all this for trees of joints of any kind. A pallet consists of free bodies, so few lines are enough, and
-programs are half as large. The formulas are those of MuJoCo's documentation ("Computation"). A free body has six
+programs are half as large. The formulas are from MuJoCo's documentation ("Computation"). A free body has six
 velocities: three of its origin, in world axes, and three of its rotation, in its own axes. The origin of a body is its
 centre of mass, and the axes of a body are its principal axes, so the mass matrix is diagonal.
 
@@ -171,8 +171,8 @@ class Links:
 def _springs(
     contact: Any, timestep_s: Float[Array, ""]
 ) -> tuple[Float[Array, " contact"], Rows, Float[Array, " contact"]]:
-    """Stiffness along the normal (1/s²), damping of each row (1/s), and impedance of contacts. The formulas are those
-    of MuJoCo's documentation, "Modeling", section "Solver parameters"."""
+    """Stiffness along the normal (1/s²), damping of each row (1/s), and impedance of contacts. The formulas are from
+    MuJoCo's documentation, "Modeling", section "Solver parameters"."""
     differs = (contact.solreffriction != 0).any(-1, keepdims=True)
     tangent = jnp.where(differs, contact.solreffriction, contact.solref)
     law = jnp.stack([contact.solref, tangent, tangent], axis=1)

@@ -229,7 +229,7 @@ class Rules:
         presses: Bool[Array, " world"],
         nonfinite: Bool[Array, " world"],
     ) -> State:
-        """Measure the boxes, and end the worlds whose fate the measurements decide. The arguments are those of
+        """Measure the boxes, and end the worlds whose fate the measurements decide. The arguments are as in
         ``after_step``."""
         limits, m = self.sim.thresholds, state.metrics
         counted = state.running & (state.step > 0) & ~nonfinite

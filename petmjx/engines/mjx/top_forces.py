@@ -22,7 +22,7 @@ def contact_force_z(
 
     ``rows`` are the constraint forces of one contact. Elliptic cones: (normal, tangent 1, tangent 2, unused). Pyramidal
     cones: the forces along the four edges; the normal force is the sum of these, and the tangential forces are their
-    differences × sliding friction. The formulas are those of MuJoCo's documentation, "Computation", section "Contact".
+    differences × sliding friction. The formulas are from MuJoCo's documentation, "Computation", section "Contact".
     ``frame_z``: z components of normal and tangents.
     """
     if pyramidal:

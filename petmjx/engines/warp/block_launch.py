@@ -232,8 +232,7 @@ class Launch:
     Attributes:
         blocks: number of blocks that run at the same time.
         threads, per_sm, worlds, pause_after: as in ``Size``.
-        shared_words: shared memory for rows of the factor of a world's Hessian, and for the Hessian, in units of four
-            bytes.
+        shared_words: shared memory for the Hessian of a world, and for rows of its factor, in units of four bytes.
         panels: number of panels (groups of 16 rows) of the largest system of equations.
     """
 

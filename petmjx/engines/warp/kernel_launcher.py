@@ -73,7 +73,7 @@ class KernelLauncher:
             )
             for queue, pool in enumerate(pools)
         ]
-        # extra block pools and those for stiff contacts are left out: their blocks take the place of other blocks
+        # extra block pools and block pools for stiff contacts are left out: their blocks take the place of other blocks
         self.blocks = sum(pool.blocks for pool in pools if not pool.is_extra and pool.stiff is None)
         self.lanes = sum(pool.lanes for pool in pools)
         self.slice_ns = slice_ns

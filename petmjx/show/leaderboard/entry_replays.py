@@ -72,8 +72,8 @@ class Sample:
         exact: whether the entry's run used the same engine and the same version of petmjx, so that verdicts can differ
             only because of rounding.
         replays: the replays.
-        fault: a fault of the entry's run, apart from verdicts that differ from those of replays; "" if there is no such
-            fault.
+        fault: a fault of the entry's run, apart from verdicts that differ from the verdicts of replays; "" if there is
+            no such fault.
     """
 
     packer: str

@@ -164,7 +164,7 @@ class TiltTable(_Table):
 
 
 class TrapezoidTable(_Table):
-    """A horizontal acceleration like that of EUMOS 40509. The strength of the profile is a level in g."""
+    """A horizontal acceleration like the one of EUMOS 40509. The strength of the profile is a level in g."""
 
     kind: Literal["trapezoid"]
     ramp_s: LongerThanNothing = Field(_TRAPEZOID.ramp_s, description="length of each ramp, s")

@@ -1,7 +1,7 @@
 """Collisions of a world: pairs of geoms that are near one another, and the contacts of these pairs.
 
 Pairs are in the order of their geoms, and a pair's contacts in the order in which the collider gives them. So every sum
-over contacts has the same order in every run. Colliders are those of mujoco_warp, in the copy inside MJX.
+over contacts has the same order in every run. Colliders come from mujoco_warp, in the copy inside MJX.
 """
 
 from __future__ import annotations
