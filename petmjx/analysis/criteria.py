@@ -418,7 +418,7 @@ CRITERIA: Final = (
     ),
     Criterion(
         "stacking_tree",
-        "for the box and each box below: weight and load act inside the contact hull; loads pass down by the lever rule",
+        "for the box and each box below: weight and load act inside the contact hull; loads pass down by lever rule",
         "smallest distance of a resultant inside its hull's edge",
         _MM,
         "Zhao et al. 2022, arXiv 2108.13680",
