@@ -23,7 +23,8 @@ from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Check, Schedule, Simulation
 from petmjx.options.walls import Side
 from petmjx.plans.plan_sources import usable_plans
-from petmjx.repairs.drafts import Draft, Rules
+from petmjx.repairs.draft_rules import Rules
+from petmjx.repairs.drafts import Draft
 from petmjx.world.approach_paths import ApproachPath, approach_path_of, approach_paths_of, reach
 from petmjx.world.edge_distances import building_edges
 from petmjx.world.history import Record
