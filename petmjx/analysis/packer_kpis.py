@@ -14,7 +14,7 @@ import pandas as pd
 from petmjx.analysis.kpis import kpis_of
 from petmjx.common.text import count_text, first_names, printable, printable_name
 from petmjx.plans.articles import Articles, read_articles
-from petmjx.plans.order_generator import Order
+from petmjx.plans.order import Order
 from petmjx.plans.order_matching import OddBoxes, counts_of, match, on_target, with_properties
 from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan import Plan

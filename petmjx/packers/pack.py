@@ -24,7 +24,8 @@ from petmjx.packers.physical_packer import pack_physical
 from petmjx.packers.sample_plans import MOST_SAMPLES
 from petmjx.plans.bedbpp_writer import write_plans
 from petmjx.plans.file_formats import SupportsArrow, is_csv, is_parquet_name
-from petmjx.plans.order_generator import Order, draw_order
+from petmjx.plans.order import Order
+from petmjx.plans.order_generator import draw_order
 from petmjx.plans.order_reader import read_order_frame, read_orders
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_sources import PathArgument

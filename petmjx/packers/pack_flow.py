@@ -18,7 +18,7 @@ from petmjx.options.simulation import Simulation
 from petmjx.packers.finalists import Asks, Evaluation, Finalist, Trial, order_evaluation
 from petmjx.packers.pack_options import PhysicalOptions
 from petmjx.packers.packed_orders import PackedOrder
-from petmjx.plans.order_generator import Order
+from petmjx.plans.order import Order
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.plan_sources import without_narrow_walls, without_vanishing_boxes

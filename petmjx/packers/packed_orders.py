@@ -13,7 +13,7 @@ from petmjx.packers.left_out_items import LeftOutItems, left_out_of, why_left_ou
 from petmjx.packers.pack_options import PhysicalOptions
 from petmjx.packers.sample_plans import as_placements
 from petmjx.plans.bedbpp_writer import Placement
-from petmjx.plans.order_generator import Order
+from petmjx.plans.order import Order
 from petmjx.plans.plan import Plan
 from petmjx.results.share_statistics import wilson_interval
 

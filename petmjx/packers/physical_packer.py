@@ -19,7 +19,7 @@ from petmjx.packers.finalists import finalists, learned_finalists
 from petmjx.packers.pack_flow import CPU, GPU, Flow, Searched, WorldsOfPlans
 from petmjx.packers.pack_options import PhysicalOptions
 from petmjx.packers.packed_orders import PackedOrder
-from petmjx.plans.order_generator import Order
+from petmjx.plans.order import Order
 
 
 def pack_physical(

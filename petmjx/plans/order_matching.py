@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable, printable_name
 from petmjx.common.units import FloatArray
-from petmjx.plans.order_generator import Item, Order, target_extent_mm
+from petmjx.plans.order import Item, Order, target_extent_mm
 from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_fields import SHEET

@@ -16,7 +16,8 @@ import petmjx.packers.beam_search as beam_module
 from petmjx.packers.balanced_packer import PREFERENCE_SETS
 from petmjx.packers.beam_search import search
 from petmjx.packers.packing_state import Packing, Preferences
-from petmjx.plans.order_generator import TARGET_EXTENT_MM, Item, draw_order
+from petmjx.plans.order import TARGET_EXTENT_MM, Item
+from petmjx.plans.order_generator import draw_order
 
 pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 compiled = pytest.importorskip("petmjx.packers.compiled_fill")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from petmjx.plans.articles import Article, Articles, with_articles
-from petmjx.plans.order_generator import Item, Order
+from petmjx.plans.order import Item, Order
 from petmjx.plans.order_matching import (
     MASS_TOLERANCE,
     SIZE_TOLERANCE_MM,

@@ -35,7 +35,8 @@ from petmjx.packers.pack_options import PhysicalOptions
 from petmjx.packers.packed_orders import PackedOrder
 from petmjx.packers.packing_state import Packing
 from petmjx.packers.physical_packer import pack_physical
-from petmjx.plans.order_generator import TARGET_EXTENT_MM, Item, Order, draw_order
+from petmjx.plans.order import TARGET_EXTENT_MM, Item, Order
+from petmjx.plans.order_generator import draw_order
 from petmjx.results.run_reader import RunResults
 from petmjx.world.job import Job
 
