@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from petmjx.common.checked_records import CheckedRecord
-from petmjx.engines.engine_choice import ENGINES
+from petmjx.engines.engine_registry import ENGINES
 from petmjx.options.carriers import Board, OwnCarrier
 from petmjx.options.materials import FrictionPair, LandingPair
 from petmjx.options.physics import CUSTOM, PHYSICS, Physics

@@ -15,7 +15,7 @@ from petmjx.common.argument_checks import list_of, text_of
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
 from petmjx.common.units import FloatArray
-from petmjx.engines.engine_choice import ENGINES, has_option
+from petmjx.engines.engine_registry import ENGINES, has_option
 from petmjx.options.carriers import CARRIER_EXTENT_M, TARGETS, Carrier, OwnCarrier, extent_m
 from petmjx.options.run_options import AUTO
 from petmjx.results.resume import engine_of_run

@@ -8,7 +8,7 @@ from typing import Any, Final
 from petmjx.common.checked_records import shown_value
 from petmjx.common.errors import InputError
 from petmjx.common.machine import why_no_warp
-from petmjx.engines.engine_choice import ENGINES, make_engine, options_of
+from petmjx.engines.engine_registry import ENGINES, make_engine, options_of
 from petmjx.engines.protocol import Engine, MinimalEngine
 from petmjx.engines.user_engine import UserEngine
 from petmjx.options.carriers import extent_m

@@ -23,7 +23,7 @@ from petmjx.common.text import printable_name
 from petmjx.engines.attempt_settings import ATTEMPTS, Engines, may_go_on
 from petmjx.engines.attempt_with_fallback import outcomes_of_stream
 from petmjx.engines.contact_penetration import note_penetration
-from petmjx.engines.engine_choice import make_engine, options_of
+from petmjx.engines.engine_registry import make_engine, options_of
 from petmjx.engines.job_stream import JobBounds, JobStream
 from petmjx.engines.metrics import BoxMetrics
 from petmjx.engines.protocol import Capability, Engine, Progress

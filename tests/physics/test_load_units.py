@@ -65,7 +65,7 @@ def level(level_g: float, axis: int, ramp: int = 150, hold: int = 150) -> np.nda
 
 
 def engine_of(name: str) -> Engine:
-    from petmjx.engines.engine_choice import make_engine
+    from petmjx.engines.engine_registry import make_engine
 
     return make_engine(name)
 

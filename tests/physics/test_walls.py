@@ -16,7 +16,7 @@ from support.sweeps import write_sweep
 
 import petmjx
 from petmjx.common.errors import InputError
-from petmjx.engines.engine_choice import make_engine
+from petmjx.engines.engine_registry import make_engine
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.options.run_options import RunOptions

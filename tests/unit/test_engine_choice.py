@@ -21,8 +21,9 @@ from petmjx.engines.cost_model import (
     Work,
     rest_steps,
 )
-from petmjx.engines.engine_choice import ENGINES, Choice, choose, make_engine
+from petmjx.engines.engine_choice import Choice, choose
 from petmjx.engines.engine_of_run import engine_for, resolve_engine
+from petmjx.engines.engine_registry import ENGINES, make_engine
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.protocol import Progress
 from petmjx.engines.verdict import Outcome

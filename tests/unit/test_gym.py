@@ -25,7 +25,7 @@ from support.programs import run_program
 import petmjx.gym
 from benchmarks.episodes import SETTINGS, episodes
 from petmjx.common.errors import InputError, PlanWarning
-from petmjx.engines.engine_choice import make_engine
+from petmjx.engines.engine_registry import make_engine
 from petmjx.gym.actions import _in_turn
 from petmjx.gym.item_queues import Queues
 from petmjx.gym.single_env import PalletizingEnv
