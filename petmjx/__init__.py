@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from petmjx.options.run_options import RunOptions
     from petmjx.options.simulation import Check, Quiet, Schedule, Simulation, Solver, Thresholds
     from petmjx.packers.learned_packer import placement_stability
-    from petmjx.packers.pack import Packed, pack
+    from petmjx.packers.pack import pack
+    from petmjx.packers.packed_orders import Packed
     from petmjx.plans.plan import Plan
     from petmjx.plans.plan_reader import load_plans
     from petmjx.plans.plan_set import PlanSet
@@ -86,7 +87,7 @@ _HOME = {
     "Trajectories": "petmjx.loop.free_motion",
     "release": "petmjx.loop.free_motion",
     "loads": "petmjx.analysis.box_loads",
-    "Packed": "petmjx.packers.pack",
+    "Packed": "petmjx.packers.packed_orders",
     "pack": "petmjx.packers.pack",
     "merge_runs": "petmjx.runs.merge",
     "repair": "petmjx.repairs.repair",

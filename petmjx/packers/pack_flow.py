@@ -16,8 +16,8 @@ from petmjx.engines.world_results import World
 from petmjx.options.run_options import Confidence, RunOptions, sorted_options
 from petmjx.options.simulation import Simulation
 from petmjx.packers.finalists import Asks, Evaluation, Finalist, Trial, order_evaluation
-from petmjx.packers.pack_options import PhysicalOptions
 from petmjx.packers.packed_orders import PackedOrder
+from petmjx.packers.physical_packer_options import PhysicalOptions
 from petmjx.plans.order import Order
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet
