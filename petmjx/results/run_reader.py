@@ -41,7 +41,7 @@ from petmjx.results.run_folder import MOST_RUN_FILE_BYTES, RUN_FILE
 from petmjx.results.run_json_checks import check_run_file, write_run_file
 from petmjx.results.run_table_reader import LISTED, Parts
 from petmjx.results.schema import RANK, check_version, data_frame, placements_schema, plans_schema, schemas
-from petmjx.results.tables_in_progress import MemoryParts, Tables
+from petmjx.results.table_parts import MemoryParts, Tables
 
 if TYPE_CHECKING:
     import pandas as pd

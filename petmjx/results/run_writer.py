@@ -41,7 +41,7 @@ from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import FINISHED, RunResults, load_run
 from petmjx.results.run_table_reader import LISTED, Parts
 from petmjx.results.schema import Param, schemas
-from petmjx.results.tables_in_progress import MemoryParts, Tables
+from petmjx.results.table_parts import MemoryParts, Tables
 from petmjx.results.to_json import to_json
 from petmjx.results.world_counts import COUNTED, WorldCounts
 from petmjx.results.world_rows import Part, Row

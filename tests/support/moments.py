@@ -26,7 +26,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from petmjx.common.errors import PetmjxError
 from petmjx.plans.plan import Plan
-from petmjx.results import run_folder
+from petmjx.results import result_files, run_folder
 from petmjx.results.placements_table import placements_table
 from petmjx.results.plan_digests import records_of
 from petmjx.results.run_manifest import Manifest
@@ -65,7 +65,7 @@ class Moments:
         """From now on, count all calls of these functions as moments."""
         for name in (*WRITING, *(TAKING_AWAY if taking_away else ())):
             monkeypatch.setattr(os, name, self._after_passing(getattr(os, name)))
-        monkeypatch.setattr(run_folder.pq, "write_table", self._after_passing(run_folder.pq.write_table))
+        monkeypatch.setattr(result_files.pq, "write_table", self._after_passing(result_files.pq.write_table))
         real = os.open
 
         def opened(path: Any, flags: int, *rest: Any, **options: Any) -> int:

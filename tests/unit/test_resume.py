@@ -29,7 +29,7 @@ from petmjx.engines.verdict import Outcome
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
 from petmjx.results.plan_digests import records_of
-from petmjx.results.run_folder import write_table
+from petmjx.results.result_files import write_table
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import load_run
 from petmjx.results.run_writer import RunWriter

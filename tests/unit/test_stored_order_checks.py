@@ -22,7 +22,7 @@ from petmjx.plans import order_matching
 from petmjx.plans.order_matching import OrderCounts, PlanOrderCounts, check_orders
 from petmjx.results.plan_digests import PlanRecord
 from petmjx.results.run_writer import RunWriter
-from petmjx.results.tables_in_progress import Tables
+from petmjx.results.table_parts import Tables
 
 A, B, C, D = (make_plan(name, boxes) for name, boxes in zip("abcd", (2, 3, 2, 1), strict=True))
 PLANS = [A, B, C, D]
