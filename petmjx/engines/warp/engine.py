@@ -6,13 +6,14 @@ from collections.abc import Generator, Iterator, Sequence
 from functools import partial
 from typing import Any
 
-from petmjx.common.errors import EngineUnavailable
+from petmjx.common.errors import EngineUnavailable, is_out_of_memory
 from petmjx.common.machine import why_no_warp
 from petmjx.common.units import FloatArray
 from petmjx.common.warp_setup import set_up_warp
 from petmjx.engines.job_stream import JobStream
-from petmjx.engines.mjx.host_to_device import GRANULE, is_out_of_memory, load
+from petmjx.engines.mjx.host_to_device import load
 from petmjx.engines.mjx.jax_setup import set_up_jax
+from petmjx.engines.mjx.padded_sizes import GRANULE
 from petmjx.engines.open_world_protocol import MOST_BOXES
 from petmjx.engines.protocol import GPU_WORLDS, Capability, Engine, Progress, RunLock, says_at_hand, takes_stream
 from petmjx.engines.verdict import Outcome

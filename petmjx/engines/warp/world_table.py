@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.engines.mjx.host_to_device import Batch, tables
+from petmjx.engines.mjx.padded_sizes import padded_rows
 from petmjx.engines.mjx.scene_rows import more_shapes
 from petmjx.engines.mjx.timetable import Timetable, build_timetable
-from petmjx.engines.mjx.world_constants import NEVER, Worlds, device_array, padded_rows
+from petmjx.engines.mjx.world_constants import NEVER, Worlds, device_array
 from petmjx.engines.mjx.world_state import State, Status, put_resized, put_rows, take_rows
 from petmjx.engines.protocol import Progress
 from petmjx.engines.verdict import Flag
