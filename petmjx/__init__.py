@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from petmjx.analysis.story import Story
     from petmjx.api import score, sweep
     from petmjx.common.errors import EngineUnavailable, InputError, PetmjxError, PlanWarning
-    from petmjx.loop.free_motion import Trajectories, release
     from petmjx.loop.pallets import Pallets
     from petmjx.loop.placement_results import PlacementResults
+    from petmjx.loop.released_boxes import Trajectories, release
     from petmjx.loop.scorer import Scored, Scorer
     from petmjx.options.carriers import Carrier
     from petmjx.options.physics import PHYSICS, Cone, Physics
@@ -84,8 +84,8 @@ _HOME = {
     "kpis": "petmjx.analysis.kpis",
     "leaderboard": "petmjx.show.leaderboard.leaderboard",
     "PlacementResults": "petmjx.loop.placement_results",
-    "Trajectories": "petmjx.loop.free_motion",
-    "release": "petmjx.loop.free_motion",
+    "Trajectories": "petmjx.loop.released_boxes",
+    "release": "petmjx.loop.released_boxes",
     "loads": "petmjx.analysis.box_loads",
     "Packed": "petmjx.packers.packed_orders",
     "pack": "petmjx.packers.pack",

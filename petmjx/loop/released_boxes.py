@@ -114,7 +114,7 @@ def release(
 ) -> Trajectories:
     """Release boxes with any pose and velocity, and simulate their motion. Boxes are not placed one by one, and there
     are no verdicts. Many worlds (separate simulations) are computed together, with the same contacts and time steps as
-    for plans (docs/tosses.md).
+    for plans (docs/released-boxes.md).
 
     The first axes of arrays are (n, …) for n worlds with one box each, or (n, k, …) for n worlds with k boxes each.
     Axes of length 1 and missing leading axes are broadcast as in NumPy, so a single size, mass or friction applies to

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from petmjx.common.errors import InputError
 from petmjx.common.units import MM_PER_M, STANDARD_GRAVITY, FloatArray
-from petmjx.loop.free_motion import release
+from petmjx.loop.released_boxes import release
 from petmjx.options.physics import Physics
 from petmjx.world.rotation import rotations
 

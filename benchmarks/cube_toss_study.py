@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.tosses import (
+from benchmarks.cube_tosses import (
     FRICTION,
     Path3,
     Tosses,
