@@ -8,7 +8,8 @@ import signal
 from pathlib import Path
 
 import pytest
-from support.command_line import INTERRUPT_AFTER, OVERHANG, TOWER, only_line, run, run_interrupted, write
+from support.command_line import OVERHANG, TOWER, only_line, run, write
+from support.interrupted_commands import INTERRUPT_AFTER, run_interrupted
 from support.outcomes import make_outcome, make_plan
 
 from petmjx.results import result_files

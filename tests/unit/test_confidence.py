@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 from rich.console import Console
 from support.command_line import write
-from support.kills import assert_same, tables
+from support.equal_runs import assert_same, tables
 from support.outcomes import make_outcome
 from support.plans import make_plan, stack
 

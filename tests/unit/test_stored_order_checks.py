@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from support.command_line import write
-from support.kills import SEARCH, tables
+from support.equal_runs import SEARCH, tables
 from support.plan_files import order_of, tower
 from support.plans import make_plan
 from support.runs import edit_info, relisted

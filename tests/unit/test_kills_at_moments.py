@@ -1,7 +1,7 @@
 """Tests of runs that are killed, or whose disk becomes full, at certain moments. The results written before are kept,
 and the run can be continued.
 
-tests/support/moments.py tests all moments, which takes minutes.
+tests/support/kills_at_moments.py tests all moments, which takes minutes.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from support.moments import KINDS, Run, fill
+from support.kills_at_moments import KINDS, Run, fill
 from support.programs import run_program
 
 
@@ -33,6 +33,6 @@ def test_a_disk_that_is_full(kind: str, lasts: bool, at: int, tmp_path: Path) ->
 
 
 def test_a_kill(tmp_path: Path) -> None:
-    script = Path(__file__).parents[1] / "support" / "moments.py"
+    script = Path(__file__).parents[1] / "support" / "kills_at_moments.py"
     printed = run_program(script, str(tmp_path / "runs"), "37", "1", "1", folder=tmp_path)
     assert printed.count("killed at") == len(KINDS)

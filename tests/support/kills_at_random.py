@@ -1,6 +1,6 @@
 """Kills runs at random moments (SIGKILL) and resumes them until they finish. No world may be lost or occur twice.
 
-    python tests/support/kills.py FOLDER score 100 grid 20
+    python tests/support/kills_at_random.py FOLDER score 100 grid 20
 
 Runs are child processes, forked from a process that has imported all modules and started no thread. The worlds of these
 runs end without physics. So a run takes a tenth of a second, and kills hit it at all moments: while worlds end, while
@@ -18,7 +18,6 @@ import time
 from pathlib import Path
 
 import mujoco
-import pandas as pd
 import pyarrow.dataset
 
 import petmjx
@@ -30,36 +29,10 @@ from petmjx.results.run_writer import RunWriter
 from petmjx.runs.forked_worlds import Batching
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+from support.equal_runs import GRID, PLANS, SEARCH, assert_same, tables
 from support.fake_engine import end_without_physics
-from support.plans import make_plan, stack
 
 WORLDS_PER_PART = 3
-KEYS = {
-    "worlds": ["plan_id", "variant"],
-    "boxes": ["plan_id", "variant", "box"],
-    "attempts": ["plan_id", "variant", "attempt"],
-    "summary": [],
-}
-
-GRID = """
-nominal = true
-[axes]
-profile = ["eumos-40509"]
-level = [0.3, 0.6]
-direction = [0, 90]
-mass_factor = [0.8, 1.0]
-"""
-SEARCH = """
-[simulation]
-rest_s = 0.2
-[search]
-upper = 1.0
-tolerance = 0.1
-[axes]
-profile = ["eumos-40509"]
-direction = [0, 90]
-"""
-PLANS = [make_plan(f"plan-{k:02}", stack(1 + k % 4, overhang_mm=k % 5 * 60.0)) for k in range(80)]
 
 
 def run(kind: str, folder: Path, *, resume: bool) -> petmjx.RunResults:
@@ -70,27 +43,6 @@ def run(kind: str, folder: Path, *, resume: bool) -> petmjx.RunResults:
     file = folder.parent / f"{kind}.toml"
     batching = Batching(placements=2)
     return petmjx.sweep(file, PLANS[3:6], out=folder, resume=resume, engine=engine, batching=batching)
-
-
-def tables(results: petmjx.RunResults) -> dict[str, pd.DataFrame]:
-    """Name → table, for all tables of a run, sorted by their keys."""
-    table_by_name = {}
-    for name, keys in KEYS.items():
-        frame = getattr(results, name)
-        if frame is not None:
-            by = keys or [column for column in ("plan_id", "axis", "value", "direction_deg") if column in frame]
-            table_by_name[name] = frame.sort_values(by, ignore_index=True)
-    return table_by_name
-
-
-def assert_same(results: petmjx.RunResults, expected: dict[str, pd.DataFrame]) -> None:
-    """Check that all tables are equal to the last bit."""
-    ours = tables(results)
-    assert ours.keys() == expected.keys()
-    for name, frame in ours.items():
-        pd.testing.assert_frame_equal(frame, expected[name], check_exact=True, obj=name)
-    assert results.info["status"] == "finished"
-    assert results.info["counts"]["worlds"] == len(expected["worlds"])
 
 
 def start(kind: str, folder: Path) -> int:

@@ -1,6 +1,6 @@
 """Disturbs small runs at each moment at which they use the file system, by a full disk or by a kill.
 
-    python tests/support/moments.py FOLDER 0 1
+    python tests/support/kills_at_moments.py FOLDER 0 1
 
 kills runs at each of these moments (FOLDER 3 20: at moment 3 and every 20th after it), checks the folder, and lets the
 runs continue. Runs are child processes, forked from a process that has imported all modules and started no thread.
