@@ -26,8 +26,10 @@ if TYPE_CHECKING:
     from petmjx.loop.scorer import Scored, Scorer
     from petmjx.options.carriers import Carrier
     from petmjx.options.physics import PHYSICS, Cone, Physics
+    from petmjx.options.quiet import Quiet
     from petmjx.options.run_options import RunOptions
-    from petmjx.options.simulation import Check, Quiet, Schedule, Simulation, Solver, Thresholds
+    from petmjx.options.simulation import Check, Schedule, Simulation, Solver
+    from petmjx.options.thresholds import Thresholds
     from petmjx.packers.learned_packer import placement_stability
     from petmjx.packers.pack import pack
     from petmjx.packers.packed_orders import Packed

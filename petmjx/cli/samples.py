@@ -15,7 +15,8 @@ from petmjx.common.checked_records import hint
 from petmjx.common.errors import InputError
 from petmjx.common.overwrite_guard import check_outputs
 from petmjx.common.text import count_text, printable, printable_name
-from petmjx.options.run_options import OF_ORDERS, Confidence
+from petmjx.options.confidence import Confidence
+from petmjx.options.run_options import OF_ORDERS
 from petmjx.packers.item_stream import MOST_LOOK_AHEAD
 from petmjx.packers.learned_packer import LEARNED
 from petmjx.packers.left_out_items import LeftOutItems

@@ -11,7 +11,8 @@ from petmjx.cli import command_options as opt
 from petmjx.cli.packer_scores import score_packers
 from petmjx.cli.run_command import run_and_show
 from petmjx.common.errors import InputError
-from petmjx.options.run_options import Confidence, Transport
+from petmjx.options.confidence import Confidence
+from petmjx.options.transport import Transport
 
 Names = Annotated[
     list[str] | None,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from petmjx.common.units import FloatArray
 from petmjx.engines.metrics import BoxMetrics
 from petmjx.engines.mujoco.box_motion import excess
-from petmjx.options.simulation import Thresholds
+from petmjx.options.thresholds import Thresholds
 from petmjx.world.history import History
 from petmjx.world.job import EngineState, KeptState
 

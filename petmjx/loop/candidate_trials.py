@@ -18,7 +18,8 @@ from petmjx.common.units import FloatArray, deg_to_rad
 from petmjx.engines.open_world_protocol import OpenWorlds
 from petmjx.engines.verdict import Verdict
 from petmjx.loop.placement_results import PlacementResults
-from petmjx.options.simulation import Simulation, Thresholds
+from petmjx.options.simulation import Simulation
+from petmjx.options.thresholds import Thresholds
 from petmjx.runs.confidence import confidence_sweep
 from petmjx.runs.sweep_design import Design
 from petmjx.world.growing_scenes import NextBoxes

@@ -29,8 +29,9 @@ from petmjx.loop.placement_arguments import Placements, boxes_of, grid_of, once_
 from petmjx.loop.placement_bounds import FALLS, OPEN, STANDS
 from petmjx.loop.placement_results import PlacementResults
 from petmjx.options.carriers import AnyCarrier, extent_m
-from petmjx.options.run_options import AUTO, RunOptions, sorted_options
+from petmjx.options.run_options import AUTO, RunOptions
 from petmjx.options.simulation import Simulation
+from petmjx.options.sorted_options import sorted_options
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_fields import vanishing_side
 from petmjx.results.run_reader import RunResults

@@ -9,8 +9,10 @@ from petmjx.common.argument_checks import integer_of, path_of
 from petmjx.common.checked_records import shown_value
 from petmjx.common.errors import InputError
 from petmjx.common.machine import why_no_warp, why_no_warp_on_cpu
-from petmjx.options.run_options import AUTO, MOST_WORKERS, OF_ORDERS, Confidence, RunOptions, sorted_options
+from petmjx.options.confidence import Confidence
+from petmjx.options.run_options import AUTO, MOST_WORKERS, OF_ORDERS, RunOptions
 from petmjx.options.simulation import Simulation
+from petmjx.options.sorted_options import sorted_options
 from petmjx.packers.item_stream import MOST_LOOK_AHEAD
 from petmjx.packers.learned_packer import LEARNED
 from petmjx.packers.packed_orders import PackedOrder

@@ -13,8 +13,10 @@ from petmjx.engines.cost_model import Work
 from petmjx.engines.protocol import Engine
 from petmjx.engines.simulation_loop import score_worlds
 from petmjx.engines.world_results import World
-from petmjx.options.run_options import Confidence, RunOptions, sorted_options
+from petmjx.options.confidence import Confidence
+from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
+from petmjx.options.sorted_options import sorted_options
 from petmjx.packers.finalists import Asks, Evaluation, Finalist, Trial, order_evaluation
 from petmjx.packers.packed_orders import PackedOrder
 from petmjx.packers.physical_packer_options import PhysicalOptions

@@ -15,7 +15,7 @@ MOST_CLEARANCE_MM: Final = 200.0
 MOST_CLEARANCES: Final = 16
 LEAST_WORLDS: Final = 4
 MOST_WORLDS: Final = 100_000
-"""Smallest and largest number of worlds with errors, the same as in ``petmjx.options.run_options.Confidence``."""
+"""Smallest and largest number of worlds with errors, the same as in ``petmjx.options.confidence.Confidence``."""
 
 
 def _split(values: Any) -> Any:

@@ -28,8 +28,11 @@ from petmjx.engines.job_stream import JobBounds, JobStream
 from petmjx.engines.metrics import BoxMetrics
 from petmjx.engines.protocol import Capability, Engine, Progress
 from petmjx.engines.verdict import Flag, Outcome, Signs, Verdict, failures, margins_of
-from petmjx.options.run_options import AUTO, Confidence, RunOptions, sorted_options
-from petmjx.options.simulation import Check, Schedule, Simulation, Thresholds
+from petmjx.options.confidence import Confidence
+from petmjx.options.run_options import AUTO, RunOptions
+from petmjx.options.simulation import Check, Schedule, Simulation
+from petmjx.options.sorted_options import sorted_options
+from petmjx.options.thresholds import Thresholds
 from petmjx.packers.pack_flow import TableEngine
 from petmjx.plans.plan import Plan
 from petmjx.repairs.balance import are_plain, arrays_of

@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import MM_PER_M, FloatArray
-from petmjx.options.simulation import Simulation, Thresholds
+from petmjx.options.simulation import Simulation
+from petmjx.options.thresholds import Thresholds
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
 from petmjx.world.body_shapes import Body

@@ -8,7 +8,7 @@ import numpy as np
 
 from petmjx.engines.metrics import BoxMetrics
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict, margin_of
-from petmjx.options.simulation import Thresholds
+from petmjx.options.thresholds import Thresholds
 from petmjx.plans.plan import Plan
 from support import plans
 
