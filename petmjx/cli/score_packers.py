@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
+import typer
+
+from petmjx.cli import command_options as opt
 from petmjx.cli.console import results_console
 from petmjx.cli.run_command import brief, folder_of_run, run_watched
 from petmjx.common.errors import InputError
@@ -17,12 +20,27 @@ if TYPE_CHECKING:
     from petmjx.results.run_reader import RunResults
 
 
-def score_packers(plans: Mapping[str, str], options: Mapping[str, Any], as_json: bool) -> None:
+Names = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--name",
+        metavar="NAME=PLANS",
+        help="Plans of several packers for the same orders: --name A=a.json B=b.json. The results of each packer "
+        "go to a subfolder of --out with the packer's name; then the packers are compared.",
+    ),
+]
+"""The option ``--name`` of ``petmjx score``."""
+
+
+def score_packers(names: Sequence[str], options: Mapping[str, Any], as_json: bool) -> None:
     """Score the plans of each packer into a subfolder of ``out`` with the packer's name, then compare the packers.
 
     Args:
-        plans: name of each packer → file or folder with the packer's plans.
+        names: for each packer, its name and its file or folder of plans: NAME=PLANS.
         options: options of ``petmjx.score``.
+
+    Raises:
+        InputError: a text is not of this form, or a name or a path is unusable.
     """
     from petmjx import api
     from petmjx.analysis.packer_comparison import compare_packers
@@ -32,6 +50,9 @@ def score_packers(plans: Mapping[str, str], options: Mapping[str, Any], as_json:
     from petmjx.show.run_tables import run_tables
     from petmjx.show.table_layout import line, print_renderables
 
+    plans = opt.named_paths(names, "--name")
+    if len(plans) < len(names):
+        raise InputError("--name: must be NAME=PLANS, such as --name A=a.json B=b.json")
     check_names(plans)
     for path in plans.values():
         if not Path(path).exists():  # all paths are checked before any plan is simulated
