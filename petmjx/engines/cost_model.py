@@ -240,13 +240,13 @@ class Work:
         gentle: share of the steps of drives whose largest horizontal acceleration is at most ``STEADY_G``, 0 to 1, as
             ``filmed``. Vertical accelerations do not count. Drives with random vibrations are not gentle.
         giving: number of compliant boxes of each plan; empty if no plan has compliant boxes.
-        sway_mm: how far a pile of each plan's compliant boxes sways, mm (petmjx.plans.loose_boxes); empty if no plan
+        sway_mm: how far a pile of each plan's compliant boxes sways, mm (petmjx.plans.plan_statics); empty if no plan
             has compliant boxes.
         ties: for each plan, the mean number of supports that a box has in addition to its first support
-            (petmjx.plans.loose_boxes); if ``ties`` is empty, ``TYPICAL_TIES`` is used.
+            (petmjx.plans.plan_statics); if ``ties`` is empty, ``TYPICAL_TIES`` is used.
         placed_share: for each plan, the share of its boxes that are placed before the first box that tips over at once
-            (petmjx.plans.loose_boxes); 1 without such a box. If ``placed_share`` is empty, the share is unknown, and no
-            box is expected to tip over.
+            (petmjx.plans.plan_statics); 1 without such a box. If ``placed_share`` is empty, the share is unknown, and
+            no box is expected to tip over.
         driven_share: for each plan, the share of its drives' steps that are expected to be simulated, 0 to 1. Legs
             after the leg in which the pallet probably falls are not simulated. If ``driven_share`` is empty, all drives
             are simulated.

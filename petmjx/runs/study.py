@@ -23,9 +23,9 @@ from petmjx.engines.verdict import Attempt, Outcome
 from petmjx.engines.world_results import World
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
-from petmjx.plans.loose_boxes import statics_of
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import Skipped
+from petmjx.plans.plan_statics import statics_of
 from petmjx.results.recording import Recording
 from petmjx.results.resume import CompletedWorlds
 from petmjx.results.run_writer import RunWriter

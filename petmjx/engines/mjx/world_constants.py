@@ -54,7 +54,7 @@ class Worlds(NamedTuple):
     first sign of failure (``petmjx.engines.metrics.CONFIRM_S``); ``NEVER`` if the world does more than confirm a fall.
     ``pauses``: when its boxes are at rest, the world waits for further boxes (petmjx/engines/open_world_protocol.py).
     ``ends_when_gone``: the world is a trial, which ends when a box is gone (``petmjx.engines.metrics.GONE_TILT``).
-    ``most_steps`` is the number of steps after which the world leaves a GPU (petmjx/engines/warp/continued_worlds.py).
+    ``most_steps`` is the number of steps after which the world leaves a GPU (petmjx/engines/warp/long_worlds.py).
 
     Placing: ``start`` is the release pose of a box whose ``support`` is at its planned place. If the support has sunk
     or risen, the box is released lower or higher, by at most ``most_followed``, m (petmjx/world/release_places.py).

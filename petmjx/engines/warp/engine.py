@@ -20,10 +20,10 @@ from petmjx.engines.verdict import Outcome
 from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.block_pool_choice import BlockPools
 from petmjx.engines.warp.block_queues import Queues
-from petmjx.engines.warp.continued_worlds import ContinuedWorlds
 from petmjx.engines.warp.equal_beginnings import beginnings
 from petmjx.engines.warp.free_bodies import paths
 from petmjx.engines.warp.kernel_features import KernelFeatures, queue_of
+from petmjx.engines.warp.long_worlds import ContinuedWorlds
 from petmjx.engines.warp.memory_shortage import KeptRollouts, smaller_parts
 from petmjx.engines.warp.open_worlds import WarpWorlds
 from petmjx.engines.warp.table_jobs import TableJobs

@@ -9,9 +9,9 @@ from support.plans import make_plan, make_scene, stack
 
 import petmjx
 from petmjx.engines.cost_model import MEASURED
-from petmjx.engines.mujoco import cpu_budget as budgets
-from petmjx.engines.mujoco.cpu_budget import LEAST_S, MOST_TIMES, Budget
+from petmjx.engines.mujoco import world_timeout as budgets
 from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.mujoco.world_timeout import LEAST_S, MOST_TIMES, Budget
 from petmjx.engines.protocol import Progress
 from petmjx.engines.verdict import Flag
 from petmjx.options.simulation import Check, Simulation

@@ -1,4 +1,4 @@
-"""Tests of worlds that leave a GPU and are continued on CPU threads (petmjx/engines/warp/continued_worlds.py). In these
+"""Tests of worlds that leave a GPU and are continued on CPU threads (petmjx/engines/warp/long_worlds.py). In these
 tests, CPU kernels also replace the GPU. A world that leaves must therefore have the same outcome, to the last bit, as a
 world that does not leave."""
 
@@ -32,9 +32,9 @@ from petmjx.engines.mjx.world_constants import NEVER
 from petmjx.engines.mjx.world_state import State, Status
 from petmjx.engines.subprocess.attempt_process import AttemptAnswer, AttemptProcess, AttemptSimulator, AttemptTask
 from petmjx.engines.warp import world_table
-from petmjx.engines.warp.continued_worlds import ContinuedWorlds, most_steps
 from petmjx.engines.warp.cpu_engine import MjxWarpCpuEngine
 from petmjx.engines.warp.engine import MjxWarpEngine
+from petmjx.engines.warp.long_worlds import ContinuedWorlds, most_steps
 from petmjx.options.simulation import Simulation
 
 LIMIT = 40
