@@ -189,7 +189,8 @@ def sweep(
         EngineUnavailable: the chosen engine cannot run on this machine.
     """
     from petmjx.runs.forked_worlds import Batching
-    from petmjx.runs.sweep_file import find_sweep, load_sweep
+    from petmjx.runs.ready_sweeps import find_sweep
+    from petmjx.runs.sweep_file import load_sweep
     from petmjx.runs.sweep_study import SweepStudy
 
     if batching is not None:

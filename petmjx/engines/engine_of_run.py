@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from petmjx.common.deferred_signals import defer_signals
 from petmjx.common.machine import cpu_threads
-from petmjx.common.processes import defer_signals
 from petmjx.engines.cost_model import MEASURED, Costs, Work
 from petmjx.engines.engine_choice import Choice, choose
 from petmjx.engines.engine_registry import ENGINES, make_engine, options_of

@@ -6,7 +6,7 @@ import importlib
 from typing import Any
 
 from petmjx.common.errors import EngineUnavailable, InputError
-from petmjx.common.processes import no_collection
+from petmjx.common.garbage_collection import no_collection
 from petmjx.common.text import one_line
 from petmjx.engines.protocol import Engine
 from petmjx.options.run_options import AUTO, RunOptions

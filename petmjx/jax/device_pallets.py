@@ -14,10 +14,11 @@ from jaxtyping import Array, Float, Int
 
 from petmjx.common.errors import InputError
 from petmjx.common.units import MICROMETRES_PER_M, MM_PER_M
+from petmjx.engines.margin import DROPPED_EXCESS
 from petmjx.engines.mjx import box_motion as motion
 from petmjx.engines.mjx.world_state import Status, take_rows
 from petmjx.engines.protocol import Engine
-from petmjx.engines.verdict import DROPPED_EXCESS, INVALID_FLAGS, Reason, failures
+from petmjx.engines.verdict import INVALID_FLAGS, Reason, failures
 from petmjx.engines.warp.next_boxes import NewBox
 from petmjx.engines.warp.open_world_functions import OpenState, Simulator
 from petmjx.engines.warp.open_worlds import WarpWorlds

@@ -25,9 +25,10 @@ from petmjx.engines.attempt_with_fallback import outcomes_of_stream
 from petmjx.engines.contact_penetration import note_penetration
 from petmjx.engines.engine_registry import make_engine, options_of
 from petmjx.engines.job_stream import JobBounds, JobStream
+from petmjx.engines.margin import margins_of
 from petmjx.engines.metrics import BoxMetrics
 from petmjx.engines.protocol import Capability, Engine, Progress
-from petmjx.engines.verdict import Flag, Outcome, Signs, Verdict, failures, margins_of
+from petmjx.engines.verdict import Flag, Outcome, Signs, Verdict, failures
 from petmjx.options.confidence import Confidence
 from petmjx.options.run_options import AUTO, RunOptions
 from petmjx.options.simulation import Check, Schedule, Simulation

@@ -22,9 +22,9 @@ from typing import Any, Final, NamedTuple, Self
 
 import pyarrow as pa
 
+from petmjx.common.deferred_signals import defer_signals
 from petmjx.common.errors import InputError, PetmjxError
 from petmjx.common.overwrite_guard import check_folder
-from petmjx.common.processes import defer_signals
 from petmjx.common.text import one_line
 from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Attempt, Outcome

@@ -25,8 +25,9 @@ from petmjx.results.run_table_reader import Parts
 from petmjx.results.run_writer import RunWriter
 from petmjx.results.schema import data_frame, summary_table
 from petmjx.results.share_statistics import ONE_PLAN, PairedCounts, holm, mcnemar_p, paired_outcomes, share_standing
+from petmjx.runs.ready_sweeps import find_sweep
 from petmjx.runs.sweep_axes import Axis
-from petmjx.runs.sweep_file import Sweep, find_sweep, load_sweep
+from petmjx.runs.sweep_file import Sweep, load_sweep
 from petmjx.world.variants import Distribution
 
 READY_MADE: Final = "confidence"

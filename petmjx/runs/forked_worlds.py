@@ -13,9 +13,9 @@ from petmjx.engines.world_results import World
 from petmjx.options.thresholds import Thresholds
 from petmjx.options.walls import Side
 from petmjx.runs.chain_legs import PLACING
+from petmjx.runs.eumos_limits import load_height_m
 from petmjx.runs.study import FinishedWorld, LegEnd
 from petmjx.runs.sweep_worlds import PlacementGroup
-from petmjx.runs.transport_limits import load_height_m
 from petmjx.world.scene import Scene
 from petmjx.world.variants import LegSpec, Variant
 

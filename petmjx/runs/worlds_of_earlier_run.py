@@ -20,8 +20,9 @@ from petmjx.results.run_folder import RUN_FILE
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import RunResults, is_chain
 from petmjx.runs.confidence import PLACING, confidence_sweep
+from petmjx.runs.ready_sweeps import find_sweep
 from petmjx.runs.sweep_design import sweep_identity
-from petmjx.runs.sweep_file import Sweep, chain_sweep, find_sweep, load_sweep, nominal_sweep, sweep_of_tables
+from petmjx.runs.sweep_file import Sweep, chain_sweep, load_sweep, nominal_sweep, sweep_of_tables
 from petmjx.runs.sweep_worlds import SweepPlan
 
 

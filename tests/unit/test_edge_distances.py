@@ -13,7 +13,7 @@ import pytest
 from rich.console import Console
 from support.outcomes import make_outcome
 from support.plans import Box, make_plan, make_scene, stack
-from test_fallback import Scripted, never, scored
+from test_attempt_with_fallback import Scripted, never, scored
 from test_supports import random_heap
 
 import petmjx

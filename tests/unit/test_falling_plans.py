@@ -39,9 +39,10 @@ from petmjx.plans.plan_statics import MOST_LOOKED_AT, loose_and_ties, mean_sink_
 from petmjx.plans.plan_validation import parse_plan
 from petmjx.results.recording import Recording
 from petmjx.results.resume import CompletedWorlds
+from petmjx.runs.ready_sweeps import find_sweep
 from petmjx.runs.study import Nominal
 from petmjx.runs.sweep_cost import work_of
-from petmjx.runs.sweep_file import find_sweep, load_sweep
+from petmjx.runs.sweep_file import load_sweep
 from petmjx.runs.sweep_worlds import SweepPlan
 from petmjx.world.edge_distances import EdgeRisk
 from petmjx.world.supports import deck_mm

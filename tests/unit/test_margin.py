@@ -15,8 +15,9 @@ from support.plans import make_plan, stack
 
 import petmjx
 from petmjx.analysis.run_comparison import compare_runs
+from petmjx.engines.margin import margin_of
 from petmjx.engines.metrics import BoxMetrics
-from petmjx.engines.verdict import Flag, Reason, Verdict, judge, margin_of
+from petmjx.engines.verdict import Flag, Reason, Verdict, judge
 from petmjx.options.simulation import Simulation
 from petmjx.options.thresholds import Thresholds
 from petmjx.runs.forked_worlds import SettledPlacement

@@ -2,7 +2,7 @@
 
 For 50,000 damaged files in two processes::
 
-    PYTHONPATH=.:tests python -m support.damage --count 50000
+    PYTHONPATH=.:tests python -m support.damaged_files --count 50000
 
 Valid files of each kind are damaged at random (bytes flipped, cut, doubled, spliced; tokens replaced by huge numbers,
 NaN, deep nesting, escapes, odd letters) and then loaded. Everything that should not happen is listed with the random

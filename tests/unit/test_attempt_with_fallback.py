@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.fake_beside import AtOnce
+from support.fake_attempt_process import AtOnce
 from support.outcomes import make_outcome
 from support.plans import make_plan, make_world, stack
 

@@ -11,8 +11,9 @@ from support.command_line import write
 from support.plans import make_plan
 
 import petmjx
-from petmjx.runs.sweep_file import find_sweep, load_sweep
-from petmjx.runs.transport_limits import hopeless_profiles, slide_m
+from petmjx.runs.hopeless_profiles import hopeless_profiles, slide_m
+from petmjx.runs.ready_sweeps import find_sweep
+from petmjx.runs.sweep_file import load_sweep
 from petmjx.world.contact_laws import STICKS_M_S
 from petmjx.world.profiles.accelerations import eumos_40509
 

@@ -12,8 +12,8 @@ from support.plans import make_plan, make_scene, stack
 
 import petmjx
 from petmjx.common.errors import InputError
+from petmjx.runs.hopeless_profiles import hopeless_profiles
 from petmjx.runs.sweep_file import load_sweep
-from petmjx.runs.transport_limits import hopeless_profiles
 from petmjx.world.scene import Scene
 from petmjx.world.variants import (
     MIN_FRICTION_FRACTION,
