@@ -13,7 +13,8 @@ import numpy as np
 
 from benchmarks.result_fields import environment, timed
 from petmjx.common.toml_files import read_toml
-from petmjx.engines.cost_model import MEASURED, Work
+from petmjx.engines.cost_model import MEASURED
+from petmjx.engines.expected_work import Work
 from petmjx.engines.machine_speed import REFERENCE_S, block_s
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation

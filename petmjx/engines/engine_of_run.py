@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 
 from petmjx.common.deferred_signals import defer_signals
 from petmjx.common.machine import cpu_threads
-from petmjx.engines.cost_model import MEASURED, Costs, Work
+from petmjx.engines.cost_model import MEASURED, Costs
 from petmjx.engines.engine_choice import Choice, choose
 from petmjx.engines.engine_registry import ENGINES, make_engine, options_of
+from petmjx.engines.expected_work import Work
 from petmjx.engines.machine_speed import costs_here, with_kept_kernels
 from petmjx.engines.protocol import Engine
 from petmjx.engines.user_engine import user_engine

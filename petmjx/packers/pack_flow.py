@@ -9,7 +9,7 @@ from itertools import islice
 from typing import Any, Final, NamedTuple, Protocol, runtime_checkable
 
 from petmjx.common.parallel_map import UnorderedResults
-from petmjx.engines.cost_model import Work
+from petmjx.engines.expected_work import Work
 from petmjx.engines.protocol import Engine
 from petmjx.engines.simulation_loop import score_worlds
 from petmjx.engines.world_results import World

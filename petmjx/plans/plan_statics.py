@@ -26,7 +26,7 @@ _BESIDE_MM: Final = 1.0
 
 
 class Statics(NamedTuple):
-    """Properties of plans from which simulation times are estimated. ``petmjx.engines.cost_model.Work`` has the same
+    """Properties of plans from which simulation times are estimated. ``petmjx.engines.expected_work.Work`` has the same
     fields.
 
     Attributes:

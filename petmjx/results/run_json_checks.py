@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from petmjx.common.checked_records import describe
 from petmjx.common.errors import InputError
-from petmjx.plans.order_matching import OrderCounts
+from petmjx.plans.order_checks import OrderCounts
 from petmjx.results.result_files import DIGEST_BYTES, write_text
 from petmjx.results.run_folder import RUN_FILE, TABLES
 from petmjx.results.to_json import to_json

@@ -32,7 +32,7 @@ from petmjx.options.run_options import WORLDS
 from petmjx.options.simulation import Simulation
 from petmjx.options.walls import Walls
 from petmjx.plans.json_reader import json_fault
-from petmjx.plans.order_matching import PlanOrderCounts
+from petmjx.plans.order_checks import PlanOrderCounts
 from petmjx.plans.plan import Plan
 from petmjx.results.notebook_tables import worlds_as_html
 from petmjx.results.placements_table import PLACEMENTS, placements_table

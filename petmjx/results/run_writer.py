@@ -28,7 +28,7 @@ from petmjx.common.overwrite_guard import check_folder
 from petmjx.common.text import one_line
 from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Attempt, Outcome
-from petmjx.plans.order_matching import OrderCheck
+from petmjx.plans.order_checks import OrderCheck
 from petmjx.plans.plan import Plan
 from petmjx.results.folder_lock import held_folder_lock
 from petmjx.results.placements_table import PLACEMENTS

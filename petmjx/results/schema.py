@@ -263,7 +263,7 @@ def plans_schema(ordered: bool = False) -> pa.Schema:
 
     Args:
         ordered: whether the run was compared with orders. If it was, the table also has the columns of
-            ``petmjx.plans.order_matching.PlanOrderCounts``.
+            ``petmjx.plans.order_checks.PlanOrderCounts``.
     """
     texts = _texts(
         plan_id="id of the packing plan",

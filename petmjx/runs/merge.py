@@ -15,7 +15,7 @@ from petmjx.common.argument_checks import list_of, path_of
 from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable_name
-from petmjx.plans.order_matching import OrderCheck
+from petmjx.plans.order_checks import OrderCheck
 from petmjx.plans.plan_set import Skipped
 from petmjx.results.placements_table import PLACEMENTS
 from petmjx.results.plan_order import is_ranked

@@ -26,7 +26,7 @@ from petmjx.engines.verdict import Reason
 from petmjx.options.physics import Physics
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
-from petmjx.plans.order_matching import OrderCheck, check_orders
+from petmjx.plans.order_checks import OrderCheck, check_orders
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.plan_sources import PlanSource, are_files

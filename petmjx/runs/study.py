@@ -16,7 +16,8 @@ import numpy as np
 from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, duration, rounded_text
-from petmjx.engines.cost_model import MEASURED, Work
+from petmjx.engines.cost_model import MEASURED
+from petmjx.engines.expected_work import Work
 from petmjx.engines.protocol import Engine, Progress
 from petmjx.engines.simulation_loop import score_worlds
 from petmjx.engines.verdict import Attempt, Outcome

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from petmjx.common.units import FloatArray, seconds_to_steps
-from petmjx.engines.cost_model import STEADY_G, Work, rest_steps
+from petmjx.engines.expected_work import STEADY_G, Work, rest_steps
 from petmjx.engines.job_stream import JobBounds
 from petmjx.options.placing import Way
 from petmjx.options.simulation import Check, Schedule

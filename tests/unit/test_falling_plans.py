@@ -10,25 +10,23 @@ import pytest
 from support.plans import Box, make_plan
 
 from benchmarks.time_estimates import cut, shelf_plan
-from petmjx.engines.cost_model import (
+from petmjx.engines.cost_model import GENTLE_COST, MEASURED, STATIC_FALL_BOXES
+from petmjx.engines.engine_choice import choose
+from petmjx.engines.expected_work import (
     DRIVEN_SWAY,
     FALL_BOXES,
     FALL_STEPS,
     FALLING_SWAY_MM,
-    GENTLE_COST,
     GIVING_STEPS,
     LOST,
-    MEASURED,
     MOST_SWAY_STEPS,
     SOFT_STARTS,
-    STATIC_FALL_BOXES,
     STATIC_FALL_STEPS,
     STEP_SHARE,
     SWAY_MM,
     SWAY_STEPS,
     Work,
 )
-from petmjx.engines.engine_choice import choose
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.protocol import Progress
 from petmjx.options.run_options import RunOptions

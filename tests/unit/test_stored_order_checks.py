@@ -19,7 +19,7 @@ from test_tables import read, row
 import petmjx
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.plans import order_matching
-from petmjx.plans.order_matching import OrderCounts, PlanOrderCounts, check_orders
+from petmjx.plans.order_checks import OrderCounts, PlanOrderCounts, check_orders
 from petmjx.results.plan_digests import PlanRecord
 from petmjx.results.run_writer import RunWriter
 from petmjx.results.table_parts import Tables

@@ -12,9 +12,9 @@ from support.failing_engine import FailingEngine, worlds_failing
 import petmjx
 from petmjx.common.errors import InputError
 from petmjx.engines import simulation_loop
-from petmjx.engines.cost_model import Work
 from petmjx.engines.engine_of_run import engine_for
 from petmjx.engines.engine_registry import make_engine
+from petmjx.engines.expected_work import Work
 from petmjx.engines.protocol import PHYSICS, Capability, Engine, Progress, says_at_hand, takes_stream
 from petmjx.engines.simulation_loop import score_worlds
 from petmjx.engines.verdict import Outcome
