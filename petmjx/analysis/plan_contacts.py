@@ -19,10 +19,10 @@ from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.options.physics import Physics
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, meets, shared_length
+from petmjx.world.bearings import LEANS_M, TOUCH_M
 from petmjx.world.body_shapes import Room
 from petmjx.world.history import CARRIER
 from petmjx.world.scene import Scene
-from petmjx.world.supports import LEANS_M, TOUCH_M
 
 ON_EDGE_MM: Final = 1e-6
 """A point outside a polygon counts as lying on its edge if its distance from the edge is at most this length, mm. The

@@ -10,7 +10,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from support.edges import edges_of
+from support.plan_edges import edges_of
 from support.plans import Box, make_plan, make_scene, stack
 from support.sweeps import write_sweep
 
@@ -26,7 +26,7 @@ from petmjx.plans.plan_sources import usable_plans
 from petmjx.repairs.draft_rules import Rules
 from petmjx.repairs.drafts import Draft
 from petmjx.world.approach_paths import ApproachPath, approach_path_of, approach_paths_of, reach
-from petmjx.world.edge_distances import building_edges
+from petmjx.world.building_edges import building_edges
 from petmjx.world.history import Record
 from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
 from petmjx.world.option_lint import notes_about

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.optimize import linprog, nnls
-from support.edges import plan_edges
+from support.plan_edges import plan_edges
 from support.plans import Box, make_scene
 
 import petmjx
 from petmjx.common.units import FloatArray
 from petmjx.options.simulation import Simulation
 from petmjx.world import edge_distances
-from petmjx.world.edge_distances import building_edges, building_loads_of
+from petmjx.world.building_edges import building_edges, building_loads_of
 from petmjx.world.history import CARRIER
 from petmjx.world.pushing_forces import on_edges, pulls, pushes
 from petmjx.world.rectangle_hulls import hull_table

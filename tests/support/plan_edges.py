@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 
+from petmjx.world.bearings import Bearing
 from petmjx.world.edge_distances import Edges, loads_and_edges
 from petmjx.world.scene import Scene
-from petmjx.world.supports import Bearing, bearings_of
+from petmjx.world.supports import bearings_of
 
 
 def plan_edges(scenes: Sequence[Scene], placed: Sequence[int]) -> list[Edges]:
