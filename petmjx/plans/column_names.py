@@ -707,8 +707,6 @@ _FIRST: Final[tuple[Kind, ...]] = (
 order matters: "density (kg/m3)" has a word for weights, too."""
 
 
-_SURE_ARTICLES: Final = word_set("sku article artikel artykul articulo articolo product produkt produit urun")
-"""Words of names that mean an article, whatever other words a name has."""
 _AMOUNT: Final = re.compile(r"(?!mindest|max|rest|verpackung|inhalt|bestand|lager)[a-z]+(?:menge|anzahl|stuckzahl)$")
 """German compound words for quantities: "Liefermenge", "Kartonanzahl"."""
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from petmjx.common.errors import InputError
-from petmjx.runs import sweep_file as readymade
+from petmjx.runs import ready_sweeps as readymade
 from petmjx.runs.ready_sweeps import find_sweep, ready_sweeps
 
 
