@@ -81,7 +81,7 @@ def _metrics(columns: Iterable[metrics.Column]) -> list[pa.Field]:
 
 RANK: Final = "rank"
 """A column of all tables that have rows about worlds: the position of the world in the order of the run
-(petmjx.results.plan_order)."""
+(petmjx.results.world_ranks)."""
 
 RANK_COLUMN: Final = _column(
     RANK,

@@ -12,10 +12,10 @@ from pathlib import Path
 import pyarrow as pa
 
 from petmjx.common.errors import InputError
-from petmjx.results.plan_order import WorldRanks
 from petmjx.results.result_files import copy_file, write_table
 from petmjx.results.run_folder import OF_WORLDS, drop_parts, part_name, part_number
 from petmjx.results.run_table_reader import Parts, check_columns
+from petmjx.results.world_ranks import WorldRanks
 
 
 class Tables:

@@ -20,11 +20,11 @@ from petmjx.common.errors import InputError
 from petmjx.engines.metrics import DIMENSIONLESS
 from petmjx.engines.verdict import Flag, Verdict
 from petmjx.options.placing import Way
-from petmjx.results.plan_order import rows_in_order
 from petmjx.results.run_table_reader import Parts
 from petmjx.results.run_writer import RunWriter
 from petmjx.results.schema import data_frame, summary_table
 from petmjx.results.share_statistics import ONE_PLAN, PairedCounts, holm, mcnemar_p, paired_outcomes, share_standing
+from petmjx.results.world_ranks import rows_in_order
 from petmjx.runs.ready_sweeps import find_sweep
 from petmjx.runs.sweep_axes import Axis
 from petmjx.runs.sweep_file import Sweep, load_sweep

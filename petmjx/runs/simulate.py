@@ -30,7 +30,6 @@ from petmjx.plans.order_checks import OrderCheck, check_orders
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.plan_sources import PlanSource, are_files
-from petmjx.results.placements_table import placements_table
 from petmjx.results.plan_digests import PlanRecord
 from petmjx.results.plan_lookup import plans_in_place
 from petmjx.results.recording import Recording, recording_of
@@ -38,6 +37,7 @@ from petmjx.results.resume import engine_of_run
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import RunResults
 from petmjx.results.run_writer import RunWriter
+from petmjx.results.stored_plans import placements_table
 from petmjx.results.to_json import to_json
 from petmjx.runs.reading_processes import read_input
 from petmjx.runs.study import FinishedWorld, Study

@@ -27,12 +27,12 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from petmjx.common.errors import PetmjxError
 from petmjx.plans.plan import Plan
 from petmjx.results import result_files, run_folder
-from petmjx.results.placements_table import placements_table
 from petmjx.results.plan_digests import records_of
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import load_run
 from petmjx.results.run_writer import RunWriter
 from petmjx.results.schema import summary_table
+from petmjx.results.stored_plans import placements_table
 from support.outcomes import make_outcome, make_plan
 
 KINDS: Final = ("in order", "unordered", "resumed", "other order", "merged")

@@ -16,8 +16,8 @@ from support.plan_files import placement
 from support.plans import make_plan, stack
 
 import petmjx
-from petmjx.results.plan_order import PlanOrder, WorldRanks
 from petmjx.results.run_writer import RunWriter
+from petmjx.results.world_ranks import PlanOrder, WorldRanks
 
 PLANS = [make_plan(f"plan-{(7 * k) % 20:02}", stack(1 + (5 * k) % 4)) for k in range(20)]
 """The plans are sorted neither by id nor by size."""
