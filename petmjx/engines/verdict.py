@@ -109,7 +109,7 @@ class Outcome:
     state: KeptState | EngineState | None = None
     """The settled state, if the job requests it. Outside the engine, the type is ``KeptState``."""
     margin: float = math.nan
-    """The margin (:func:`margin_of`). petmjx.engines.outcome_checks sets it for all engines."""
+    """The margin (``petmjx.engines.margin.margin_of``). petmjx.engines.outcome_checks sets it for all engines."""
     plan_edge_m: float = math.nan
     plan_edge_box: int = -1
     rest_edge_m: float = math.nan

@@ -28,7 +28,7 @@ from petmjx.results.world_ranks import rows_in_order
 from petmjx.runs.ready_sweeps import find_sweep
 from petmjx.runs.sweep_axes import Axis
 from petmjx.runs.sweep_file import Sweep, load_sweep
-from petmjx.world.variants import Distribution
+from petmjx.world.error_distributions import Distribution
 
 READY_MADE: Final = "confidence"
 """Name of the sweep file with the errors of a common robot and of corrugated cartons."""

@@ -16,9 +16,10 @@ from petmjx.runs.chain_legs import legs_with
 from petmjx.runs.sweep_file import Sweep
 from petmjx.world.carrier_boards import carrier_friction, has_walls
 from petmjx.world.contact_laws import friction_share, kinetic_share
+from petmjx.world.error_distributions import Distribution, DistributionShape
 from petmjx.world.job import ACCELERATION
 from petmjx.world.profiles.accelerations import Tilt
-from petmjx.world.variants import MIN_FRICTION_FRACTION, Distribution, DistributionShape
+from petmjx.world.variants import MIN_FRICTION_FRACTION
 
 RANGE_POINTS = 9
 """Number of values that are checked on an axis with a continuous range. The values are evenly spread over the range."""

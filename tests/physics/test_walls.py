@@ -27,13 +27,14 @@ from petmjx.repairs.draft_rules import Rules
 from petmjx.repairs.drafts import Draft
 from petmjx.world.approach_paths import ApproachPath, approach_path_of, approach_paths_of, reach
 from petmjx.world.building_edges import building_edges
+from petmjx.world.error_distributions import Distribution, DistributionShape
 from petmjx.world.history import Record
 from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
 from petmjx.world.option_lint import notes_about
 from petmjx.world.profiles.accelerations import eumos_40509
 from petmjx.world.scene import build_scene
 from petmjx.world.supports import bearings_of
-from petmjx.world.variants import Distribution, DistributionShape, PlacementChange, Variant, apply_all
+from petmjx.world.variants import PlacementChange, Variant, apply_all
 
 G = 9.81
 KG = 10.0

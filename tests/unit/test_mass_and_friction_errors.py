@@ -14,16 +14,9 @@ import petmjx
 from petmjx.common.errors import InputError
 from petmjx.runs.hopeless_profiles import hopeless_profiles
 from petmjx.runs.sweep_file import load_sweep
+from petmjx.world.error_distributions import Distribution, DistributionShape
 from petmjx.world.scene import Scene
-from petmjx.world.variants import (
-    MIN_FRICTION_FRACTION,
-    MIN_MASS_FRACTION,
-    Distribution,
-    DistributionShape,
-    PlacementChange,
-    Variant,
-    apply,
-)
+from petmjx.world.variants import MIN_FRICTION_FRACTION, MIN_MASS_FRACTION, PlacementChange, Variant, apply
 
 SCENE = make_scene(12)
 SD_10 = Distribution(DistributionShape.NORMAL, 0.0, 0.1)
