@@ -15,7 +15,7 @@ from petmjx.options.simulation import Simulation
 from petmjx.options.sorted_options import sorted_options
 from petmjx.packers.item_stream import MOST_LOOK_AHEAD
 from petmjx.packers.learned_packer import LEARNED
-from petmjx.packers.packed_orders import PackedOrder
+from petmjx.packers.packed_orders import Packed, PackedOrder
 from petmjx.packers.physical_packer import pack_physical
 from petmjx.packers.physical_packer_options import PHYSICAL, PhysicalOptions
 from petmjx.packers.sample_plans import MOST_SAMPLES
@@ -27,7 +27,6 @@ from petmjx.plans.plan_sources import PathArgument
 
 if TYPE_CHECKING:
     from petmjx.plans.item_units_and_quantities import OrderReading
-from petmjx.packers.packed_orders import Packed
 
 OF_RUN: Final = ("engine", "threads", "lanes", "world_timeout_s")
 """Fields of ``RunOptions`` that ``pack`` accepts. The accepted fields affect how packings are simulated."""

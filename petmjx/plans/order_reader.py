@@ -12,20 +12,15 @@ from petmjx.common.atomic_write import atomic_write
 from petmjx.common.checked_records import reason
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable, printable_id
+from petmjx.plans.bedbpp_orders import bedbpp_order, begins_with_plan
 from petmjx.plans.bedbpp_writer import write_orders
 from petmjx.plans.convention_checks import warn
-from petmjx.plans.file_formats import (
-    PARQUET_MAGIC,
-    NoBoxes,
-    is_of_other_tools,
-    looks_like_own_json,
-)
+from petmjx.plans.file_formats import PARQUET_MAGIC, NoBoxes, is_of_other_tools, looks_like_own_json
 from petmjx.plans.json_reader import read_text_bytes, scan_plans, unpacked_bytes
 from petmjx.plans.order import Order
 
 if TYPE_CHECKING:
     from petmjx.plans.item_units_and_quantities import ForeignOrders, OrderReading
-from petmjx.plans.bedbpp_orders import bedbpp_order, begins_with_plan
 
 _CONVERT: Final = "petmjx convert {file} --orders -o orders.json takes it, and writes orders that all commands read"
 """Advice that is appended to an error about two possible readings, for commands that have no options for reading
