@@ -15,8 +15,11 @@ from typing import TYPE_CHECKING, Any, TypeVar, Unpack
 from petmjx.common.argument_checks import flag_of, instance_of, path_of
 from petmjx.common.checked_records import CheckedRecord, shown_value
 from petmjx.common.errors import InputError
-from petmjx.options.run_options import Confidence, RunOptions, Transport, sorted_options
+from petmjx.options.confidence import Confidence
+from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
+from petmjx.options.sorted_options import sorted_options
+from petmjx.options.transport import Transport
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_sources import PathArgument, PlanSource
 from petmjx.results.run_reader import RunResults
@@ -186,7 +189,8 @@ def sweep(
         EngineUnavailable: the chosen engine cannot run on this machine.
     """
     from petmjx.runs.forked_worlds import Batching
-    from petmjx.runs.sweep_file import find_sweep, load_sweep
+    from petmjx.runs.ready_sweeps import find_sweep
+    from petmjx.runs.sweep_file import load_sweep
     from petmjx.runs.sweep_study import SweepStudy
 
     if batching is not None:

@@ -32,7 +32,7 @@ from petmjx.plans.plan_sources import PlanSource, gather_plans, without_narrow_w
 from petmjx.results.documented_tables import Described, check_tables_free, has_keys, write_documented_tables
 from petmjx.results.input_files import input_files
 from petmjx.results.plan_lookup import how_read, plans_in_place, plans_of
-from petmjx.results.run_folder import text
+from petmjx.results.result_files import text
 from petmjx.results.run_reader import RunResults, is_chain, load_run
 from petmjx.results.to_json import to_json
 from petmjx.runs.chain_summary import arrivals

@@ -18,7 +18,8 @@ from typing import Final
 import numpy as np
 
 from petmjx.analysis.force_balance import WRENCH, least_and_most, wrenches
-from petmjx.analysis.plan_contacts import IntArray, TouchPoints, find_touch_points
+from petmjx.analysis.plan_contacts import IntArray
+from petmjx.analysis.touch_points import TouchPoints, find_touch_points
 from petmjx.common.errors import InputError, PetmjxError
 from petmjx.common.units import FloatArray
 from petmjx.engines.metrics import BoxMetrics

@@ -17,7 +17,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.overwrite_guard import IsOurs
 from petmjx.common.text import printable
 from petmjx.results.documented_tables import check_tables_free, has_keys
-from petmjx.results.run_folder import csv, parquet, text, write_together
+from petmjx.results.result_files import csv, parquet, text, write_together
 
 _CREATOR: Final = "petmjx"
 """Name that petmjx writes as the creator into the properties of Excel workbooks. petmjx recognises its own workbooks by

@@ -19,7 +19,7 @@ from typing import Any, Final
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable, printable_name
 from petmjx.plans.bedbpp_writer import Placement, write_plans
-from petmjx.plans.order_generator import Item, Order, target_extent_mm
+from petmjx.plans.order import Item, Order, target_extent_mm
 from petmjx.plans.order_matching import match
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_writer import as_placements

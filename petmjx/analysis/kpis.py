@@ -28,8 +28,9 @@ from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
 from petmjx.plans.convention_checks import warn
-from petmjx.plans.order_generator import Order, target_extent_mm
-from petmjx.plans.order_matching import Matching, OddBoxes, counts_of, match, on_target
+from petmjx.plans.order import Order, target_extent_mm
+from petmjx.plans.order_checks import OddBoxes, counts_of
+from petmjx.plans.order_matching import Matching, match, on_target
 from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_sources import PlanSource, gather_plans

@@ -28,9 +28,9 @@ import numpy as np
 
 from petmjx.analysis.plan_contacts import Hulls, IntArray, PlanContacts
 from petmjx.common.units import MM_PER_M, STANDARD_GRAVITY, FloatArray
-from petmjx.world.edge_distances import BuildingLoads, balanced_after, building_loads_of, depends_on_sharing
+from petmjx.world.bearings import Bearing, Boxes
+from petmjx.world.building_edges import BuildingLoads, balanced_after, building_loads_of, depends_on_sharing
 from petmjx.world.history import CARRIER
-from petmjx.world.supports import Bearing, Boxes
 
 Sharing = Callable[[PlanContacts], FloatArray]
 """Function that computes a matrix (3, 3) for each of c contacts, as an array (c, 3, 3). The matrix turns the load of

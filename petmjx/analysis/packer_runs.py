@@ -15,10 +15,10 @@ from petmjx.common.argument_checks import list_of, text_of
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
 from petmjx.common.units import FloatArray
-from petmjx.engines.engine_choice import ENGINES, has_option
+from petmjx.engines.engine_registry import ENGINES, has_option
 from petmjx.options.carriers import CARRIER_EXTENT_M, TARGETS, Carrier, OwnCarrier, extent_m
 from petmjx.options.run_options import AUTO
-from petmjx.results.resume import engine_of_run
+from petmjx.results.resume import engine_of_earlier_run
 from petmjx.results.run_reader import RunResults, RunSource, is_chain, load_run
 from petmjx.runs.chain_summary import arrivals
 
@@ -56,7 +56,7 @@ def with_engine_of(run: RunResults, options: Mapping[str, Any], folder: Path) ->
             goes on with its own engine.
     """
     engine = run.info["config"]["engine"]
-    goes_on = not options.get("overwrite", False) and engine_of_run(folder) is not None
+    goes_on = not options.get("overwrite", False) and engine_of_earlier_run(folder) is not None
     if options.get("engine", AUTO) != AUTO or engine not in ENGINES or goes_on:
         return {**options}
     of_others = {option for name in ENGINES for option in ENGINES[name][2] if not has_option(engine, option)}

@@ -21,7 +21,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import count_text
 from petmjx.engines.metrics import DIMENSIONLESS, Column, box_columns, box_metrics, world_columns
 from petmjx.engines.verdict import Verdict
-from petmjx.options.simulation import Thresholds
+from petmjx.options.thresholds import Thresholds
 from petmjx.results.notebook_tables import ShownColumn, block_as_html, table_as_html
 from petmjx.results.run_reader import RunResults, load_run
 from petmjx.results.to_json import to_json

@@ -16,12 +16,14 @@ from petmjx.common.argument_checks import flag_of, integer_of, number_of, text_o
 from petmjx.common.errors import EngineUnavailable, InputError, PetmjxError
 from petmjx.common.text import printable_name
 from petmjx.common.units import STANDARD_GRAVITY, FloatArray
-from petmjx.engines.engine_choice import ENGINES, has_option, make_engine
 from petmjx.engines.engine_of_run import engine_for
+from petmjx.engines.engine_registry import ENGINES, has_option, make_engine
 from petmjx.engines.protocol import Engine
 from petmjx.engines.verdict import Outcome
-from petmjx.options.run_options import FRAME_INTERVAL_S, RunOptions, sorted_options
-from petmjx.options.simulation import Simulation, Thresholds
+from petmjx.options.run_options import FRAME_INTERVAL_S, RunOptions
+from petmjx.options.simulation import Simulation
+from petmjx.options.sorted_options import sorted_options
+from petmjx.options.thresholds import Thresholds
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_sources import PlanSource, find_plan, usable_plans
 from petmjx.results.history_tables import read_history

@@ -18,7 +18,7 @@ from petmjx.engines.outcome_checks import contact_tilt_boxes, edges_again
 from petmjx.engines.verdict import Flag, Reason, Verdict
 from petmjx.options.simulation import Check
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, gaps_mm
-from petmjx.world.edge_distances import steps_beyond
+from petmjx.world.building_edges import steps_beyond
 from petmjx.world.job import FORCE
 
 MOST_DROPS: Final = 8

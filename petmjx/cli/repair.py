@@ -16,7 +16,7 @@ from petmjx.common.atomic_write import check_writable
 from petmjx.common.errors import InputError
 from petmjx.common.overwrite_guard import check_outputs
 from petmjx.common.text import count_text, printable
-from petmjx.options.run_options import Confidence
+from petmjx.options.confidence import Confidence
 from petmjx.repairs.repair_options import RepairOptions
 
 if TYPE_CHECKING:

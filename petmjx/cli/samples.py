@@ -15,12 +15,13 @@ from petmjx.common.checked_records import hint
 from petmjx.common.errors import InputError
 from petmjx.common.overwrite_guard import check_outputs
 from petmjx.common.text import count_text, printable, printable_name
-from petmjx.options.run_options import OF_ORDERS, Confidence
+from petmjx.options.confidence import Confidence
+from petmjx.options.run_options import OF_ORDERS
 from petmjx.packers.item_stream import MOST_LOOK_AHEAD
 from petmjx.packers.learned_packer import LEARNED
 from petmjx.packers.left_out_items import LeftOutItems
-from petmjx.packers.pack_options import PHYSICAL, PhysicalOptions
 from petmjx.packers.packer_registry import BASELINE, PACKERS
+from petmjx.packers.physical_packer_options import PHYSICAL, PhysicalOptions
 from petmjx.packers.sample_plans import DEFAULT_LOOSE_SHARE
 
 if TYPE_CHECKING:
@@ -203,8 +204,8 @@ def _write_physical(
     reading: OrderReading | None,
 ) -> None:
     """Pack orders with the packer ``physical`` (a search and simulations), write the plans, and print a summary."""
-    from petmjx.packers.pack import Packed, orders_of, pack_each
-    from petmjx.packers.packed_orders import PackedOrder
+    from petmjx.packers.pack import orders_of, pack_each
+    from petmjx.packers.packed_orders import Packed, PackedOrder
     from petmjx.plans.bedbpp_writer import Placement, write_plans
     from petmjx.show.progress import progress
 

@@ -25,7 +25,7 @@ import numpy as np
 from petmjx.common.text import count_text
 from petmjx.engines.attempt_threads import AttemptThreads
 from petmjx.engines.contact_penetration import stiffened
-from petmjx.engines.engine_choice import make_engine
+from petmjx.engines.engine_registry import make_engine
 from petmjx.engines.protocol import Capability, Engine, Progress
 from petmjx.engines.subprocess.attempt_process import AttemptProcess, AttemptSimulator
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict

@@ -168,8 +168,8 @@ class AttemptRunner(Generic[AnyWorld]):
                 self.engines.note_failure(engine.name, self.attempt.number, n_here, self._message)
                 return unanswered
             if answer is None and tells:
-                # The engine pauses, although it had reported that another outcome is ready. The world of this outcome
-                # may be a long world, which has left the GPU (petmjx/engines/warp/continued_worlds.py).
+                # The engine pauses, although it had reported that another outcome is ready: that world may have turned
+                # out to be a long world, which leaves the GPU (petmjx/engines/warp/long_worlds.py).
                 yield from self.checked_results(arrivals, engine_name, checked=checked, wait=False)
                 arrivals = []
                 self._follow(stream, arrivals)

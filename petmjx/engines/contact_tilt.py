@@ -29,10 +29,10 @@ from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Outcome
 from petmjx.options.physics import Physics
 from petmjx.options.simulation import Simulation
+from petmjx.world.bearings import Bearing
 from petmjx.world.contact_laws import depth_m, is_stiff
 from petmjx.world.history import CARRIER
 from petmjx.world.job import Job
-from petmjx.world.supports import Bearing
 
 CONTACTS_PER_SIDE: Final = 2
 

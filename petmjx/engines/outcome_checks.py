@@ -20,15 +20,18 @@ from petmjx.common.units import FloatArray
 from petmjx.engines.contact_penetration import note_penetration
 from petmjx.engines.contact_tilt import contact_tilt_suspects, n_loading, places_with_errors
 from petmjx.engines.knife_edges import AT_REST, BY_PLAN, NEAR_M, WHILE_BUILT, KnifeEdge, edges_when, sets_flag
+from petmjx.engines.margin import margins_of
 from petmjx.engines.metrics import BoxMetrics
 from petmjx.engines.mujoco.box_motion import tilt_deg
-from petmjx.engines.verdict import Flag, Outcome, Verdict, judge, margins_of
+from petmjx.engines.verdict import Flag, Outcome, Verdict, judge
 from petmjx.options.physics import Cone
 from petmjx.options.simulation import Check, Simulation
-from petmjx.world.edge_distances import Edges, LeastBuildingEdge, building_edges, first_least, loads_and_edges
+from petmjx.world.bearings import TOUCH_M, Bearing
+from petmjx.world.building_edges import LeastBuildingEdge, building_edges, first_least
+from petmjx.world.edge_distances import Edges, loads_and_edges
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
-from petmjx.world.supports import TOUCH_M, UPRIGHT, Bearing, bearings_of
+from petmjx.world.supports import UPRIGHT, bearings_of
 
 LEANS_DEG: Final = 2.0
 """Tilt at rest above which a box of a stable world counts as leaning, degrees. At a tilt of 2°, one side of a box of

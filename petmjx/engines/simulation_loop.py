@@ -14,8 +14,8 @@ from functools import partial
 from itertools import count
 from typing import Any, Final, Generic
 
+from petmjx.common.deferred_signals import defer_signals
 from petmjx.common.errors import InputError
-from petmjx.common.processes import defer_signals
 from petmjx.common.text import count_text
 from petmjx.engines.attempt_settings import ATTEMPT_ENGINES, ATTEMPTS, AttemptRecipe, Engines, may_go_on, ready_for
 from petmjx.engines.attempt_with_fallback import AttemptResult, AttemptRunner, Pending

@@ -18,15 +18,17 @@ from petmjx.common.units import FloatArray, deg_to_rad
 from petmjx.engines.open_world_protocol import OpenWorlds
 from petmjx.engines.verdict import Verdict
 from petmjx.loop.placement_results import PlacementResults
-from petmjx.options.simulation import Simulation, Thresholds
+from petmjx.options.simulation import Simulation
+from petmjx.options.thresholds import Thresholds
 from petmjx.runs.confidence import confidence_sweep
 from petmjx.runs.sweep_design import Design
+from petmjx.world.error_distributions import Distribution
 from petmjx.world.growing_scenes import NextBoxes
 from petmjx.world.job import Drive
 from petmjx.world.profiles.profile import Strength, allowed_sway_m
 from petmjx.world.profiles.profile_registry import resolve
 from petmjx.world.scene import Scene
-from petmjx.world.variants import ZERO, Distribution, Variant, apply
+from petmjx.world.variants import ZERO, Variant, apply
 
 _AT_ONCE: Final = 1024
 """Largest number of worlds (simulated pallets) with errors or drives that are simulated at a time."""

@@ -21,7 +21,8 @@ from petmjx.engines.protocol import Engine
 from petmjx.engines.verdict import Outcome
 from petmjx.loop.candidate_places import LARGEST_GAP_MM, Places, free_places
 from petmjx.loop.candidate_trials import drive_of, driven_results, errors_asked, errors_of, shares
-from petmjx.loop.engine_setup import MOST_PALLETS, OF_RUN, Closable, check_open, open_engine
+from petmjx.loop.closable import Closable
+from petmjx.loop.engine_setup import MOST_PALLETS, OF_RUN, check_open, open_engine
 from petmjx.loop.height_maps import height_maps
 from petmjx.loop.pallet_verdicts import PalletWorld, SettledEngine, pallet_scores
 from petmjx.loop.pallet_worlds import PalletWorlds
@@ -29,8 +30,9 @@ from petmjx.loop.placement_arguments import Placements, boxes_of, grid_of, once_
 from petmjx.loop.placement_bounds import FALLS, OPEN, STANDS
 from petmjx.loop.placement_results import PlacementResults
 from petmjx.options.carriers import AnyCarrier, extent_m
-from petmjx.options.run_options import AUTO, RunOptions, sorted_options
+from petmjx.options.run_options import AUTO, RunOptions
 from petmjx.options.simulation import Simulation
+from petmjx.options.sorted_options import sorted_options
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_fields import vanishing_side
 from petmjx.results.run_reader import RunResults

@@ -35,7 +35,8 @@ from petmjx.loop.box_tables import BoxTable
 from petmjx.loop.placement_arguments import Placements
 from petmjx.options.carriers import Carrier
 from petmjx.options.physics import Cone
-from petmjx.options.simulation import Simulation, Thresholds
+from petmjx.options.simulation import Simulation
+from petmjx.options.thresholds import Thresholds
 from petmjx.packers.pile_balance import MARGIN_M, MARGIN_SHARE, TOUCH_MM, pressure_moments
 from petmjx.world.carrier_boards import has_walls
 from petmjx.world.growing_scenes import widened_table

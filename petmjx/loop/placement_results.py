@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import MM_PER_M, FloatArray
+from petmjx.engines.margin import DROPPED_EXCESS, margins_of
 from petmjx.engines.mujoco.box_motion import has_dropped, shift, tilt_deg
 from petmjx.engines.open_world_protocol import Snapshots, joined_records, widened_rows
-from petmjx.engines.verdict import DROPPED_EXCESS, Flag, Outcome, Signs, Verdict, judge_all, margins_of
-from petmjx.options.simulation import Thresholds
+from petmjx.engines.verdict import Flag, Outcome, Signs, Verdict, judge_all
+from petmjx.options.thresholds import Thresholds
 
 
 @dataclass(frozen=True, eq=False)

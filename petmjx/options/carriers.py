@@ -12,9 +12,10 @@ from typing import Annotated, Any, Final, Self
 
 from pydantic import BeforeValidator, Discriminator, Field, StrictFloat, Tag, ValidationInfo, model_validator
 
-from petmjx.common.checked_records import TABLE, VALUE, CheckedRecord, complaint, read_toml, shape, shown_value, similar
+from petmjx.common.checked_records import TABLE, VALUE, CheckedRecord, complaint, shape, shown_value, similar
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable, printable_name
+from petmjx.common.toml_files import read_toml
 from petmjx.common.units import MM_PER_M
 from petmjx.options.materials import STEEL, WOOD
 from petmjx.options.walls import USUAL_WALLS, Side, Walls

@@ -16,7 +16,7 @@ import numpy as np
 from petmjx.common.units import FloatArray
 from petmjx.packers.candidate_points import corner_points, let_down
 from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM
-from petmjx.plans.order_generator import Item
+from petmjx.plans.order import Item
 
 MAX_HEIGHT_MM = 2000.0
 

@@ -21,7 +21,7 @@ from petmjx.common.machine import why_no_warp_on_cpu
 from petmjx.packers.balanced_packer import PREFERENCE_SETS
 from petmjx.packers.baseline_packer import PlacedBox
 from petmjx.packers.packing_state import FullPacking, NextCandidate, Packing, Preferences
-from petmjx.plans.order_generator import Item
+from petmjx.plans.order import Item
 
 MOST_STEPS: Final = 80
 """Largest number of steps of a search. In an order with more boxes, each step places several boxes. With this limit,

@@ -14,9 +14,9 @@ from petmjx.engines.world_results import World
 from petmjx.packers.baseline_packer import PlacedBox
 from petmjx.packers.beam_search import search
 from petmjx.packers.learned_packer import CLEARANCE_MM, pack_learned
-from petmjx.packers.pack_options import PhysicalOptions
+from petmjx.packers.physical_packer_options import PhysicalOptions
 from petmjx.packers.sample_plans import as_placements
-from petmjx.plans.order_generator import Order, target_extent_mm
+from petmjx.plans.order import Order, target_extent_mm
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_validation import parse_plan
 

@@ -18,7 +18,7 @@ from petmjx.packers.baseline_packer import PlacedBox
 from petmjx.packers.sample_plans import as_placements, generate_one
 from petmjx.plans.bedbpp_writer import write_plans
 from petmjx.plans.bundled import bundled_path
-from petmjx.plans.order_generator import Item
+from petmjx.plans.order import Item
 
 BUNDLED_SEED = 0
 

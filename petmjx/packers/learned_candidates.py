@@ -21,7 +21,7 @@ from petmjx.packers.height_map import HeightMap
 from petmjx.packers.item_stream import ItemStream, Places
 from petmjx.packers.packing_state import NextCandidate
 from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM
-from petmjx.plans.order_generator import Item
+from petmjx.plans.order import Item
 
 LEAST_SUPPORT: Final = 0.2
 """Smallest supported share of a base. This share can be low, because the static balance, and the probability to stand

@@ -9,16 +9,18 @@ from itertools import islice
 from typing import Any, Final, NamedTuple, Protocol, runtime_checkable
 
 from petmjx.common.parallel_map import UnorderedResults
-from petmjx.engines.cost_model import Work
+from petmjx.engines.expected_work import Work
 from petmjx.engines.protocol import Engine
 from petmjx.engines.simulation_loop import score_worlds
 from petmjx.engines.world_results import World
-from petmjx.options.run_options import Confidence, RunOptions, sorted_options
+from petmjx.options.confidence import Confidence
+from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
+from petmjx.options.sorted_options import sorted_options
 from petmjx.packers.finalists import Asks, Evaluation, Finalist, Trial, order_evaluation
-from petmjx.packers.pack_options import PhysicalOptions
 from petmjx.packers.packed_orders import PackedOrder
-from petmjx.plans.order_generator import Order
+from petmjx.packers.physical_packer_options import PhysicalOptions
+from petmjx.plans.order import Order
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.plan_sources import without_narrow_walls, without_vanishing_boxes

@@ -21,7 +21,7 @@ from petmjx.packers.baseline_packer import MAX_HEIGHT_MM, PlacedBox
 from petmjx.packers.candidate_points import Candidates
 from petmjx.packers.fill_interface import Count, Number
 from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM, Balance, Rest
-from petmjx.plans.order_generator import Item
+from petmjx.plans.order import Item
 
 LEAST_SUPPORT: Final = 0.5
 """Smallest supported share of a base. The static balance of the pile mainly decides whether a box is supported well

@@ -16,6 +16,7 @@ from functools import lru_cache
 from typing import Final, Literal
 
 from petmjx.common.units import LENGTHS_MM, MASSES_KG
+from petmjx.plans.input_conventions import Limits
 
 Kind = Literal[
     "size", "sizes", "position", "positions", "low", "high", "corners", "quaternion", "euler", "matrix", "weight",
@@ -706,8 +707,6 @@ _FIRST: Final[tuple[Kind, ...]] = (
 order matters: "density (kg/m3)" has a word for weights, too."""
 
 
-_SURE_ARTICLES: Final = word_set("sku article artikel artykul articulo articolo product produkt produit urun")
-"""Words of names that mean an article, whatever other words a name has."""
 _AMOUNT: Final = re.compile(r"(?!mindest|max|rest|verpackung|inhalt|bestand|lager)[a-z]+(?:menge|anzahl|stuckzahl)$")
 """German compound words for quantities: "Liefermenge", "Kartonanzahl"."""
 
@@ -765,3 +764,10 @@ def _kind_of(tail: list[str], path: list[str]) -> Kind | None:
     if "stackable" in path and "name" in words:
         return "article"
     return None
+
+
+def limits_in(low: float, high: float, unit: str, units: Mapping[str, float] = LENGTH_UNITS) -> Limits:
+    """Limits of a value in a unit, from the limits in millimetres or kilograms. ``units``: name of a unit → its length
+    in millimetres, or its mass in kilograms."""
+    factor = units[unit]
+    return Limits(low / factor, high / factor, UNIT_WORDS.get(unit, unit))

@@ -22,7 +22,7 @@ from petmjx.plans.box_columns import GROSS
 from petmjx.plans.column_extraction import IGNORED, ROLES, ColumnExtraction
 from petmjx.plans.column_names import MASS_UNITS, ColumnMeaning, Kind, is_content, split_unit, word_set, words_of
 from petmjx.plans.known_forms import BoxSource
-from petmjx.plans.order_generator import MOST_ITEMS
+from petmjx.plans.order import MOST_ITEMS
 from petmjx.plans.plan_fields import sparse_fault
 from petmjx.plans.raw_cells import cell_number, cell_text, number_fault_of
 from petmjx.plans.raw_tables import BoxList

@@ -20,12 +20,13 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable_name
 from petmjx.common.units import FloatArray
 from petmjx.options.run_options import RunOptions
-from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, OWN_COLUMNS, UNIT_WORDS
+from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, OWN_COLUMNS, UNIT_WORDS, limits_in
 from petmjx.plans.item_columns import TWO_WAYS, ItemColumns
 from petmjx.plans.known_forms import KnownForm
-from petmjx.plans.order_generator import MOST_ITEMS, TARGET_EXTENT_MM, Item, Order, target_extent_mm, target_named
+from petmjx.plans.masses_and_densities import SET_KG_M3, USUAL_KG_M3, masses_kg
+from petmjx.plans.order import MOST_ITEMS, TARGET_EXTENT_MM, Item, Order, target_extent_mm, target_named
 from petmjx.plans.order_texts import LENGTHS, MPV, THPACK
-from petmjx.plans.placed_boxes import USUAL_KG_M3, fault_of_rows, limits_in, masses_kg
+from petmjx.plans.placed_boxes import fault_of_rows
 from petmjx.plans.plan_fields import LARGEST_MM, LONGEST_NAME, SMALLEST_MM, positive_fault
 from petmjx.plans.plausibility import deck_cost, density_cost, side_cost
 from petmjx.plans.raw_cells import thousands_faults
@@ -33,9 +34,6 @@ from petmjx.plans.raw_tables import names_with_lost_rows, rows_by_name
 from petmjx.plans.reading_choice import MASS_PRIOR, TIE
 from petmjx.plans.readings import Wishes, wishes_of
 
-SET_KG_M3: Final = 200.0
-"""Assumed density of the boxes in RoboBPP's sets, which give no masses. The mean density of BED-BPP's boxes is
-similar."""
 EURO: Final = "euro-pallet"
 _PALLET_MM: Final = (300.0, 1700.0)
 """Limits of the sides of a container that may be a pallet. A container with other sides is not a pallet, so its boxes

@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.common.processes import no_collection
+from petmjx.common.garbage_collection import no_collection
 from petmjx.common.units import FloatArray
 from petmjx.plans.input_conventions import InputConventions
 from petmjx.plans.json_reader import LONGEST_VALUE, Entry, MalformedPlans, scan_plans

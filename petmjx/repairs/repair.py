@@ -14,8 +14,10 @@ import pandas as pd
 from petmjx.common.checked_records import shown_value
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable_name
-from petmjx.options.run_options import READING, Confidence, RunOptions, sorted_options
+from petmjx.options.confidence import Confidence
+from petmjx.options.run_options import READING, RunOptions
 from petmjx.options.simulation import Simulation
+from petmjx.options.sorted_options import sorted_options
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_sources import PathArgument, PlanSource, usable_plans, without_built_plans
 from petmjx.plans.plan_writer import save_plans

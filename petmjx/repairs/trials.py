@@ -23,13 +23,17 @@ from petmjx.common.text import printable_name
 from petmjx.engines.attempt_settings import ATTEMPTS, Engines, may_go_on
 from petmjx.engines.attempt_with_fallback import outcomes_of_stream
 from petmjx.engines.contact_penetration import note_penetration
-from petmjx.engines.engine_choice import make_engine, options_of
+from petmjx.engines.engine_registry import make_engine, options_of
 from petmjx.engines.job_stream import JobBounds, JobStream
+from petmjx.engines.margin import margins_of
 from petmjx.engines.metrics import BoxMetrics
 from petmjx.engines.protocol import Capability, Engine, Progress
-from petmjx.engines.verdict import Flag, Outcome, Signs, Verdict, failures, margins_of
-from petmjx.options.run_options import AUTO, Confidence, RunOptions, sorted_options
-from petmjx.options.simulation import Check, Schedule, Simulation, Thresholds
+from petmjx.engines.verdict import Flag, Outcome, Signs, Verdict, failures
+from petmjx.options.confidence import Confidence
+from petmjx.options.run_options import AUTO, RunOptions
+from petmjx.options.simulation import Check, Schedule, Simulation
+from petmjx.options.sorted_options import sorted_options
+from petmjx.options.thresholds import Thresholds
 from petmjx.packers.pack_flow import TableEngine
 from petmjx.plans.plan import Plan
 from petmjx.repairs.balance import are_plain, arrays_of

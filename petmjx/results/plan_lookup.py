@@ -19,11 +19,11 @@ from petmjx.plans.bundled import bundled_path
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet, Skipped
 from petmjx.plans.plan_sources import PlanSource, gather_plans
-from petmjx.results.placements_table import kept_plans
 from petmjx.results.plan_digests import PlanRecord, plan_digest
 from petmjx.results.run_folder import RUN_FILE
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import RunResults, load_run
+from petmjx.results.stored_plans import kept_plans
 
 
 @dataclass(frozen=True, eq=False)

@@ -81,7 +81,7 @@ def _metrics(columns: Iterable[metrics.Column]) -> list[pa.Field]:
 
 RANK: Final = "rank"
 """A column of all tables that have rows about worlds: the position of the world in the order of the run
-(petmjx.results.plan_order)."""
+(petmjx.results.world_ranks)."""
 
 RANK_COLUMN: Final = _column(
     RANK,
@@ -263,7 +263,7 @@ def plans_schema(ordered: bool = False) -> pa.Schema:
 
     Args:
         ordered: whether the run was compared with orders. If it was, the table also has the columns of
-            ``petmjx.plans.order_matching.PlanOrderCounts``.
+            ``petmjx.plans.order_checks.PlanOrderCounts``.
     """
     texts = _texts(
         plan_id="id of the packing plan",

@@ -30,8 +30,8 @@ from petmjx.common.checked_records import (
     shown_value,
     within,
 )
+from petmjx.world.error_distributions import Distribution, DistributionShape
 from petmjx.world.random_streams import WorldKey
-from petmjx.world.variants import Distribution, DistributionShape
 
 MAX_AXIS_VALUES: Final = 100_000
 """Largest number of values of one axis. Without a limit, a typing error in a step could fill the memory."""

@@ -15,9 +15,10 @@ from typing import Any, Final
 from petmjx.runs.chain_legs import AS_IS, Remedy, legs_with
 from petmjx.runs.sweep_axes import AXIS_KINDS, Axis, Value
 from petmjx.runs.sweep_file import Sweep
+from petmjx.world.error_distributions import Distribution
 from petmjx.world.profiles.profile import Profile
 from petmjx.world.random_streams import WorldKey
-from petmjx.world.variants import Distribution, DriveSpec, LegSpec, PlacementChange, PlacementKey, Variant
+from petmjx.world.variants import DriveSpec, LegSpec, PlacementChange, PlacementKey, Variant
 
 MOST_KEPT: Final = 100_000
 """Largest number of variants that are made once and kept in memory for all plans. If a sweep has more variants, all

@@ -14,12 +14,13 @@ import numpy as np
 from petmjx.common.errors import InputError, PlanWarning
 from petmjx.common.text import box_in_words, count_text, first_names, printable, printable_name, three_digits
 from petmjx.options.run_options import OF_ORDERS, RunOptions
+from petmjx.plans.bedbpp_orders import OF_PLAN
 from petmjx.plans.convention_checks import densities_kg_m3, find_conventions
 from petmjx.plans.item_columns import TWO_WAYS
 from petmjx.plans.item_joins import has_named_places
 from petmjx.plans.item_units_and_quantities import OrderReading
-from petmjx.plans.order_reader import OF_PLAN, read_orders
-from petmjx.plans.placed_boxes import HEAVIEST_BOX_KG_M3, LIGHTEST_BOX_KG_M3, USUAL_KG_M3
+from petmjx.plans.masses_and_densities import HEAVIEST_BOX_KG_M3, LIGHTEST_BOX_KG_M3, USUAL_KG_M3
+from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_reader import REPEATED, load_plans
 from petmjx.plans.plan_set import PlanSet

@@ -24,10 +24,11 @@ import numpy as np
 
 from petmjx.common.units import FloatArray
 from petmjx.options.physics import Physics, Triple
+from petmjx.world.bearings import TOUCH_M
 from petmjx.world.contact_laws import CONTACTS_PER_FACE
 from petmjx.world.history import CARRIER
 from petmjx.world.scene import Scene
-from petmjx.world.supports import TOUCH_M, bearing_of
+from petmjx.world.supports import bearing_of
 
 LEAST_IMPEDANCE: Final = 0.5
 """Smallest impedance. With a smaller impedance, friction would give way: boxes on a slope would creep by tenths of a

@@ -1,6 +1,6 @@
 """Pushing forces: the forces with which several supports carry a box, if supports can push but not pull.
 
-The pressure of a box on a bed of equal springs is a linear function of x and y (petmjx.world.supports), called the
+The pressure of a box on a bed of equal springs is a linear function of x and y (petmjx.world.bearings), called the
 pressure plane in this module. If a load is far from the middle of the supports, this pressure is negative at the
 opposite end, where springs would pull. Real supports only push. So this module computes pushing forces, each within its
 contact area. Of all such forces that balance the load, these have the least energy of the springs (Menabrea 1858,

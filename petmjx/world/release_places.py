@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from petmjx.common.units import FloatArray
 from petmjx.options.simulation import Check, Simulation
 from petmjx.plans.plan_warnings import meets, shared_length
+from petmjx.world.bearings import TOUCH_M
 from petmjx.world.compliance import bed_depth_m, sinks_m
 from petmjx.world.contact_laws import CONTACTS_PER_FACE, cone_factor, depth_m
 from petmjx.world.growing_scenes import NextBoxes, Stacks
 from petmjx.world.history import CARRIER
 from petmjx.world.scene import Scene
 from petmjx.world.scene_arrays import stacked_values
-from petmjx.world.supports import TOUCH_M
 
 NOTHING: Final = -2
 """Number that stands for the support of a box without support: a box that hangs in the air or falls into its place."""

@@ -27,8 +27,8 @@ from petmjx.world.body_shapes import Body, Shapes
 from petmjx.world.carrier_boards import body_of, floor_z_m, has_walls, pallet, with_walls
 from petmjx.world.friction_pairs import find_surfaces
 from petmjx.world.history import CARRIER
-from petmjx.world.item_pieces import Pieces, pieces_of_sheets, with_pallets
 from petmjx.world.rotation import rotated_vectors
+from petmjx.world.sheets_and_pallets import Pieces, pieces_of_sheets, with_pallets
 
 IDENTITY_QUAT = (1.0, 0.0, 0.0, 0.0)
 
@@ -95,7 +95,7 @@ class Scene:
             is soft.
         wrap: the film around the pallet while the pallet is shaken (petmjx/world/film.py).
         pieces: shapes of the bodies that consist of several shapes: interlayer sheets, which carry load only above
-            other bodies, and pallets among the boxes (petmjx/world/item_pieces.py).
+            other bodies, and pallets among the boxes (petmjx/world/sheets_and_pallets.py).
     """
 
     half_size: NDArray[np.float64]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 import petmjx
 from petmjx.engines.mujoco.slip import SlipLaw
-from petmjx.runs.transport_limits import slide_m
+from petmjx.runs.hopeless_profiles import slide_m
 from petmjx.world.contact_laws import FIRST_SHARE, MOST_ROUNDS, next_share
 from petmjx.world.profiles.accelerations import eumos_40509
 

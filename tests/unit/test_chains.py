@@ -26,16 +26,16 @@ from petmjx.engines.verdict import Outcome
 from petmjx.options.simulation import Simulation
 from petmjx.plans.bundled import bundled_path
 from petmjx.runs.chain_summary import ChainColumns, summarise_chain
+from petmjx.runs.hopeless_profiles import slide_m
 from petmjx.runs.merge import merge_runs
 from petmjx.runs.sweep_file import load_sweep
 from petmjx.runs.sweep_run import SweepRun
 from petmjx.runs.sweep_worlds import SweepPlan
-from petmjx.runs.transport_limits import slide_m
 from petmjx.runs.worlds_of_earlier_run import worlds_of_run
+from petmjx.world.error_distributions import Distribution, DistributionShape
 from petmjx.world.job import Job
 from petmjx.world.profiles.accelerations import eumos_40509
 from petmjx.world.random_streams import WorldKey, rngs
-from petmjx.world.variants import Distribution, DistributionShape
 
 ERRORS = """
 seed = 3

@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 from rich.console import Console
 from support.command_line import write
-from support.kills import assert_same, tables
+from support.equal_runs import assert_same, tables
 from support.outcomes import make_outcome
 from support.plans import make_plan, stack
 
@@ -29,7 +29,7 @@ from petmjx.plans.bundled import bundled_path
 from petmjx.plans.plan_reader import load_plans
 from petmjx.results.run_writer import RunWriter
 from petmjx.runs.confidence import READY_MADE, confidence_sweep, contradiction_mask, write_confidence
-from petmjx.runs.sweep_file import ready_sweeps
+from petmjx.runs.ready_sweeps import ready_sweeps
 from petmjx.runs.sweep_worlds import SweepPlan
 from petmjx.show.run_tables import run_tables
 from petmjx.show.table_layout import print_renderables

@@ -17,7 +17,8 @@ from petmjx.engines.mjx.world_constants import upload_worlds
 from petmjx.engines.mjx.world_state import fresh_state
 from petmjx.engines.mujoco import box_motion, top_forces
 from petmjx.engines.mujoco.running_metrics import OracleMetrics
-from petmjx.options.simulation import Simulation, Thresholds
+from petmjx.options.simulation import Simulation
+from petmjx.options.thresholds import Thresholds
 from petmjx.world.job import Job
 from petmjx.world.mujoco_model import geom_bodies
 from petmjx.world.scene import build_scene

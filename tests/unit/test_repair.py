@@ -39,7 +39,8 @@ from petmjx.repairs.changes import (
     with_change,
     with_turns_told,
 )
-from petmjx.repairs.drafts import Draft, Rules, key_of
+from petmjx.repairs.draft_rules import Rules
+from petmjx.repairs.drafts import Draft, key_of
 from petmjx.repairs.proposals import Target, proposals
 from petmjx.repairs.rebuilds import Failure, rebuilds
 from petmjx.repairs.repair import Repaired, _weak_note

@@ -9,17 +9,18 @@ import numpy as np
 import pytest
 import shapely
 from shapely.geometry.polygon import orient
-from support.edges import plan_edges
+from support.plan_edges import plan_edges
 from support.plans import Box, make_plan, make_scene, stack
 
 from petmjx.engines.mujoco.live_world import LiveWorld
 from petmjx.options.physics import PHYSICS
 from petmjx.options.simulation import Simulation
+from petmjx.world.bearings import TOUCH_M
 from petmjx.world.history import CARRIER
 from petmjx.world.rectangle_hulls import hull_table
 from petmjx.world.release_places import MOST_FOLLOWED_M, NOTHING, release_of
 from petmjx.world.scene import Scene, build_scene
-from petmjx.world.supports import TOUCH_M, bearing_of, bearings_of, find_bearings
+from petmjx.world.supports import bearing_of, bearings_of, find_bearings
 
 EXACT = Simulation(size_reduction_mm=0.0)
 MM = 1e-3

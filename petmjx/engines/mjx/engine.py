@@ -16,18 +16,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from petmjx.common.errors import is_out_of_memory
 from petmjx.common.machine import cpu_threads
 from petmjx.common.units import FloatArray
 from petmjx.engines.mjx.batch_step import PaddedModel
 from petmjx.engines.mjx.free_bodies import paths
-from petmjx.engines.mjx.host_to_device import GRANULE, Batch, is_out_of_memory, load, round_up
+from petmjx.engines.mjx.host_to_device import Batch, load
 from petmjx.engines.mjx.jax_setup import set_up_jax
 from petmjx.engines.mjx.outcomes import outcomes
+from petmjx.engines.mjx.padded_sizes import GRANULE, padded_rows, round_up
 from petmjx.engines.mjx.readback import readbacks_of
 from petmjx.engines.mjx.rollout import CHUNK_STEPS, BatchRollout, Program
 from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.timetable import build_timetable
-from petmjx.engines.mjx.world_constants import device_array, padded_rows
+from petmjx.engines.mjx.world_constants import device_array
 from petmjx.engines.mjx.world_state import State, Status
 from petmjx.engines.protocol import Engine, Progress, RunLock, says_at_hand
 from petmjx.engines.verdict import Flag, Outcome

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
-from petmjx.options.simulation import Thresholds
+from petmjx.options.thresholds import Thresholds
 
 
 def shift(pos: FloatArray, target: FloatArray, floor_m: float, sinks_m: FloatArray | None = None) -> FloatArray:

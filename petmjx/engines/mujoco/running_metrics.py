@@ -15,7 +15,7 @@ from petmjx.common.units import STANDARD_GRAVITY, FloatArray
 from petmjx.engines.metrics import GONE_DESCENT, GONE_TILT, BoxMetrics
 from petmjx.engines.mujoco.box_motion import corner_acceleration, excess, has_dropped, shift, tilt_deg
 from petmjx.engines.mujoco.top_forces import TopForceInputs, largest_top_forces
-from petmjx.options.simulation import Thresholds
+from petmjx.options.thresholds import Thresholds
 from petmjx.world.compliance import sinks_m
 from petmjx.world.job import Drive, Job
 from petmjx.world.scene import Scene

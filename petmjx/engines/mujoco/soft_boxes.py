@@ -19,12 +19,12 @@ from petmjx.engines.mujoco.open_models import ModelInstance, set_options
 from petmjx.engines.mujoco.top_forces import contact_force_z, contact_normal_and_tangents, pressed_box
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan_warnings import shared_length
+from petmjx.world.bearings import TOUCH_M
 from petmjx.world.history import CARRIER, FLOOR
 from petmjx.world.mujoco_model import CARRIER_NAME, HeldCarrier, box_name, soft_spec
 from petmjx.world.rotation import rotated_vectors, rotations
 from petmjx.world.scene import Scene
 from petmjx.world.soft_boxes import POINTS, point_name, points_of, rounding_m, shares
-from petmjx.world.supports import TOUCH_M
 
 COUNT = len(POINTS)
 

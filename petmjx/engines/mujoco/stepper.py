@@ -7,12 +7,12 @@ import numpy as np
 
 from petmjx.common.units import FloatArray
 from petmjx.engines.metrics import RESTLESS_M_S, RISING_M_S2
-from petmjx.engines.mujoco.cpu_budget import Budget
 from petmjx.engines.mujoco.landing import CALM_M_S2
 from petmjx.engines.mujoco.live_world import LiveWorld
 from petmjx.engines.mujoco.running_metrics import OracleMetrics
 from petmjx.engines.mujoco.soft_boxes import SoftWorld
 from petmjx.engines.mujoco.top_forces import top_force_inputs
+from petmjx.engines.mujoco.world_timeout import Budget
 from petmjx.options.simulation import Simulation
 
 _RESTLESS_SQUARE = 0.5 * RESTLESS_M_S**2

@@ -9,7 +9,6 @@ import numpy as np
 
 from petmjx.common.units import seconds_to_steps
 from petmjx.engines.metrics import CONFIRM_S
-from petmjx.engines.mujoco.cpu_budget import Budget
 from petmjx.engines.mujoco.drive import ActingDrive
 from petmjx.engines.mujoco.explosion import Explosion
 from petmjx.engines.mujoco.frame_recorder import WorldRecorder
@@ -21,6 +20,7 @@ from petmjx.engines.mujoco.running_metrics import OracleMetrics
 from petmjx.engines.mujoco.soft_boxes import SoftState, SoftWorld
 from petmjx.engines.mujoco.stepper import Stepper
 from petmjx.engines.mujoco.timetable import NEVER, Waits
+from petmjx.engines.mujoco.world_timeout import Budget
 from petmjx.engines.step_clock import Clock
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict, judge
 from petmjx.options.simulation import SOFT_START_STEPS, Check, Simulation

@@ -20,12 +20,12 @@ from typing import Any
 from weakref import WeakValueDictionary
 
 from petmjx.common.errors import EngineUnavailable, PetmjxError
+from petmjx.common.garbage_collection import collect_rarely
 from petmjx.common.machine import device_name, package_versions, why_no_warp_at_once
-from petmjx.common.processes import collect_rarely
 from petmjx.common.text import one_line
 from petmjx.engines.attempt_with_fallback import outcomes_of_stream
 from petmjx.engines.contact_penetration import stiffened
-from petmjx.engines.engine_choice import make_engine
+from petmjx.engines.engine_registry import make_engine
 from petmjx.engines.gpu_start import start_gpu
 from petmjx.engines.job_stream import JobBounds, JobStream
 from petmjx.engines.outcome_checks import MOST_TOGETHER

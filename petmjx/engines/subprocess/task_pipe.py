@@ -17,8 +17,8 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import IO, Any, Final, TypeVar
 
+from petmjx.common.garbage_collection import collect_rarely
 from petmjx.common.machine import own_environment
-from petmjx.common.processes import collect_rarely
 
 ANSWER_WAIT_S: Final = 0.25
 """Longest uninterrupted wait for an answer, s. Signals are handled after each wait."""

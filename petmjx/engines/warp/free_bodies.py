@@ -16,9 +16,10 @@ from jaxtyping import Array, Int
 from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
-from petmjx.engines.mjx.host_to_device import let_go, round_up
+from petmjx.engines.mjx.host_to_device import let_go
+from petmjx.engines.mjx.padded_sizes import padded_rows, round_up
 from petmjx.engines.mjx.timetable import build_timetable
-from petmjx.engines.mjx.world_constants import NEVER, Worlds, padded_rows
+from petmjx.engines.mjx.world_constants import NEVER, Worlds
 from petmjx.engines.mjx.world_state import State, Status, of_flat
 from petmjx.engines.warp.block_launch import Features, Launch
 from petmjx.engines.warp.block_pool import BlockPool

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.engines.mjx.host_to_device import is_out_of_memory
+from petmjx.common.errors import is_out_of_memory
 from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.block_pool_choice import BlockPools
 from petmjx.engines.warp.kernel_features import size_of

@@ -27,10 +27,10 @@ from petmjx.engines.warp.block_pool import BlockPool
 from petmjx.engines.warp.block_pool_choice import BlockPools
 from petmjx.engines.warp.block_queues import Queues
 from petmjx.engines.warp.compiled_programs import READ_COUNTS, programs
-from petmjx.engines.warp.continued_worlds import ContinuedWorlds
 from petmjx.engines.warp.frame_buffers import PickedFrames, hand_over, pick_frames, room_for
 from petmjx.engines.warp.kernel_features import size_of
 from petmjx.engines.warp.kernel_launcher import SLICE_NS
+from petmjx.engines.warp.long_worlds import ContinuedWorlds
 from petmjx.engines.warp.table_jobs import TableJobs
 from petmjx.engines.warp.world_table import TableRun, WorldTable
 from petmjx.options.simulation import Simulation

@@ -12,7 +12,7 @@ import numpy as np
 
 from petmjx.common.errors import EngineUnavailable
 from petmjx.common.text import count_text, first_names, printable_name
-from petmjx.engines.engine_choice import ENGINES
+from petmjx.engines.engine_registry import ENGINES
 from petmjx.engines.verdict import Flag, Verdict
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation

@@ -22,8 +22,10 @@ from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable, printable_name
 from petmjx.engines.verdict import Verdict
-from petmjx.options.run_options import Confidence, RunOptions, sorted_options
+from petmjx.options.confidence import Confidence
+from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
+from petmjx.options.sorted_options import sorted_options
 from petmjx.packers.packer_registry import PACKERS
 from petmjx.plans.convention_checks import warn
 from petmjx.plans.order_reader import keep_orders, read_orders

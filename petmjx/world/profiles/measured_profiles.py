@@ -11,10 +11,11 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import AfterValidator, Field, StrictFloat, model_validator
 
-from petmjx.common.checked_records import CheckedRecord, read_toml, reason, shown_value, within
+from petmjx.common.checked_records import CheckedRecord, reason, shown_value, within
 from petmjx.common.errors import InputError
 from petmjx.common.safe_read import read_regular
 from petmjx.common.text import printable, printable_name
+from petmjx.common.toml_files import read_toml
 from petmjx.world.profiles.force_windows import Window
 from petmjx.world.profiles.profile import MAX_PROFILE_S
 from petmjx.world.profiles.random_vibration import PsdTable, psd_rms_g
