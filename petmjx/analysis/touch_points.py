@@ -17,9 +17,9 @@ from petmjx.world.history import CARRIER
 from petmjx.world.scene import Scene
 
 LYING_GAP_M: Final = TOUCH_M
-"""Largest gap between two boxes of which one lies on the other, m, as in the criteria. A smaller limit would ignore
-some supports: if three supports have the same planned height, differences of micrometres determine which of them bear
-the load, and these differences vary between simulators and between real pallets."""
+"""Largest gap, m, between a box and another box that lies on it, as in the criteria. A smaller limit would ignore some
+supports. If three supports have the same planned height, differences of micrometres determine which of them bear the
+load. These differences vary between simulators, and between real pallets."""
 
 SIDE_GAP_M: Final = 1e-5
 """Largest gap between two boxes that touch side by side, m: slightly more than the rounding error of a pose in float32.
@@ -69,7 +69,7 @@ def find_touch_points(scene: Scene, physics: Physics, pos: FloatArray, quat: Flo
 
     model = build_spec(scene, physics).compile()
     model.pair_margin[:] += LYING_GAP_M
-    model.geom_margin[:] += LYING_GAP_M / 2  # half of it, because MuJoCo adds the margins of two geoms
+    model.geom_margin[:] += LYING_GAP_M / 2  # half of the gap, because MuJoCo adds the margins of two geoms
     data = mujoco.MjData(model)
     poses = data.qpos.reshape(-1, 7)[1:]  # the first row is the pose of the carrier
     poses[:, :3], poses[:, 3:] = scene.frames(pos, quat), quat

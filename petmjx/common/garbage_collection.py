@@ -27,9 +27,9 @@ def no_collection(*, lasting: bool = False) -> Iterator[None]:
     cycles: otherwise, the collector would scan these objects again and again.
 
     Args:
-        lasting: whether most of the objects that the body makes last until the process ends, as those of imported
-            libraries do. If so, and if the process runs nothing but the command ``petmjx``, later collections do not
-            scan the objects that exist at the end of the body.
+        lasting: whether most of the objects that the body makes last until the process ends, like the objects of
+            imported libraries. If so, and if the process runs nothing but the command ``petmjx``, later collections do
+            not scan the objects that exist at the end of the body.
     """
     enabled = gc.isenabled()
     gc.disable()

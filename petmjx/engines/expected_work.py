@@ -92,8 +92,8 @@ slowly; a pile that sways much more falls before all boxes are placed. The numbe
 DISPLACED_COST, CARRIED_COST = 2.8, 4.5
 """Cost of a placement with errors on a device, relative to a placement without errors. ``DISPLACED_COST`` is for boxes
 that appear at places with errors, and may slip into gaps between other boxes. ``CARRIED_COST`` is for boxes that are
-carried to their places. On one GPU, 8,000 worlds with errors (of 500 plans) took 35 s if boxes appeared, 4,000 worlds
-with errors (of 250 plans) took 30 s if boxes were carried by hand, and 10,003 worlds without errors took 17 s."""
+carried to their places. On one GPU, 10,003 worlds without errors took 17 s. With errors, 8,000 worlds (of 500 plans)
+took 35 s if boxes appeared, and 4,000 worlds (of 250 plans) took 30 s if boxes were carried by hand."""
 _SHARES = 50
 """Number of shares of placed boxes over which ``Work.share_before_failure`` sums."""
 
@@ -148,8 +148,8 @@ class Work:
         displaced: number of placements in which boxes appear at places with errors, or with changed sizes.
         carried: number of placements with errors of places or sizes in which boxes are carried to their places.
         drive_steps: steps of one drive, including ``rest_steps``; the mean over profiles.
-        rounds: number of drives of a pallet that follow one another, since the results of earlier drives decide on
-            them: the rounds of a search, or the legs of a chain.
+        rounds: number of drives of a pallet that must follow one another, because later drives depend on the results of
+            earlier ones: the rounds of a search, or the legs of a chain.
         filmed: share of the steps of drives in which pallets are wrapped in film, 0 to 1: one value for all plans, or
             one for each plan.
         gentle: share of the steps of drives whose largest horizontal acceleration is at most ``STEADY_G``, 0 to 1, as
@@ -217,7 +217,7 @@ class Work:
         return np.where(self._falls, 0.0, self.drives * share * stand)
 
     def _ends_with_failure(self, way: WayOfPlacing) -> bool:
-        """Whether a world ends when one of its boxes, which are placed in this way, fails because of errors."""
+        """With this way of placing: whether a world ends when one of its boxes fails because of errors."""
         one_by_one = self.sim.check is Check.ONE_BY_ONE
         return way.has_errors and way.is_carried and self.sim.early_stop and one_by_one
 
@@ -315,8 +315,8 @@ class Work:
 
     @property
     def on_device(self) -> float:
-        """Cost of all placements of a plan on a device, with and without errors. A cost of 1 is that of one placement
-        of this plan in which boxes appear exactly at their places."""
+        """Cost of all placements of a plan on a device, with and without errors. A cost of 1 is the cost of one
+        placement of this plan in which boxes appear exactly at their places."""
         planned = CARRIED_COST if self.sim.placing.carries else 1.0
         return planned * self.planned + DISPLACED_COST * self.displaced + CARRIED_COST * self.carried
 

@@ -48,7 +48,7 @@ def _margins(worlds: Sequence[tuple[Verdict, BoxMetrics, int]], thresholds: Thre
     largest = np.maximum(excess(shift, tilt, dropped, thresholds), DROPPED_EXCESS * dropped)
     begins = np.cumsum(placed) - np.array(placed)
     for k, margin in zip(valid, (1.0 - np.maximum.reduceat(largest, begins)).tolist(), strict=True):
-        # The verdict decides the sign of the margin: near a threshold, the sign of the computed margin may be wrong,
+        # The verdict decides the sign of the margin. Near a threshold, the sign of the computed margin may be wrong,
         # because `judge` may have compared float32 numbers, and the excess is a rounded quotient.
         margins[k] = max(margin, 0.0) if worlds[k][0] is Verdict.STABLE else min(margin, -_EPSILON)
     return margins

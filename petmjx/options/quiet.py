@@ -31,7 +31,7 @@ class Quiet(CheckedRecord):
     A box that moves back and forth without net motion is said to tremble. Trembling boxes never delay the next box.
 
     A simulated pallet is at rest if no point of any box moved faster than ``still_m_s`` in the last ``still_steps``
-    steps of its rest window (the time at the end over which forces at rest are averaged).
+    steps of its rest window. The rest window is the time at the end over which forces at rest are averaged.
     """
 
     quiet_m_s: Annotated[float, within(0, 100)] = Field(

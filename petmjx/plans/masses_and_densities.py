@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from petmjx.plans.item_columns import ItemColumns
 
 USUAL_KG_M3: Final = 300.0
-"""Density of boxes if a file has no weights: that of cartons in BED-BPP's orders. Verdicts hardly depend on a density
-that is the same for all boxes."""
+"""Density of boxes if a file has no weights: the density of cartons in BED-BPP's orders. Verdicts hardly depend on a
+density that is the same for all boxes."""
 SET_KG_M3: Final = 200.0
 """Assumed density of the boxes in RoboBPP's sets, which give no masses. The mean density of BED-BPP's boxes is
 similar."""
@@ -64,7 +64,8 @@ def masses_kg(
         size: (n, 3) sizes of the boxes, mm.
         length_unit: unit of the file's sizes.
         usual_kg_m3: density of boxes without weights if the caller gives none.
-        counts: (n,) number of boxes of each row, if a weight is that of all these boxes; None: it is that of one box.
+        counts: (n,) number of boxes of each row, if a weight is the weight of all these boxes; None: it is the weight
+            of one box.
 
     Raises:
         InputError: densities have no unit, and may be in kg/m³ or in another unit.

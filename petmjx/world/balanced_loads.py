@@ -187,8 +187,8 @@ def _edges_of(bearing: Bearing, boxes: IntArray) -> tuple[IntArray, FloatArray, 
 def rebalanced_loads(
     bearing: Bearing, load: FloatArray, edge_m: FloatArray, placed: NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray]:
-    """(n, 3) loads of one scene if supports share loads so that the loads are as far inside the edges as possible, and
-    (n,) the distances of these loads from edges, m.
+    """Two arrays: (n, 3) loads of one scene, if supports share loads so that the loads are as far inside the edges as
+    possible; and (n,) the distances of these loads from edges, m.
 
     Args:
         bearing: the contacts between boxes and their supports.

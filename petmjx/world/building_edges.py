@@ -54,10 +54,10 @@ class BuildingLoads(NamedTuple):
 
 
 class LeastBuildingEdge(NamedTuple):
-    """Two of all the loads that act while a plan is built: the load furthest beyond an edge (if none is beyond, the
-    load that is least far inside), and the load nearest to an edge, whether inside or beyond it.
+    """Two of all the loads that act while a plan is built. One is the load furthest beyond an edge or, if none is
+    beyond, the load that is least far inside. The other is the load nearest to an edge, whether inside or beyond it.
 
-    Distances are positive inside an edge and negative beyond it. So the smallest distance is that of the load furthest
+    Distances are positive inside an edge and negative beyond it. So the smallest distance belongs to the load furthest
     beyond an edge. The load nearest to an edge may be on either side of the edge. If a plan has no loads, distances are
     NaN and numbers are -1.
 
@@ -178,13 +178,13 @@ def _shared_parts(bearing: Bearing, keys: IntArray, parts: FloatArray) -> tuple[
     """Divide weights among supports, down to the carrier. Returns (k,) keys and (k, 3) parts of weights: the parts that
     boxes with several supports carry, and the parts that the boxes below them carry.
 
-    A key is a number that names a part: (number of the box that carries the part) · n + (number of the box to whose
-    weight the part belongs), for n boxes.
+    A key is a number that names a part of a weight, for n boxes: (number of the box that carries the part) · n +
+    (number of the box to whose weight the part belongs).
 
     Args:
         bearing: the contacts between boxes and their supports.
-        keys, parts: the parts from which the division starts, and their keys: for each box with several supports, its
-            own weight, and the weights that boxes with a single support pass down to it undivided.
+        keys, parts: the parts from which the division starts, and their keys. For each box with several supports, these
+            are its own weight, and the weights that boxes with a single support pass down to it undivided.
     """
     n = len(bearing.boxes.mass)
     between = np.flatnonzero(bearing.lower != CARRIER)
@@ -348,8 +348,8 @@ def _exact_least_edge(bearing: Bearing, built: BuildingLoads) -> LeastBuildingEd
 
 def balanced_after(bearing: Bearing, built: BuildingLoads, step: int) -> tuple[IntArray, FloatArray]:
     """The loads of one scene after the placement ``step``: their indices in ``built``, and (n,) the distance of each
-    box's load from the edge of its supports, m, if supports share loads in the best possible way; NaN for boxes without
-    a load."""
+    box's load from the edge of its supports, m (NaN for boxes without a load). Supports share loads in the best
+    possible way."""
     n = len(bearing.boxes.mass)
     now = np.flatnonzero(built.step <= step)
     last = now[np.flatnonzero(np.diff(built.box[now], append=n))]
