@@ -1309,6 +1309,14 @@ def test_simulations_without_a_verdict_are_told(capsys: pytest.CaptureFixture[st
     assert (result.row()["trials"], result.row()["invalid_trials"]) == (6, 5)
 
 
+def test_a_plan_that_is_judged_for_too_long_counts_as_one_that_falls(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The search has set the limit of iterations, so such simulations do have a verdict. Without the limit, no box need be
+    left out. Scores have no limit."""
+    monkeypatch.setattr("petmjx.repairs.trials.JUDGED_ITERATIONS", 300)
+    result = repaired(COUNTERWEIGHT, trials=6)
+    assert (result.stands, result.left_out, result.row()["invalid_trials"]) == (True, (2,), 0)
+
+
 def test_a_repair_with_few_trials_is_told_as_such() -> None:
     few = repaired(COUNTERWEIGHT, trials=3)
     assert (few.stands, few.n_trials <= 4, few.complete) == (True, True, False)
