@@ -22,17 +22,13 @@ from petmjx.engines.failed_world import failed_outcome
 from petmjx.engines.mjx.world_constants import NEVER
 from petmjx.engines.mjx.world_state import State, Status
 from petmjx.engines.protocol import Progress
-from petmjx.engines.subprocess.attempt_process import READY, AttemptSimulator, AttemptTask
+from petmjx.engines.subprocess.attempt_process import READY, WORTH_A_PROCESS, AttemptSimulator, AttemptTask
 from petmjx.engines.verdict import Flag, Outcome
 from petmjx.options.simulation import Schedule, Simulation
 from petmjx.world.job import Job
 
 PAUSE_S: Final = 0.05
 """When no world is left on the GPU: time between two checks whether CPU threads have ended a world, s."""
-
-WORTH_A_PROCESS: Final = 64
-"""With 64 worlds or more in the first table, the process for long worlds starts before a world needs it. The process
-takes some seconds to start."""
 
 
 def most_steps(jobs: Sequence[Job], sim: Simulation) -> NDArray[np.int32]:
