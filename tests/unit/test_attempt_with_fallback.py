@@ -222,7 +222,7 @@ def test_an_interruption_loses_nothing_that_is_looked_at_beside_the_run(monkeypa
             if wait:
                 super()._take(process, wait=True, **until)
 
-    monkeypatch.setattr(simulation_loop, "WORTH_A_PROCESS", WORLDS)
+    monkeypatch.setattr(simulation_loop, "LARGE", WORLDS)
     monkeypatch.setattr(attempt_with_fallback, "MOST_TOGETHER", 1)
     monkeypatch.setattr(simulation_loop.CheckPool, "here", lambda: Slow(1))
     worlds = [make_world(make_plan(f"p{k}", stack(1))) for k in range(WORLDS)]
@@ -251,7 +251,7 @@ def test_looks_are_waited_for_whatever_an_engine_that_raised_had_at_hand(
             untils.append(until())
             return super().exchanged(*args, until=until, **how)
 
-    monkeypatch.setattr(simulation_loop, "WORTH_A_PROCESS", WORLDS)
+    monkeypatch.setattr(simulation_loop, "LARGE", WORLDS)
     monkeypatch.setattr(simulation_loop.CheckPool, "here", lambda: Watched(0))
     results, _ = scored(Left("mjx-warp", in_run(1)), Scripted("mujoco", never), monkeypatch)
     assert len(results) == WORLDS
