@@ -74,7 +74,8 @@ class State(NamedTuple):
     way_begin: Float[Array, "world 3"]
     way_end: Float[Array, "world 3"]
 
-    # Landing: the number of steps for which a box still counts as landing, and its velocity before it touched.
+    # Landing: the number of steps for which a box still counts as landing, and the velocity of the box before it
+    # touched anything.
     landing_left: Int[Array, "world box"]
     landing_qvel: Float[Array, "world box 6"]
 

@@ -48,7 +48,7 @@ _HTTP2_HELLO = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + _HTTP2_SETTINGS + bytes(5)
 """The first bytes that an HTTP/2 client sends: a fixed text, and an empty settings frame."""
 
 _SIGACTION_BYTES = 1024
-"""A size that is at least that of C's ``struct sigaction`` on any system, bytes."""
+"""Size of a buffer that can hold C's ``struct sigaction`` on any system, bytes."""
 
 _SKIPPED_LINES = "RAY_DEDUP_LOGS_SKIP_REGEX"
 """Ray's environment variable that suppresses lines of Ray's log. Ray reads the variable when the package is

@@ -117,10 +117,10 @@ class Model:
     still_steps: int
     due_steps: int
     longest_steps: int
-    static_end: int  # last step of the placement of a static check; NEVER if boxes are placed one by one
+    static_end: int  # Last step of a static check's placement; NEVER if boxes are placed one by one.
     shift: float
     shift_floor: float
-    tilt: float  # degrees
+    tilt: float  # Threshold of the tilt of boxes, degrees.
     drop_z: float
     linear_acceleration: float
     angular_acceleration: float
@@ -155,7 +155,7 @@ class Worlds:
     """Constants of worlds: the table ``world_constants.Worlds``, the samples of the excitations, and the queues."""
 
     profiles: Annotated[wp.array3d[float], "profile step 3"]
-    order: Annotated[wp.array2d[int], "queue world"]  # Rows of the worlds of each queue, in order; then −1.
+    order: Annotated[wp.array2d[int], "queue world"]  # Rows of the worlds in each queue, in order, then −1.
 
     if TYPE_CHECKING:
 
@@ -197,9 +197,9 @@ class Workspace:
     # The values of geom_xpos and geom_reach at the last search for near pairs.
     listed_xpos: Annotated[wp.array2d[wp.vec3], "block geom"]
     listed_reach: Annotated[wp.array2d[wp.vec3], "block geom"]
-    qpos_before: Annotated[wp.array3d[float], "block box 7"]  # poses at the beginning of a step
+    qpos_before: Annotated[wp.array3d[float], "block box 7"]  # Poses of the boxes at the beginning of a step.
     top_force: Annotated[wp.array2d[float], "block box"]
-    pair_geom1: Annotated[wp.array2d[int], "block pair"]  # the geom with the smaller index
+    pair_geom1: Annotated[wp.array2d[int], "block pair"]  # The geom of the pair with the smaller index.
     pair_geom2: Annotated[wp.array2d[int], "block pair"]
     pair_normal: Annotated[wp.array2d[wp.vec3], "block pair"]
     pair_points: Annotated[wp.array3d[wp.vec4], "block pair 8"]  # Contact point, and the two geoms' distance.
@@ -225,7 +225,7 @@ class Workspace:
     lowest: Annotated[wp.array2d[int], "block free_body"]
     bodies_conadr: Annotated[wp.array2d[int], "block contact"]  # first contact of each pair of free bodies, unsorted
     ncon: Annotated[wp.array[int], "block"]
-    nfree: Annotated[wp.array[int], "block"]  # number of free bodies
+    nfree: Annotated[wp.array[int], "block"]  # Number of bodies that can move.
     solver_niter: Annotated[wp.array[int], "block"]
     solver_paused: Annotated[wp.array[int], "block"]  # Number of iterations before a pause; 0: no pause.
     world: Annotated[wp.array[int], "block"]  # The world of a block; negative: no world.
@@ -236,9 +236,9 @@ class Workspace:
 class FrameBuffer:
     """Frames of recorded worlds, in the order in which blocks write them. All worlds of a call share this buffer."""
 
-    every: Annotated[wp.array[int], "world"]  # steps between two frames of a world; 0: the world is not recorded
+    every: Annotated[wp.array[int], "world"]  # Steps between two frames; 0: the world is not recorded.
     used: Annotated[wp.array[int], "1"]
-    of: Annotated[wp.array[int], "frame"]  # the world to which each frame belongs
+    of: Annotated[wp.array[int], "frame"]  # The world to which each frame belongs.
     step: Annotated[wp.array[int], "frame"]
     placed: Annotated[wp.array[int], "frame"]
     pose: Annotated[wp.array3d[float], "frame box 7"]
@@ -256,7 +256,7 @@ class Counts:
     clock: Annotated[wp.array[int], "1"]
     steps: Annotated[wp.array[int], "1"]
     iterations: Annotated[wp.array[int], "1"]
-    contacts: Annotated[wp.array[int], "1"]  # largest number of contacts of a world
+    contacts: Annotated[wp.array[int], "1"]  # Largest number of contacts of a world so far.
 
 
 @record
