@@ -300,7 +300,7 @@ class Costs:
         """(n,) for each job, the number of steps from which on its world counts as long (``LONG_PLACEMENT``,
         ``LONG_DRIVE``). The number depends neither on the machine nor on the other jobs."""
         steps = np.full(len(jobs), float(seconds_to_steps(sim.rest_window_s, sim.physics.timestep_s)))
-        for settles in (False, True):  # _expected_work takes jobs that all settle, or jobs that all do not settle
+        for settles in (False, True):  # _expected_work takes only jobs that settle, or only others
             rows = [row for row, job in enumerate(jobs) if job.settles is settles]
             some = [jobs[row] for row in rows]
             work, drive_steps = _expected_work(some, sim)

@@ -268,7 +268,7 @@ class Work:
             seconds = (boxes * sim.interval_s if one_by_one else 0.0 * boxes) + sim.settle_s
         else:
             seconds = (boxes + 1) * sim.interval_s if one_by_one else 0.0 * boxes + sim.duration_s
-        return np.trunc(seconds / sim.physics.timestep_s)  # as ``seconds_to_steps``, for all plans at once
+        return np.trunc(seconds / sim.physics.timestep_s)  # ``seconds_to_steps`` for all plans at once
 
     @property
     def steps(self) -> FloatArray:

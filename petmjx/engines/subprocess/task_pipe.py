@@ -163,7 +163,7 @@ class Forks:
                 stdin=its.fileno(),
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
-                process_group=0,  # so that all copies can be killed at once
+                process_group=0,  # with one group, all copies can be killed at once
             )
             self._connection = own
         except OSError:  # memory is short, or no interpreter can be started

@@ -90,7 +90,7 @@ class Model:
     solimp: wp.vec3  # Impedances d₀ and d_width, and the width of the rise, m.
     skin: float  # Margin added to boxes in collision detection, m.
     carrier_skin: float  # Margin added to the carrier in collision detection, m.
-    pyramidal: int  # 1 with pyramidal friction cones.
+    pyramidal: int  # 1 if friction cones are pyramidal.
     friction_damping: float  # Damping along a contact's tangents, 1/s; 0: the same damping as along the normal.
     slip_slack: float  # Tangential acceleration up to which a slip is not corrected, m/s²; inf: no slip is corrected.
     kinetic_share: float  # Friction of contacts that slide fast, as a share of friction at rest.
@@ -106,9 +106,9 @@ class Model:
     npairmax: int  # Largest number of pairs of near geoms of a world.
     nconmax: int  # Largest number of contacts of a world.
 
-    fixed: int  # 1 with the fixed schedule (placements at fixed times)
+    fixed: int  # 1 if the schedule is fixed (boxes are placed at fixed times).
     waits_for_rest: int
-    extends: int  # 1 if a world that still moves at its planned end gets more time
+    extends: int  # 1 if a world that still moves at its planned end gets more time.
     early_stop: int
     iteration_limit: int  # Largest number of solver iterations of a placement or a drive; NEVER: no limit.
     soft_start: int  # Number of steps of a soft start.
@@ -135,15 +135,15 @@ class Model:
     poll_steps: int
     hand_rate: float  # Natural angular frequency of the hand's spring, 1/s.
     lowering_rate: float  # Damping constant / mass, for the damper by which the hand sets boxes down, 1/s.
-    # Largest number of steps for which a hand holds a box at the end of its path, and in which it then sets the box
-    # down.
+    # Largest number of steps in each of two phases: a hand holds a box at the end of its path, and then sets it down.
     stuck_steps: int
     film_rate: float  # Natural angular frequency of a box that film holds, 1/s.
     landing_time: float  # Time in which a landing box is stopped, s.
     landing_lasts: int  # Number of steps for which a box counts as landing after its first touch.
     restitution: float
 
-    # Arrays of step numbers, as in Timetable. Index of the first three: step; of the last: number of boxes.
+    # Arrays of step numbers, as in Timetable. The first three have an entry for each step, the last has an entry for
+    # each number of boxes.
     due: wp.array[int]
     longest: wp.array[int]
     settled: wp.array[int]
@@ -223,11 +223,11 @@ class Workspace:
     position: Annotated[wp.array2d[int], "block free_body"]  # Index of a body in the solver's system of equations.
     # By index in the solver's system: the lowest index among a body and the bodies that it touches.
     lowest: Annotated[wp.array2d[int], "block free_body"]
-    bodies_conadr: Annotated[wp.array2d[int], "block contact"]  # first contact of each pair of free bodies, unsorted
+    bodies_conadr: Annotated[wp.array2d[int], "block contact"]  # The first contact of each pair of bodies.
     ncon: Annotated[wp.array[int], "block"]
     nfree: Annotated[wp.array[int], "block"]  # Number of bodies that can move.
     solver_niter: Annotated[wp.array[int], "block"]
-    solver_paused: Annotated[wp.array[int], "block"]  # Number of iterations before a pause; 0: no pause.
+    solver_paused: Annotated[wp.array[int], "block"]  # Iterations before the solver paused; 0: it has not.
     world: Annotated[wp.array[int], "block"]  # The world of a block; negative: no world.
     frame: Annotated[wp.array[int], "block"]  # Index in FrameBuffer of the frame that a block writes.
 
