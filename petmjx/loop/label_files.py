@@ -243,7 +243,7 @@ def _write(parts: LabelParts, count: int, files: Mapping[str, Path], head: Mappi
 
 
 def _remove_if_empty(folder: Path) -> None:
-    with suppress(OSError):  # the folder is not empty
+    with suppress(OSError):  # an OSError means that the folder is not empty
         folder.rmdir()
 
 

@@ -223,7 +223,7 @@ class Labeller:
                     n_yielded += len(labels)
                     if n_yielded >= count:
                         return
-        # the remaining episodes, whose last boxes gave no labels because there was no place for them
+        # the remaining episodes are those whose last boxes gave no labels, because there was no place for these boxes
         yield from schedule.take_ended()
 
     def begun(self, number: int) -> Episode:

@@ -128,7 +128,7 @@ class LabelParts:
         (self._folder / UNFINISHED).unlink(missing_ok=True)
         for file in part_files(self._folder, TABLE):
             file.unlink()
-        with suppress(OSError):  # the folder has other files, or does not exist
+        with suppress(OSError):  # an OSError: it has other files, or does not exist
             (self._folder / TABLE).rmdir()
 
     def _list(self) -> None:
