@@ -77,7 +77,12 @@ COLUMNS: Final = (
         "1",
         "among the boxes that lie on boxes, share of boxes that tie the pile together; null if no box lies on a box",
     ),
-    KpiColumn("kpi_6", "Int64", "1", "1: no box moved by more than 0.01 m along z in the static check; null: unknown"),
+    KpiColumn(
+        "kpi_6",
+        "Int64",
+        "1",
+        "1: no box moved by more than 0.01 m along z in the static check; 0: a box did; null: unknown",
+    ),
     KpiColumn(
         "eval_score_pal_ratio", "Float64", "1", "kpi_6 × share of the ordered boxes that begin at or below 2.0 m"
     ),

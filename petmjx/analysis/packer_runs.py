@@ -113,7 +113,7 @@ def check_names(names: Iterable[str]) -> None:
         if len(name.encode()) > LONGEST_NAME:
             raise InputError(f"packer {printable_name(name)!r}: the name must have at most {LONGEST_NAME} bytes")
         if not name or name in (".", "..") or "/" in name or "\\" in name or not name.isprintable():
-            raise InputError(f"packer {printable_name(name)!r}: the name must be usable as that of a folder")
+            raise InputError(f"packer {printable_name(name)!r}: the name must be usable as the name of a folder")
 
 
 def plans_of(runs: Mapping[str, RunResults], against: OrderComparison | None = None) -> pd.DataFrame:
