@@ -84,7 +84,7 @@ def confidence_sweep(
     Args:
         n_worlds: number of worlds with errors for each plan, in addition to the nominal world (without errors).
         errors: a sweep file of errors, or the name of a ready-made one. If ``errors`` is None, ``READY_MADE`` is used.
-        simulation: fields of ``Simulation`` that replace those of the file.
+        simulation: fields of ``Simulation`` that replace the fields of the file.
         exact_too: whether to simulate each world with errors twice (``petmjx.options.confidence.Confidence``).
 
     Raises:
