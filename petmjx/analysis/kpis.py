@@ -1,7 +1,7 @@
 """Computes the KPIs (key performance indicators) of BED-BPP, a public benchmark for packing, and the rating on its
 leaderboard: ``petmjx.kpis``.
 
-The definitions of the KPIs, and the rule of ``direct_support``, are those of bed-bpp-env (e7459bf):
+The definitions of the KPIs, and the rule of ``direct_support``, come from bed-bpp-env (e7459bf):
 ``evaluation/packing_plan_evaluator.py``, ``environment/space_3d.py`` and ``environment/cuboid.py``. docs/kpis.md lists
 the KPIs and the columns that petmjx adds, and explains the rule. ``COLUMNS`` lists the columns of the table.
 """

@@ -111,8 +111,8 @@ def rest_steps(sim: Simulation, rest_s: float, quiet_steps: int = DRIVEN_QUIET_S
 
 
 def expected_drive_steps(drive: Drive, sim: Simulation) -> float:
-    """Number of steps of one drive, from which its order in a run and ``Costs.long_steps`` are computed. The number is
-    larger than the mean, so that few drives count as long."""
+    """Expected number of steps of one drive. The order of jobs in a run and ``Costs.long_steps`` are computed from it.
+    The number is larger than the mean, so that few drives count as long."""
     steps = rest_steps(sim, drive.rest_s, QUIET_STEPS) + len(drive.excitation.samples)
     peak_g = abs(drive.scale) * drive.excitation.peak_g
     return CREEPING * steps if sim.schedule is Schedule.ADAPTIVE and peak_g <= STEADY_G else steps

@@ -120,7 +120,7 @@ def _error_sweep_fault(sweep: Sweep) -> str:
         if not isinstance(axis.values[0], Distribution):
             return f"axes.{name} contradicts confidence: it is not an error, but the same in every world"
         if len(axis.values) > 1:
-            return f"axes.{name} must be one error for confidence, got {len(axis.values)}"
+            return f"axes.{name}: confidence needs one error, got {len(axis.values)}"
     if not any(axis.random for axis in sweep.axes.values()):
         return "axes have nothing random: every world would be the same"
     return ""

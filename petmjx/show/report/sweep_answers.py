@@ -415,7 +415,7 @@ def _confidence(run: ReportRun, summary: pd.DataFrame) -> Markup:
         "the 95 % interval of the share contains one half."
     )
     missed, fell = (int(summary[name].sum()) if name in summary else 0 for name in ("n_not_placed", "n_fell"))
-    failure_text = f"Of the worlds that do not stand, in {missed:,} a box could not be placed, in {fell:,} boxes fell."
+    failure_text = f"A box could not be placed in {missed:,} worlds; boxes fell in {fell:,} worlds."
     return joined_markup(
         element("p", line),
         element("p", failure_text) if missed else NOTHING,
