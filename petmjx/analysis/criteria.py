@@ -460,7 +460,7 @@ CRITERIA: Final = (
         "down in balance",
         "1 - load / strength: the smallest value of these boxes; 1 without a known strength",
         DIMENSIONLESS,
-        "McKee, Gander, Wachuta 1963, or strengths of the user's",
+        "McKee, Gander, Wachuta 1963, or the user's own strengths",
         lambda inputs: strength_slack(inputs.contacts, inputs.strength_n, even_bedding),
         usual=False,  # if no strengths are known, this criterion accepts all plans, so it is evaluated only on request
     ),
@@ -479,7 +479,7 @@ CRITERIA: Final = (
     ),
     Criterion(
         "load_points",
-        f"the load has at least {LEAST_POINTS:g} of {sum(MOST_POINTS.values()):g} points by five rules of a seller",
+        f"the load has at least {LEAST_POINTS:g} of {sum(MOST_POINTS.values()):g} points by a seller's five rules",
         f"points - {LEAST_POINTS:g} for the last box; {sum(MOST_POINTS.values()) - LEAST_POINTS:g} for all other boxes",
         DIMENSIONLESS,
         "a seller's rule of thumb, with formulas of petmjx's own",
@@ -524,20 +524,20 @@ class CriteriaOptions(CheckedRecord):
     )
     carrier: Annotated[
         AnyCarrier,
-        CliFlag("--carrier", "NAME|FILE", default="that of the run; else footprint, the plan's bounding box"),
+        CliFlag("--carrier", "NAME|FILE", default="the run's carrier; else footprint, the plan's bounding box"),
     ] = Field(
         Carrier.FOOTPRINT,
         description="carrier on which the boxes stand, as for petmjx score; gaps between boards bear nothing; a "
         "carrier without boards is taken to reach under all boxes",
     )
-    walls: Walls = Field(Walls(), description="walls around the carrier's top, by default those of the run")
+    walls: Walls = Field(Walls(), description="walls around the carrier's top, by default the run's walls")
     only: tuple[str, ...] | None = Field(None, description="names of criteria; by default all")
     processes: Annotated[int, within(1, 1024)] = Field(
         1, description="number of processes among which the plans are divided"
     )
     p_arrives: Annotated[float, within(0, 1), CliFlag("--p-arrives", "P")] = Field(
         0.5,
-        description="share of a plan's worlds that must arrive so that the plan counts as standing, if the run is that "
+        description="share of a plan's worlds that must arrive so that the plan counts as standing, if the run is "
         "of a chain",
     )
     seed: Annotated[int, within(0, 2**63 - 1), CliFlag("--seed", "SEED")] = Field(

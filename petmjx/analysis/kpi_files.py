@@ -108,7 +108,7 @@ def _workbook(kpis: Kpis) -> bytes:
     add(orderwise, table.column_names)
     for row in zip(*(column.to_pylist() for column in table.columns), strict=True):
         add(orderwise, row)
-    content = io.BytesIO()  # in memory, because openpyxl prints an error if it cannot save to a path
+    content = io.BytesIO()  # a file in memory, because openpyxl prints an error if it cannot save to a path
     workbook.save(content)
     return content.getvalue()
 

@@ -178,8 +178,8 @@ def _faults(plan: Plan, placements: Sequence[Placement], order: Order, choice: i
 
 
 def _name(plan: Plan, placements: Sequence[Placement], order: Order) -> None:
-    """Fill in the missing names: a box that has neither id nor article gets those of an ordered item with the same size
-    and mass."""
+    """Fill in the missing names: a box that has neither id nor article gets id and article of an ordered item with the
+    same size and mass."""
     unnamed = [box for box, names in enumerate(zip(plan.item_ids, plan.articles, strict=True)) if not any(names)]
     if not unnamed:
         return

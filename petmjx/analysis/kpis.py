@@ -1,7 +1,7 @@
 """Computes the KPIs (key performance indicators) of BED-BPP, a public benchmark for packing, and the rating on its
 leaderboard: ``petmjx.kpis``.
 
-The definitions of the KPIs, and the rule of ``direct_support``, are those of bed-bpp-env (e7459bf):
+The definitions of the KPIs, and the rule of ``direct_support``, come from bed-bpp-env (e7459bf):
 ``evaluation/packing_plan_evaluator.py``, ``environment/space_3d.py`` and ``environment/cuboid.py``. docs/kpis.md lists
 the KPIs and the columns that petmjx adds, and explains the rule. ``COLUMNS`` lists the columns of the table.
 """
@@ -77,7 +77,12 @@ COLUMNS: Final = (
         "1",
         "among the boxes that lie on boxes, share of boxes that tie the pile together; null if no box lies on a box",
     ),
-    KpiColumn("kpi_6", "Int64", "1", "1: no box moved by more than 0.01 m along z in the static check; null: unknown"),
+    KpiColumn(
+        "kpi_6",
+        "Int64",
+        "1",
+        "1: no box moved by more than 0.01 m along z in the static check; 0: a box did; null: unknown",
+    ),
     KpiColumn(
         "eval_score_pal_ratio", "Float64", "1", "kpi_6 × share of the ordered boxes that begin at or below 2.0 m"
     ),

@@ -113,7 +113,7 @@ def check_names(names: Iterable[str]) -> None:
         if len(name.encode()) > LONGEST_NAME:
             raise InputError(f"packer {printable_name(name)!r}: the name must have at most {LONGEST_NAME} bytes")
         if not name or name in (".", "..") or "/" in name or "\\" in name or not name.isprintable():
-            raise InputError(f"packer {printable_name(name)!r}: the name must be usable as that of a folder")
+            raise InputError(f"packer {printable_name(name)!r}: the name must be usable as the name of a folder")
 
 
 def plans_of(runs: Mapping[str, RunResults], against: OrderComparison | None = None) -> pd.DataFrame:
@@ -127,11 +127,11 @@ def plans_of(runs: Mapping[str, RunResults], against: OrderComparison | None = N
 
     Returns:
         The columns ``plan_id``, ``packer``, ``order_boxes`` (number of boxes of the order), ``verdict`` (possibly
-        ``missing``), ``reason``, ``margin``, ``digest``, and those of ``MEASURES``. ``as_ordered`` is the number of
-        boxes of the plan that were ordered, have the ordered size and mass, and lie on the order's target. Each ordered
-        box is counted at most once. ``as_ordered`` is null if this number is unknown. ``listed`` tells whether the
-        order enters ratings. ``compared`` tells whether every packer's plan for the order has a valid verdict. If all
-        runs are of transport chains, there is also the column ``p_arrives``.
+        ``missing``), ``reason``, ``margin``, ``digest``, and the columns of ``MEASURES``. ``as_ordered`` is the number
+        of boxes of the plan that were ordered, have the ordered size and mass, and lie on the order's target. Each
+        ordered box is counted at most once. ``as_ordered`` is null if this number is unknown. ``listed`` tells whether
+        the order enters ratings. ``compared`` tells whether every packer's plan for the order has a valid verdict. If
+        all runs are of transport chains, there is also the column ``p_arrives``.
     """
     table = _worlds_of(runs)
     sizes = None if against is None else against.sizes

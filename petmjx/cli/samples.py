@@ -94,7 +94,7 @@ def samples(
             "--workers",
             metavar="N",
             min=1,
-            help="Number of processes that pack (with physical: that search). It does not change the plans.  "
+            help="Number of processes among which packing is divided. This number does not change the plans.  "
             "[default: one for each CPU]",
         ),
     ] = None,

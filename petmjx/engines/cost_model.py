@@ -60,9 +60,9 @@ steps than this number. A profile that tilts the carrier has 2,970 steps, and bo
 that shakes boxes for many seconds takes up to ten times as long as expected."""
 
 GENTLE_COST = 0.25
-"""Additional cost of a step of a drive with an acceleration of at most ``STEADY_G``, relative to a stronger drive: in
-most of its steps, boxes neither slide nor fall. On ``mujoco``, this factor was 0.1 to 0.25 for 10 to 45 boxes in
-EUMOS's profile of 0.1 to 0.3 g, relative to 0.4 to 0.8 g."""
+"""Additional cost of a step of a gentle drive, whose acceleration is at most ``STEADY_G``, relative to a stronger
+drive. In most steps of a gentle drive, boxes neither slide nor fall. On ``mujoco``, this factor was 0.1 to 0.25 for 10
+to 45 boxes in EUMOS's profile of 0.1 to 0.3 g, relative to 0.4 to 0.8 g."""
 
 STATIC_FALL_BOXES = 12
 """A fall in a static check of n boxes costs n / ``STATIC_FALL_BOXES`` times as much as a fall while boxes are placed
@@ -300,7 +300,7 @@ class Costs:
         """(n,) for each job, the number of steps from which on its world counts as long (``LONG_PLACEMENT``,
         ``LONG_DRIVE``). The number depends neither on the machine nor on the other jobs."""
         steps = np.full(len(jobs), float(seconds_to_steps(sim.rest_window_s, sim.physics.timestep_s)))
-        for settles in (False, True):  # _expected_work takes jobs that all settle, or jobs that all do not settle
+        for settles in (False, True):  # _expected_work takes only jobs that settle, or only others
             rows = [row for row, job in enumerate(jobs) if job.settles is settles]
             some = [jobs[row] for row in rows]
             work, drive_steps = _expected_work(some, sim)

@@ -74,11 +74,12 @@ DISPLACED_STEPS, CARRIED_STEPS = 1.1, 5.0
 their places. ``DISPLACED_STEPS`` is for boxes that appear at places with errors; boxes that would overlap are moved
 apart first. ``CARRIED_STEPS`` is for boxes that are carried to their places, and get stuck at their neighbours."""
 FAILING_BOXES = 0.008
-"""Chance of a box that is carried to its place with errors to fail, which ends the world. Of 80 worlds with errors of
-20 plans of 18 to 71 boxes, about 26 failed; of ten worlds of two plans of 146 and 238 boxes, six failed."""
+"""Probability that a box fails, and so ends the world, if it is carried to its place with errors. Of 80 worlds with
+errors of 20 plans of 18 to 71 boxes, about 26 failed; of ten worlds of two plans of 146 and 238 boxes, six failed."""
 DRIVEN_SWAY = 4.0
-"""Number of additional steps of a drive of compliant boxes, relative to those of one placement: a drive makes a pile
-sway further. Columns of 18 boxes of 50 N/mm took 470 additional steps in EUMOS's profile, and 30 in a placement."""
+"""Number of additional steps of a drive of compliant boxes, divided by the additional steps of one placement. The
+number is larger than 1, since a drive makes a pile sway more. Columns of 18 boxes of 50 N/mm took 470 additional steps
+in EUMOS's profile, and 30 in a placement."""
 FALLING_SWAY_MM = 50.0
 """A pile of compliant boxes is expected to fall when its ``Work.sway_mm`` has reached this value. While boxes are
 placed, the sway grows with the cube of the height."""
@@ -110,8 +111,8 @@ def rest_steps(sim: Simulation, rest_s: float, quiet_steps: int = DRIVEN_QUIET_S
 
 
 def expected_drive_steps(drive: Drive, sim: Simulation) -> float:
-    """Number of steps of one drive, from which its order in a run and ``Costs.long_steps`` are computed. The number is
-    larger than the mean, so that few drives count as long."""
+    """Expected number of steps of one drive. The order of jobs in a run and ``Costs.long_steps`` are computed from it.
+    The number is larger than the mean, so that few drives count as long."""
     steps = rest_steps(sim, drive.rest_s, QUIET_STEPS) + len(drive.excitation.samples)
     peak_g = abs(drive.scale) * drive.excitation.peak_g
     return CREEPING * steps if sim.schedule is Schedule.ADAPTIVE and peak_g <= STEADY_G else steps
@@ -152,8 +153,9 @@ class Work:
             earlier ones: the rounds of a search, or the legs of a chain.
         filmed: share of the steps of drives in which pallets are wrapped in film, 0 to 1: one value for all plans, or
             one for each plan.
-        gentle: share of the steps of drives whose largest horizontal acceleration is at most ``STEADY_G``, 0 to 1, as
-            ``filmed``. Vertical accelerations do not count. Drives with random vibrations are not gentle.
+        gentle: share of the steps of drives whose largest horizontal acceleration is at most ``STEADY_G``, 0 to 1: one
+            value or one per plan, as for ``filmed``. Vertical accelerations do not count. Drives with random vibrations
+            are not gentle.
         giving: number of compliant boxes of each plan; empty if no plan has compliant boxes.
         sway_mm: how far a pile of each plan's compliant boxes sways, mm (petmjx.plans.plan_statics); empty if no plan
             has compliant boxes.
@@ -266,7 +268,7 @@ class Work:
             seconds = (boxes * sim.interval_s if one_by_one else 0.0 * boxes) + sim.settle_s
         else:
             seconds = (boxes + 1) * sim.interval_s if one_by_one else 0.0 * boxes + sim.duration_s
-        return np.trunc(seconds / sim.physics.timestep_s)  # as ``seconds_to_steps``, for all plans at once
+        return np.trunc(seconds / sim.physics.timestep_s)  # ``seconds_to_steps`` for all plans at once
 
     @property
     def steps(self) -> FloatArray:

@@ -222,8 +222,8 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     BoxMetric(
         "shift_m", "m",
         {"shift_x_m": "x of final centre - planned centre; 0 if |x| < shift_floor_m; null if the box was never placed",
-         "shift_y_m": "y of final centre - planned centre; 0 and null as for x",
-         "shift_z_m": "z of final centre - planned centre; 0 and null as for x"},
+         "shift_y_m": "y of final centre - planned centre; 0 or null as shift_x_m",
+         "shift_z_m": "z of final centre - planned centre; 0 or null as shift_x_m"},
         SampleAt.END, "c − c_planned of the box's centre c; a component with a magnitude below `shift_floor_m` is 0; "
         "downwards, the planned descent of boxes with a stiffness does not count",
         of_world=WorldReduction(

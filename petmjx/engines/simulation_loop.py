@@ -181,7 +181,7 @@ class _AttemptRun(Generic[AnyWorld]):
         primary = self.engines.primary
         while True:
             self._put_following()
-            closed = self.stream.closed  # read before outcomes are checked: the stream may be closed meanwhile
+            closed = self.stream.closed  # read now, since the stream may be closed while outcomes are checked
             n_ready = self.stream.wait_for(LARGE if primary.name in ATTEMPT_ENGINES else 1)
             if n_ready or self.for_fallback:
                 self.attempt_tasks.prepare(self.stream.peek(LARGE), self.attempts[1:])

@@ -5,9 +5,9 @@ parts.
                                have, number of labels in the parts, next episode, list of parts
     DIR/parts/part-*.parquet   labels of whole episodes, in order
 
-Parts are written and read like those of a run (petmjx.results.table_parts): a part is ignored until the list
-names it and its digest. So if a process is killed, only the labels of the last minute and of unfinished episodes are
-lost. Another process can then continue the unfinished set.
+Parts are written and read like the parts of a run (petmjx.results.table_parts): a part is ignored until the list names
+it and its digest. So if a process is killed, only the labels of the last minute and of unfinished episodes are lost.
+Another process can then continue the unfinished set.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ class LabelParts:
         (self._folder / UNFINISHED).unlink(missing_ok=True)
         for file in part_files(self._folder, TABLE):
             file.unlink()
-        with suppress(OSError):  # the folder has other files, or does not exist
+        with suppress(OSError):  # an OSError: it has other files, or does not exist
             (self._folder / TABLE).rmdir()
 
     def _list(self) -> None:

@@ -140,9 +140,9 @@ class Board(CheckedRecord):
         None, description="mass of the board, kg; by default its share, by volume, of the carrier's mass_kg"
     )
     friction: Coefficient | None = Field(
-        None, description="coefficient of sliding friction between the board and boxes; by default that of the carrier"
+        None, description="coefficient of sliding friction between the board and boxes; by default the carrier's"
     )
-    material: Name = Field("", description="material of the board; by default that of the carrier")
+    material: Name = Field("", description="material of the board; by default the carrier's material")
 
     @property
     def volume_mm3(self) -> float:

@@ -117,8 +117,8 @@ READING: Final = ("units", "anchor", "up", "sizes", "columns", "density", "items
 OF_ORDERS: Final = ("units", "columns", "density", "items", "reading")
 """Names of the fields of ``RunOptions`` that determine how files of orders are read."""
 
-_BY_FILE: Final = "found out"
-_OR_BY_FILE: Final = "found out in files of other tools"
+_BY_FILE: Final = "detected"
+_OR_BY_FILE: Final = "detected in files of other tools"
 
 
 class RunOptions(CheckedRecord):
@@ -186,7 +186,7 @@ class RunOptions(CheckedRecord):
         None, description="the vertical axis of files of other tools"
     )
     sizes: Annotated[Literal["placed", "item"] | None, CliFlag("--sizes", "placed|item", default=_BY_FILE)] = Field(
-        None, description="whether sizes in files of other tools are those of the box as placed, or before it is turned"
+        None, description="whether sizes in files of other tools describe the box as placed, or before it is turned"
     )
     columns: Annotated[
         dict[str, str] | None, BeforeValidator(_columns), CliFlag("--columns", "ROLE=NAME,…", default=_BY_FILE)

@@ -182,7 +182,7 @@ def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fil
 def _worst(best: Sequence[_SearchBranch], width: int, n_items: int) -> float:
     """Largest height with which a further packing is among the ``width`` best packings, mm. The height is infinite if
     ``best`` has fewer than ``width`` packings, or if the worst packing in ``best`` lacks boxes."""
-    if len(best) < width or len(best[-1].filled.placed) < n_items:  # at any height, more boxes are better
+    if len(best) < width or len(best[-1].filled.placed) < n_items:  # a packing with more boxes is better at any height
         return inf
     return best[-1].filled.height_mm
 

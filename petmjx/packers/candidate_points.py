@@ -76,7 +76,7 @@ class Candidates:
         return self._low[: self._n], self._high[: self._n]
 
     def keep_shapes(self, kept: NDArray[np.bool_]) -> None:
-        """Remove all shapes except those chosen by the mask ``kept``, (s,)."""
+        """Remove all shapes except the shapes chosen by the mask ``kept``, (s,)."""
         self.base, self.height, self.area = self.base[kept], self.height[kept], self.area[kept]
         self.z, self.carried = self.z[:, kept], self.carried[:, kept]
         self.open, self._inside = self.open[:, kept], self._inside[:, kept]

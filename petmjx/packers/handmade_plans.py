@@ -90,7 +90,7 @@ HANDMADE: tuple[HandmadePlan, ...] = (
     ),
     HandmadePlan(
         "hand-stack-of-5",
-        "five equal boxes flush on each other: each bears the weight of those above it",
+        "five equal boxes flush on each other: each bears the weight of the boxes above it",
         _cartons(*((0, 0, 200 * k) for k in range(5))),
         rest_top_force_n=tuple((k, (4 - k) * CARTON_KG * GRAVITY) for k in range(5)),
     ),

@@ -91,7 +91,7 @@ class MirroredCandidates(Candidates):
         return shape, self.corners, self.rests, support
 
     def keep_shapes(self, kept: NDArray[np.bool_]) -> None:
-        """Remove all shapes except those chosen by the mask ``kept``, (s,)."""
+        """Remove all shapes except the shapes chosen by the mask ``kept``, (s,)."""
         self.base, self.height, self.area = self.base[kept], self.height[kept], self.area[kept]
 
     def place(self, point: int, shape: int) -> None:

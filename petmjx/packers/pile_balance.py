@@ -178,7 +178,7 @@ class Balance:
 
     def _over_planes(self, let_down: Rest) -> FloatArray:
         """(k,) a scalar product, kg·m, for each edge of a hull in the pile, moved inwards by the margin (see
-        ``Rest.planes``). The load is that of the box on this hull, after one more box is placed. If the product is
+        ``Rest.planes``). The load is the load of the box on this hull, after one more box is placed. If the product is
         above 0, the load acts outside the moved edge."""
         assert let_down.passed is not None
         after = self._load[: self.n] + let_down.passed @ let_down.load

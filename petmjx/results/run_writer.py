@@ -161,7 +161,7 @@ class RunWriter(RunInfo):
         # The queues are implemented in C, so an interruption of the main thread leaves none of them locked or half
         # changed.
         self._queue: SimpleQueue[Row | _Request] = SimpleQueue()
-        self._room: SimpleQueue[None] = SimpleQueue()  # gets an entry at each try to write; ``add`` waits for an entry
+        self._room: SimpleQueue[None] = SimpleQueue()  # one entry per try to write, for which ``add`` waits
         self._thread = threading.Thread(target=self._work, name="petmjx-writer", daemon=True)
         self._added_bytes = 0  # Changed only by the thread that adds worlds.
         self._cut_short = False  # Set only by the main thread.

@@ -165,9 +165,16 @@ _FRAME_COLUMNS = (
     *_counts(n_placed="number of placed boxes"),
     *_vector("carrier_pos", "m", "centre of the carrier", end="_m"),
     *_vector("carrier_quat", DIMENSIONLESS, "orientation of the carrier, unit quaternion", "wxyz"),
-    *_vector("drive_force", "N", "force on the carrier during the step; null without a profile of forces", end="_n"),
     *_vector(
-        "drive_acc", "m/s^2", "acceleration of the carrier during the step; null without a profile of accelerations"
+        "drive_force",
+        "N",
+        "force on the carrier in the step before the frame; null without a profile of forces",
+        end="_n",
+    ),
+    *_vector(
+        "drive_acc",
+        "m/s^2",
+        "acceleration of the carrier in the step before the frame; null without a profile of accelerations",
     ),
 )
 

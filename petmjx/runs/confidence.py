@@ -84,7 +84,7 @@ def confidence_sweep(
     Args:
         n_worlds: number of worlds with errors for each plan, in addition to the nominal world (without errors).
         errors: a sweep file of errors, or the name of a ready-made one. If ``errors`` is None, ``READY_MADE`` is used.
-        simulation: fields of ``Simulation`` that replace those of the file.
+        simulation: fields of ``Simulation`` that replace the fields of the file.
         exact_too: whether to simulate each world with errors twice (``petmjx.options.confidence.Confidence``).
 
     Raises:
@@ -120,7 +120,7 @@ def _error_sweep_fault(sweep: Sweep) -> str:
         if not isinstance(axis.values[0], Distribution):
             return f"axes.{name} contradicts confidence: it is not an error, but the same in every world"
         if len(axis.values) > 1:
-            return f"axes.{name} must be one error for confidence, got {len(axis.values)}"
+            return f"axes.{name}: confidence needs one error, got {len(axis.values)}"
     if not any(axis.random for axis in sweep.axes.values()):
         return "axes have nothing random: every world would be the same"
     return ""

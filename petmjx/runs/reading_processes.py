@@ -58,7 +58,7 @@ def read_input(plans: PlanSource | None, sim: Simulation, options: RunOptions) -
     """Read the plans of a run.
 
     Raises:
-        InputError: as ``usable_plans``.
+        InputError: see ``usable_plans``.
     """
     if _suits_processes(plans, options) and (gathered := read_in_processes(plans, sim, options)) is not None:
         return gathered._replace(plan_set=usable_of(gathered.plan_set, sim, options))
@@ -69,7 +69,7 @@ def read_here(plans: PlanSource | None, sim: Simulation, options: RunOptions) ->
     """Read the plans of a run in this process.
 
     Raises:
-        InputError: as ``usable_plans``.
+        InputError: see ``usable_plans``.
     """
     plan_set = usable_plans(plans, sim, options)
     return PlanInput(plan_set, records_of(plan_set.plans, plan_set.numbers), {})

@@ -28,7 +28,7 @@ def find_sweep(name_or_path: str | Path) -> Path:
             sweeps.
     """
     path = Path(name_or_path)
-    with suppress(OSError, ValueError):  # raised, for example, if the name is too long or has a null character
+    with suppress(OSError, ValueError):  # for example, the name is too long or has a null character
         if path.is_file():
             return path
     files_by_name = ready_sweeps()

@@ -42,9 +42,9 @@ most ``_MOST_CREEPING``. In searches of EUMOS's levels, this factor was 1.1 for 
 of plans of about 40 boxes, and 3.4 for a plan of 238 boxes."""
 
 _FALLING_POWER: Final = 8
-"""A leg of a chain may have n times the acceleration ``tipping_g`` of a plan, n > 1. The pallet is then expected to
-stand after the leg with the chance 1 / n to this power. After a leg with a conveyor of up to 0.3 g, four plans of 21 to
-54 boxes stood in 5 of 48 worlds of two chains; 11 of these worlds are expected to stand."""
+"""A leg of a chain may have n times the acceleration ``tipping_g`` of a plan, n > 1. The probability that the pallet
+stands after the leg is then expected to be (1 / n) to this power. After a leg with a conveyor of up to 0.3 g, four
+plans of 21 to 54 boxes stood in 5 of 48 worlds of two chains; 11 of these worlds are expected to stand."""
 
 
 def work_of(worlds: SweepPlan) -> Work:

@@ -66,7 +66,7 @@ class Search(CheckedRecord):
         ge=MIN_TOLERANCE,
         description="accuracy of the largest level survived; by default 0.01 g, or a scale of 0.02",
     )
-    sections: StrictInt = Field(3, ge=1, le=1000, description="levels tested at a time, for each direction")
+    sections: StrictInt = Field(3, ge=1, le=1000, description="number of levels tested at a time, per direction")
 
     @model_validator(mode="after")
     def _upper_above_lower(self) -> Self:
@@ -122,7 +122,7 @@ def _named_axes(tables: Any, info: ValidationInfo) -> dict[str, Axis]:
 class Sweep(CheckedRecord):
     """The content of a sweep file, after all checks."""
 
-    name: str = Field("", max_length=MAX_NAME, description="name of the sweep; by default that of the file")
+    name: str = Field("", max_length=MAX_NAME, description="name of the sweep; by default the name of its file")
     description: str = Field("", max_length=MAX_TEXT, description="the question that the sweep answers")
     plans: (
         Annotated[
@@ -414,7 +414,7 @@ def _existing_files(plans: str | tuple[Path, ...] | None, folder: Path) -> str |
     for path in paths:
         try:
             exists = path.exists()
-        except (OSError, ValueError):  # raised, for example, if the name is too long or has a null character
+        except (OSError, ValueError):  # for example, the name is too long or has a null character
             exists = False
         if not exists:
             raise InputError(f"plans: no such file or folder: {printable(str(path))}")

@@ -127,7 +127,7 @@ class _Bar(RichProgress):
     """A progress bar, with a message in the line below."""
 
     def __init__(self, total: int | None, what: str, console: Console) -> None:
-        self._message = ""  # set before ``super().__init__``, which reads it
+        self._message = ""  # ``super().__init__`` reads this attribute
         texts = self._texts = ProgressTexts(total, what)
         count, rate, left = _Words(lambda: texts.count), _Words(lambda: texts.rate), _Words(lambda: texts.left)
         super().__init__(count, BarColumn(), rate, left, console=console)

@@ -210,7 +210,7 @@ def arrivals_table(summary: pd.DataFrame, of_plans: pd.DataFrame) -> FittedTable
         *(TableColumn(leg, share_after(leg), spare=2) for leg in shares),
         TableColumn("weakest", text_of("weakest_leg"), "left", least=8),
         TableColumn("box", lambda row: "" if pd.isna(row["box"]) else str(int(row["box"])), spare=1),
-        title="worlds that arrive; by leg: that stand after it, of those that reached it",
+        title="worlds that arrive; by leg: worlds that stand after it, of the worlds that reached it",
     )
 
 

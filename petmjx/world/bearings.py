@@ -252,7 +252,7 @@ class Bearing:
         """
         low, high = self.rectangles
         nearer = np.minimum(point - low.take(box, axis=0), high.take(box, axis=0) - point)
-        distance_m: FloatArray = np.minimum(nearer[:, 0], nearer[:, 1])  # faster than ``min(axis=1)`` of two columns
+        distance_m: FloatArray = np.minimum(nearer[:, 0], nearer[:, 1])  # this is faster than ``min(axis=1)``
         several = np.flatnonzero(self.n_supports.take(box) > 1)
         if len(several):
             hull = self.number_of_hull[box[several]]

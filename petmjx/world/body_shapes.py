@@ -205,7 +205,7 @@ class Room:
 
 @dataclass(frozen=True, eq=False)
 class Shapes:
-    """The shapes of a scene's bodies: first those of the carrier, then those of each box in packing order.
+    """The shapes of a scene's bodies: first the shapes of the carrier, then the shapes of each box in packing order.
 
     Attributes:
         body: (s,) number of the box to which each shape belongs, or ``CARRIER``.

@@ -80,9 +80,9 @@ class Contacts:
 class History:
     """The history of one world: f frames of n boxes, in packing order. The values of a box are NaN until it is placed.
 
-    A frame is taken after a step. The poses are those after the step. The forces, accelerations, contacts and drive
-    (what shakes the carrier) are those during the step; MuJoCo evaluates them at the beginning of the step. If a box
-    was placed directly after the step, its forces and accelerations in this frame are 0.
+    A frame is taken after a step. The poses are the poses after the step. The forces, accelerations, contacts and drive
+    (what shakes the carrier) are the values during the step; MuJoCo evaluates them at the beginning of the step. If a
+    box was placed directly after the step, its forces and accelerations in this frame are 0.
 
     Attributes:
         time_s: (f,) time since the soft start (the phase in which gravity grows), s. The first frame is taken at the

@@ -41,7 +41,8 @@ def bearings_of(
 
     Args:
         scenes: scenes whose boxes are at their planned places. The contacts of these scenes come first.
-        elsewhere: scenes whose boxes are at other places. The contacts of these scenes come after those of ``scenes``.
+        elsewhere: scenes whose boxes are at other places. The contacts of these scenes come after the contacts of
+            ``scenes``.
         pos: (n, 3) places of the boxes in each scene of ``elsewhere``, m.
         most_gap_m: ``most_gap_m`` of ``find_bearings`` for each scene of ``elsewhere``.
         up: ``up`` of ``find_bearings`` for each scene of ``elsewhere``. If ``up`` is empty, all boxes stand upright.

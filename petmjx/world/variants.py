@@ -137,7 +137,7 @@ class LegSpec:
             drives, the pallet rests for ``pause_s``.
         pause_s: duration of a pause, s.
         wrap_turns: turns of film around the pallet during the leg. If ``wrap_turns`` is None, the options apply.
-        open_walls: walls of the carrier that are open during the leg, in addition to those that the options open.
+        open_walls: walls of the carrier that are open during the leg, in addition to the walls that the options open.
     """
 
     name: str

@@ -188,7 +188,7 @@ REFUSED = {
     "sample": ("mode = 'sample'\nsample = 3\n[axes]\nyaw_error_deg = 2", 'mode = "sample" contradicts confidence'),
     "several": (
         "[axes]\nplacement_error_mm = [2, 3]",
-        "axes.placement_error_mm must be one error for confidence, got 2",
+        "axes.placement_error_mm: confidence needs one error, got 2",
     ),
     "factor": (SLOPPY + "friction_factor = 0.8", "axes.friction_factor contradicts confidence: it is not an error"),
     "calm": ("[axes]\ndrop_height_mm = 5", "axes have nothing random: every world would be the same"),

@@ -26,7 +26,7 @@ einsum: Final = partial(jnp.einsum, precision=jax.lax.Precision.HIGHEST)
 """Einstein's sum. By default, GPUs round the factors of matrix products to 10 bits."""
 
 TINY: Final = mujoco.mjMINVAL
-"""MuJoCo's smallest divisor."""
+"""The smallest number by which MuJoCo divides (mjMINVAL)."""
 
 Velocities = Float[Array, " velocity"]
 Rows = Float[Array, "contact 3"]
@@ -186,7 +186,7 @@ def _springs(
 
 
 def normalized(quat: Float[Array, "k 4"]) -> Float[Array, "k 4"]:
-    """Unit quaternions."""
+    """The quaternions, divided by their lengths."""
     return quat / jnp.sqrt((quat**2).sum(-1, keepdims=True))
 
 

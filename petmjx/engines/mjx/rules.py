@@ -289,7 +289,7 @@ class Rules:
         )
         tilted = looked & (tilt > limits.tilt_deg)
         lost = dropped | (tilted & worlds.ends_when_lost[:, None])
-        # the box that crossed a threshold first, if an earlier check has found one
+        # whether each box is the culprit: the box that crossed a threshold first, at an earlier check
         is_culprit = jnp.arange(self.capacity)[None] == m.culprit[:, None]
         complete = (state.placed == worlds.n_boxes) & (state.step - state.last_placed_at >= worlds.confirm_steps)
         if self.carries:
@@ -376,7 +376,7 @@ class Rules:
         enough = self.sim.waits_for_rest | (state.step - state.waits_since >= quiet.landing_steps)
         past_deadline = ~in_drive & (state.step >= self._deadline(state, worlds, has_more, adapts))
         go = waits & (past_deadline | (still & adapts & enough))
-        # worlds whose drive begins at once, without a check whether the pallet is at rest
+        # in the worlds of ``settles``, the drive begins at once, without a check whether the pallet is at rest
         settles = go & ~has_more & worlds.settles & (not self.driven and not self._rests_first)
         rests = go & ~has_more & ~settles
         moves = (settles | (go & has_more)) & ~failed & (state.quiet_steps < quiet.steps)

@@ -42,8 +42,8 @@ class State(NamedTuple):
 
     # MuJoCo's arrays of free bodies, with boxes and carrier in separate arrays. The arrays are poses, velocities,
     # accelerations of the last step, and accelerations from which mjx-warp's solver starts in the next step. On
-    # mjx-warp, there are also the remainders of positions that single precision cannot hold (else 0). Other solvers
-    # start from the accelerations of the last step.
+    # mjx-warp, there are also the remainders of positions that single precision cannot hold; on mjx-jax, these are 0.
+    # Other solvers start from the accelerations of the last step.
     qpos: Float[Array, "world box 7"]
     qpos_remainder: Float[Array, "world box 3"]
     qvel: Float[Array, "world box 6"]
@@ -74,7 +74,8 @@ class State(NamedTuple):
     way_begin: Float[Array, "world 3"]
     way_end: Float[Array, "world 3"]
 
-    # Landing: the number of steps for which a box still counts as landing, and its velocity before it touched.
+    # Landing: the number of steps for which a box still counts as landing, and the velocity of the box before it
+    # touched anything.
     landing_left: Int[Array, "world box"]
     landing_qvel: Float[Array, "world box 6"]
 

@@ -126,7 +126,7 @@ class Fork(PipedProcess):
             its_tasks, tasks, answers, its_answers = fds
             socket.send_fds(connection, [b"f"], [its_tasks, its_answers])
             pipes = os.fdopen(tasks, "wb"), os.fdopen(answers, "rb")
-            fds = [its_tasks, its_answers]  # the files close the others
+            fds = [its_tasks, its_answers]  # the files of ``pipes`` close the other two
             self._begin(*pipes)
         except (OSError, RuntimeError):  # memory is short, or the other process has died
             self.answers.put(None)
@@ -163,7 +163,7 @@ class Forks:
                 stdin=its.fileno(),
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
-                process_group=0,  # so that all copies can be killed at once
+                process_group=0,  # with one group, all copies can be killed at once
             )
             self._connection = own
         except OSError:  # memory is short, or no interpreter can be started

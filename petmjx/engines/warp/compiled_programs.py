@@ -90,7 +90,7 @@ def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
         "kinetic_share": kinetic_share(physics),
         "impratio_invsqrt": physics.impratio**-0.5,
         "tolerance": sim.solver_tolerance or TOLERANCE,
-        # the same limit as in MuJoCo, since a world that takes many iterations delays no other world
+        # the limit is the same as in MuJoCo, since a world that takes many iterations delays no other world
         "iterations": sim.solver_iterations or MAX_ITERATIONS,
         "driven_iterations": sim.solver_iterations or (MAX_ITERATIONS if has_walls(sim) else DRIVEN_ITERATIONS),
         "ls_iterations": LINE_SEARCH_ITERATIONS,

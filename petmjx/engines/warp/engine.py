@@ -61,9 +61,9 @@ class MjxWarpEngine(Engine):
         least_rows: smallest number of rows of a table. For each pair of numbers (of rows, of box columns), programs are
             compiled anew. So a larger ``least_rows`` saves compilations in long runs that begin with few jobs, and in
             series of runs with different numbers of jobs.
-        depth_first: whether worlds that follow from outcomes are simulated before other worlds begin. On a GPU, the
-            value is False, so that the longest of all worlds come first: if long worlds came last, many blocks would be
-            idle.
+        depth_first: whether worlds that follow from outcomes, such as the drives of a settled pallet, are simulated
+            before other worlds begin. On a GPU, the value is False, so that the longest of all worlds come first: if
+            long worlds came last, many blocks would be idle.
 
     Raises:
         EngineUnavailable: there is no CUDA device, or Warp is not installed. The message names the reason.
@@ -142,7 +142,7 @@ class MjxWarpEngine(Engine):
             slices = self._slices(source, sim, progress, waits, continued)
             try:
                 for outcome in outcomes_of(slices, sim, progress, waits=waits, continued=continued):
-                    stream_number = outcome.job if outcome is not None else None  # None: the engine pauses
+                    stream_number = outcome.job if outcome is not None else None  # None means that the engine pauses
                     yield outcome
                     if stream_number is not None:  # by now, the jobs that follow from this outcome are in the stream
                         source.answered(stream_number)

@@ -28,7 +28,8 @@ from petmjx.options.simulation import Schedule, Simulation
 from petmjx.world.job import Job
 
 PAUSE_S: Final = 0.05
-"""When no world is left on the GPU: time between two checks whether CPU threads have ended a world, s."""
+"""Time between two checks whether CPU threads have ended a world, s. The checks are made when no world is left on the
+GPU."""
 
 
 def most_steps(jobs: Sequence[Job], sim: Simulation) -> NDArray[np.int32]:

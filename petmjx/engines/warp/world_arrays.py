@@ -90,7 +90,7 @@ class Model:
     solimp: wp.vec3  # Impedances d₀ and d_width, and the width of the rise, m.
     skin: float  # Margin added to boxes in collision detection, m.
     carrier_skin: float  # Margin added to the carrier in collision detection, m.
-    pyramidal: int  # 1 with pyramidal friction cones.
+    pyramidal: int  # 1 if friction cones are pyramidal.
     friction_damping: float  # Damping along a contact's tangents, 1/s; 0: the same damping as along the normal.
     slip_slack: float  # Tangential acceleration up to which a slip is not corrected, m/s²; inf: no slip is corrected.
     kinetic_share: float  # Friction of contacts that slide fast, as a share of friction at rest.
@@ -106,9 +106,9 @@ class Model:
     npairmax: int  # Largest number of pairs of near geoms of a world.
     nconmax: int  # Largest number of contacts of a world.
 
-    fixed: int  # 1 with the fixed schedule (placements at fixed times)
+    fixed: int  # 1 if the schedule is fixed (boxes are placed at fixed times).
     waits_for_rest: int
-    extends: int  # 1 if a world that still moves at its planned end gets more time
+    extends: int  # 1 if a world that still moves at its planned end gets more time.
     early_stop: int
     iteration_limit: int  # Largest number of solver iterations of a placement or a drive; NEVER: no limit.
     soft_start: int  # Number of steps of a soft start.
@@ -117,10 +117,10 @@ class Model:
     still_steps: int
     due_steps: int
     longest_steps: int
-    static_end: int  # last step of the placement of a static check; NEVER if boxes are placed one by one
+    static_end: int  # Last step of a static check's placement; NEVER if boxes are placed one by one.
     shift: float
     shift_floor: float
-    tilt: float  # degrees
+    tilt: float  # Threshold of the tilt of boxes, degrees.
     drop_z: float
     linear_acceleration: float
     angular_acceleration: float
@@ -135,15 +135,15 @@ class Model:
     poll_steps: int
     hand_rate: float  # Natural angular frequency of the hand's spring, 1/s.
     lowering_rate: float  # Damping constant / mass, for the damper by which the hand sets boxes down, 1/s.
-    # Largest number of steps for which a hand holds a box at the end of its path, and in which it then sets the box
-    # down.
+    # Largest number of steps in each of two phases: a hand holds a box at the end of its path, and then sets it down.
     stuck_steps: int
     film_rate: float  # Natural angular frequency of a box that film holds, 1/s.
     landing_time: float  # Time in which a landing box is stopped, s.
     landing_lasts: int  # Number of steps for which a box counts as landing after its first touch.
     restitution: float
 
-    # Arrays of step numbers, as in Timetable. Index of the first three: step; of the last: number of boxes.
+    # Arrays of step numbers, as in Timetable. The first three have an entry for each step, the last has an entry for
+    # each number of boxes.
     due: wp.array[int]
     longest: wp.array[int]
     settled: wp.array[int]
@@ -155,7 +155,7 @@ class Worlds:
     """Constants of worlds: the table ``world_constants.Worlds``, the samples of the excitations, and the queues."""
 
     profiles: Annotated[wp.array3d[float], "profile step 3"]
-    order: Annotated[wp.array2d[int], "queue world"]  # Rows of the worlds of each queue, in order; then −1.
+    order: Annotated[wp.array2d[int], "queue world"]  # Rows of the worlds in each queue, in order, then −1.
 
     if TYPE_CHECKING:
 
@@ -197,9 +197,9 @@ class Workspace:
     # The values of geom_xpos and geom_reach at the last search for near pairs.
     listed_xpos: Annotated[wp.array2d[wp.vec3], "block geom"]
     listed_reach: Annotated[wp.array2d[wp.vec3], "block geom"]
-    qpos_before: Annotated[wp.array3d[float], "block box 7"]  # poses at the beginning of a step
+    qpos_before: Annotated[wp.array3d[float], "block box 7"]  # Poses of the boxes at the beginning of a step.
     top_force: Annotated[wp.array2d[float], "block box"]
-    pair_geom1: Annotated[wp.array2d[int], "block pair"]  # the geom with the smaller index
+    pair_geom1: Annotated[wp.array2d[int], "block pair"]  # The geom of the pair with the smaller index.
     pair_geom2: Annotated[wp.array2d[int], "block pair"]
     pair_normal: Annotated[wp.array2d[wp.vec3], "block pair"]
     pair_points: Annotated[wp.array3d[wp.vec4], "block pair 8"]  # Contact point, and the two geoms' distance.
@@ -223,11 +223,11 @@ class Workspace:
     position: Annotated[wp.array2d[int], "block free_body"]  # Index of a body in the solver's system of equations.
     # By index in the solver's system: the lowest index among a body and the bodies that it touches.
     lowest: Annotated[wp.array2d[int], "block free_body"]
-    bodies_conadr: Annotated[wp.array2d[int], "block contact"]  # first contact of each pair of free bodies, unsorted
+    bodies_conadr: Annotated[wp.array2d[int], "block contact"]  # The first contact of each pair of bodies.
     ncon: Annotated[wp.array[int], "block"]
-    nfree: Annotated[wp.array[int], "block"]  # number of free bodies
+    nfree: Annotated[wp.array[int], "block"]  # Number of bodies that can move.
     solver_niter: Annotated[wp.array[int], "block"]
-    solver_paused: Annotated[wp.array[int], "block"]  # Number of iterations before a pause; 0: no pause.
+    solver_paused: Annotated[wp.array[int], "block"]  # Iterations before the solver paused; 0: it has not.
     world: Annotated[wp.array[int], "block"]  # The world of a block; negative: no world.
     frame: Annotated[wp.array[int], "block"]  # Index in FrameBuffer of the frame that a block writes.
 
@@ -236,9 +236,9 @@ class Workspace:
 class FrameBuffer:
     """Frames of recorded worlds, in the order in which blocks write them. All worlds of a call share this buffer."""
 
-    every: Annotated[wp.array[int], "world"]  # steps between two frames of a world; 0: the world is not recorded
+    every: Annotated[wp.array[int], "world"]  # Steps between two frames; 0: the world is not recorded.
     used: Annotated[wp.array[int], "1"]
-    of: Annotated[wp.array[int], "frame"]  # the world to which each frame belongs
+    of: Annotated[wp.array[int], "frame"]  # The world to which each frame belongs.
     step: Annotated[wp.array[int], "frame"]
     placed: Annotated[wp.array[int], "frame"]
     pose: Annotated[wp.array3d[float], "frame box 7"]
@@ -256,7 +256,7 @@ class Counts:
     clock: Annotated[wp.array[int], "1"]
     steps: Annotated[wp.array[int], "1"]
     iterations: Annotated[wp.array[int], "1"]
-    contacts: Annotated[wp.array[int], "1"]  # largest number of contacts of a world
+    contacts: Annotated[wp.array[int], "1"]  # Largest number of contacts of a world so far.
 
 
 @record

@@ -146,8 +146,8 @@ class WorldTable(Batch):
 
     def fits(self, job: Job) -> bool:
         """Whether a job can get a row: its world must fit into the buffers of the table and of its block size
-        (``size_of``), and the kernels must have the features that it needs. Recorded worlds get no rows here, and a
-        table that records worlds takes no others."""
+        (``size_of``), and the kernels must have the features that it needs. A recorded world never fits, and no world
+        fits into a table that records worlds."""
         needs = self.run.needs
         has_blocks = job.scene.n_boxes <= needs.widths.get(size_of(job), 0)
         has_blocks &= more_shapes(job.scene) <= self.boards

@@ -165,7 +165,7 @@ def _draw_legs(axes: Any, run: RunResults, plan: Plan) -> None:
     names = ["whole way" if leg == WHOLE_WAY else printable_name(str(leg)) for leg in rows["leg"]]
     draw_intervals(axes, names, *(100 * rows[name] for name in ("share", "low", "high")))
     axes.set_xlim(-2, 102)
-    axes.set_title("worlds that stand after a leg, of those that reached it, %; lines: 95 % intervals", loc="left")
+    axes.set_title("worlds that stand after a leg, of the worlds that reached it, %; lines: 95 % intervals", loc="left")
 
 
 def _facts(run: RunResults, plan: Plan) -> Iterator[str]:

@@ -182,7 +182,7 @@ def sample_entry(
 
 
 def _drawn(claimed: Mapping[str, str]) -> list[str]:
-    """Ids of all plans with a valid verdict: first those that stand, then the others, both in random order."""
+    """Ids of all plans with a valid verdict: first plans that stand, then the others, both in random order."""
     valid = [name for name, verdict in claimed.items() if verdict in _VALID]
     shuffled = [valid[at] for at in np.random.default_rng().permutation(len(valid))]
     return sorted(shuffled, key=lambda name: claimed[name] != Verdict.STABLE.value)

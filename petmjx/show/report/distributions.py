@@ -187,7 +187,7 @@ def first_boxes(run: ReportRun) -> Markup:
         "Place in the packing order of the box that fails first",
         Scale(0, 100),
         Scale(0, 1),
-        "place in the order: 0 first, 100 last box",
+        "place in the packing order: 0 first box, 100 last box",
         f"{run.what}s",
     )
     histogram(along, place, falls["verdict"], ORDER)

@@ -48,8 +48,8 @@ Density = Annotated[StrictFloat, Field(gt=0), within(0, MAX_DENSITY)]
 class WindowRow(CheckedRecord):
     """One push. Sweep files may also give a push as a list of its five numbers: start_s, duration_s, x, y, z."""
 
-    start_s: Seconds = Field(description="when it begins, s after the profile's beginning")
-    duration_s: LongerThanNothing = Field(description="how long it acts, s")
+    start_s: Seconds = Field(description="when the push begins, s after the profile's beginning")
+    duration_s: LongerThanNothing = Field(description="how long the push acts, s")
     x: Component = Field(description="force along x in units of scale × total mass × 9.81 m/s²")
     y: Component = Field(description="force along y in the same units")
     z: Component = Field(description="force along z in the same units")

@@ -36,7 +36,8 @@ So where several contacts are removed, the edge of the area on which a box stand
 It moved by 23 µm for the worst of 3,000 random arcs of eight contacts."""
 
 FEWEST = wp.constant(4)
-"""Number of contacts that are never too many: faces that touch have a contact at each corner of their common area."""
+"""Contacts of a pair are removed only if the pair has more than this number: two faces that touch have a contact at
+each corner of their common area."""
 
 APART = wp.constant(2.0 * ROOM + 3.0 * NEAR)
 """Largest distance of two geoms' bounding boxes, m, at which the pair is listed. The list stays valid until a body has
