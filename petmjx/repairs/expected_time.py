@@ -21,7 +21,7 @@ from petmjx.world.supports import deck_mm
 TRIALS: Final = 70
 """Number of trials without errors of a plan that falls, in the mean (benchmarks/notebook/repair.md)."""
 
-TRIALS_WITH_ERRORS: Final = 60
+TRIALS_WITH_ERRORS: Final = 70
 """Number of trials in worlds with errors of a plan that falls, in the mean."""
 
 PROPOSALS_S: Final = 1.0
