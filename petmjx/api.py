@@ -7,13 +7,12 @@ of sweeps, in which each plan has many variants.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar, Unpack
 
-from petmjx.common.argument_checks import flag_of, instance_of, path_of
-from petmjx.common.checked_records import CheckedRecord, shown_value
+from petmjx.common.argument_checks import instance_of, path_of
+from petmjx.common.checked_records import CheckedRecord
 from petmjx.common.errors import InputError
 from petmjx.options.confidence import Confidence
 from petmjx.options.run_options import RunOptions
@@ -23,7 +22,7 @@ from petmjx.options.transport import Transport
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_sources import PathArgument, PlanSource
 from petmjx.results.run_reader import RunResults
-from petmjx.runs.notebook_progress import ScriptLines, notebook_bar
+from petmjx.runs.notebook_progress import watching
 from petmjx.runs.option_types import ScoreOptions, SweepOptions
 from petmjx.runs.simulate import RunStart, Watcher, simulate
 from petmjx.runs.study import Nominal, Study
@@ -56,29 +55,6 @@ def _takes_options(*records: type[CheckedRecord]) -> Callable[[Function], Functi
     return decorate
 
 
-@contextmanager
-def _watching(watcher: Watcher | None, progress: bool) -> Iterator[Watcher | None]:
-    """Yield the watcher of a run: the object that is told about the run's progress. A watcher from the caller is used
-    unchanged. Without a watcher from the caller, the watcher shows a progress bar in a notebook, and prints lines on
-    standard error in a script with ``progress``; in other scripts, the watcher is None.
-
-    Raises:
-        InputError: the given watcher lacks a method that watchers must have.
-    """
-    flag_of(progress, "progress")
-    if watcher is not None and not all(callable(getattr(watcher, name, None)) for name in ("begin", "world_done")):
-        raise InputError(f"watcher must have the methods begin and world_done, {shown_value(watcher)}")
-    bar = watcher if watcher is not None else notebook_bar()
-    if bar is not None or not progress:
-        yield bar
-        return
-    lines = ScriptLines()
-    try:
-        yield lines
-    finally:
-        lines.end()
-
-
 def _run(
     ask: Callable[[Sequence[Plan], RunOptions], Study],
     sim: Simulation,
@@ -87,7 +63,7 @@ def _run(
     watcher: Watcher | None,
     progress: bool,
 ) -> RunResults:
-    """Run the study that ``ask`` makes, with the caller's watcher, or with the watcher that ``_watching`` chooses.
+    """Run the study that ``ask`` makes, with the caller's watcher, or with the watcher that ``watching`` chooses.
 
     Raises:
         InputError: the input is unusable, or intervals of forces are requested and SciPy is missing.
@@ -98,7 +74,7 @@ def _run(
 
         need_scipy()
         intervals = intervals_at_rest
-    with _watching(watcher, progress) as follows:
+    with watching(watcher, progress) as follows:
         return simulate(ask, sim, plans, options, follows, intervals)
 
 

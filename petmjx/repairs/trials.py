@@ -19,10 +19,11 @@ import pandas as pd
 
 from petmjx.common.errors import InputError, PlanWarning
 from petmjx.common.machine import cpu_threads, why_no_warp, why_no_warp_on_cpu
-from petmjx.common.text import printable_name
+from petmjx.common.text import count_text, printable_name
 from petmjx.engines.attempt_settings import ATTEMPTS, Engines, may_go_on
 from petmjx.engines.attempt_with_fallback import outcomes_of_stream
 from petmjx.engines.contact_penetration import note_penetration
+from petmjx.engines.engine_choice import Choice
 from petmjx.engines.engine_registry import make_engine, options_of
 from petmjx.engines.job_stream import JobBounds, JobStream
 from petmjx.engines.margin import margins_of
@@ -139,6 +140,9 @@ class Question:
     Attributes:
         sim: options of the simulation.
         threads: number of CPU threads of a run.
+        choice: the engine of all trials, and the reason for its choice.
+        progress: progress of the engine while it judges drafts. The message is the number of trials.
+        n_trials: number of trials, including those of the plans themselves.
 
     Args:
         how: options by name: fields of ``petmjx.Simulation``; ``errors``, a sweep file; and the fields of
@@ -161,7 +165,8 @@ class Question:
             raise InputError("errors needs worlds > 0")
         self.sim, run = Simulation(**of_simulation), RunOptions(**of_run)
         self._of_simulation, self._errors, self._options = of_simulation, sure.get("errors"), options
-        self._engine, self._second = _engines(run)
+        self._engine, self.choice, self._second = _engines(run)
+        self.progress, self.n_trials = Progress(pauses=True), 0
         self._owns = isinstance(run.engine, str)
         self.threads = run.threads or cpu_threads()
         self._run = RunOptions(engine=self._engine)
@@ -506,7 +511,8 @@ class TrialStream:
         stream = JobStream[Placement[tuple[_Request, int]]](feedback=True, bounds=bounds)
         stream.close()  # drafts that are requested later enter the stream as jobs that follow from an outcome
         self._feed(stream, queue, lane)
-        progress, compiled_s = Progress(pauses=True), self._limit.compiled_s
+        progress = self._question.progress
+        compiled_s = self._limit.compiled_s - progress.compile_s  # the programs of earlier runs are in both
         with closing(outcomes_of_stream(lane.engine, stream, lane.sim, progress, MOST_LISTED)) as outcomes:
             for outcome in outcomes:
                 self._limit.compiled_s = compiled_s + progress.compile_s
@@ -546,6 +552,8 @@ class TrialStream:
 
     def _take(self, request: _Request, number: int, trial: Trial) -> None:
         request.trials[number] = trial
+        self._question.n_trials += 1
+        self._question.progress.message = count_text(self._question.n_trials, "trial")
         if len(request.trials) == len(request.drafts):
             self._complete.append(request)
 
@@ -573,24 +581,26 @@ def _quick(sim: Simulation) -> Simulation:
     )
 
 
-def _engines(run: RunOptions) -> tuple[Engine, RunOptions | None]:
-    """The engine of all trials, and the options of the second opinion on standing plans; None: no second opinion.
+def _engines(run: RunOptions) -> tuple[Engine, Choice, RunOptions | None]:
+    """The engine of all trials, the reason for its choice, and the options of the second opinion on standing plans;
+    None: no second opinion.
 
     ``auto`` takes the kernels of Warp, on a GPU or on CPU threads, since hundreds of plans are simulated. A score of a
     single plan uses C MuJoCo. So a repaired plan must also stand on C MuJoCo: this is the second opinion.
     """
     if not isinstance(run.engine, str):
-        return run.engine, None
-    name = run.engine
+        return run.engine, Choice(run.engine.name, "given"), None
+    name, reason = run.engine, "as asked for"
     if name == AUTO:
         name = ON_A_GPU if why_no_warp() is None else "mjx-warp-cpu" if why_no_warp_on_cpu() is None else "mujoco"
+        reason = "the fastest for many changed plans"
     second = RunOptions(engine="mujoco", threads=run.threads) if run.engine == AUTO and name != "mujoco" else None
     engine = make_engine(name, **options_of(name, run))
     if isinstance(engine, TableEngine):
         engine.least_rows = GPU_ROWS if engine.name == ON_A_GPU else ROWS
     if engine.name == ON_A_GPU and isinstance(engine, TableEngine):
         engine.granule = GPU_GRANULE
-    return engine, second
+    return engine, Choice(name, reason), second
 
 
 def _over_limits(boxes: Signs | BoxMetrics, limits: Thresholds) -> BoolArray:
