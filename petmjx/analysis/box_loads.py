@@ -28,7 +28,7 @@ from petmjx.common.argument_checks import path_of
 from petmjx.common.atomic_write import write_errors
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable, printable_name
-from petmjx.options.stacking import Stacking
+from petmjx.options.strength_losses import Stacking
 from petmjx.plans.articles import Articles, read_articles
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_sources import PathArgument, PlanSource
@@ -182,7 +182,7 @@ def loads(
             made. If ``articles`` is None, only the plan and the run's table are used.
         plans: the plans of the run, which give the sizes, places and product groups of boxes. If ``plans`` is None,
             plans are read from the files that the run names.
-        stacking: how much strength boxes lose by stacking, as a ``petmjx.options.stacking.Stacking`` or as a mapping
+        stacking: how much strength boxes lose by stacking, as a ``petmjx.options.strength_losses.Stacking`` or as a mapping
             that sets some of its fields.
 
     Raises:
