@@ -182,8 +182,8 @@ def loads(
             made. If ``articles`` is None, only the plan and the run's table are used.
         plans: the plans of the run, which give the sizes, places and product groups of boxes. If ``plans`` is None,
             plans are read from the files that the run names.
-        stacking: how much strength boxes lose by stacking, as a ``petmjx.options.strength_losses.Stacking`` or as a mapping
-            that sets some of its fields.
+        stacking: how much strength boxes lose by stacking, as a ``petmjx.options.strength_losses.Stacking`` or as a
+            mapping that sets some of its fields.
 
     Raises:
         InputError: there is no run in the folder, the table of articles or an option is unusable, no box has a known

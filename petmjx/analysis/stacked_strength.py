@@ -2,8 +2,8 @@
 for moist air and for time.
 
 The factors for the place depend on how much of the box's walls is loaded and supported
-(petmjx/analysis/carton_walls.py). petmjx/options/strength_losses.py has the losses of strength from which the factors are
-computed.
+(petmjx/analysis/carton_walls.py). petmjx/options/strength_losses.py has the losses of strength from which the factors
+are computed.
 """
 
 from __future__ import annotations

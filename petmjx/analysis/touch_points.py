@@ -78,10 +78,8 @@ def find_touch_points(scene: Scene, physics: Physics, pos: FloatArray, quat: Flo
     contact = data.contact
     geom = np.asarray(contact.geom).astype(np.int64)
     frame = np.asarray(contact.frame).reshape(-1, 3, 3)
-    centre_z = data.geom_xpos[:, 2].copy()
-    centre_z[0] = -np.inf  # the floor is below all boxes and the carrier
     body = geom_bodies(model, range(scene.n_boxes))[geom]
-    lower, sign, on_top = pressed_box(body, centre_z[geom], frame[:, 0, 2])
+    lower, sign, on_top = pressed_box(body, frame[:, 0, 2])
     gap_m = np.asarray(contact.dist) - np.asarray(contact.includemargin) + LYING_GAP_M
     lying = np.abs(frame[:, 0, 2]) >= VERTICAL_COSINE
     body = np.maximum(body, CARRIER)

@@ -11,6 +11,7 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.options.simulation import Simulation
@@ -168,7 +169,7 @@ def _find_bearings(
     bottom, top, rise_m = faces_of_boxes.bottom, faces_of_boxes.top, faces_of_boxes.rise_m
     lies = np.flatnonzero(bottom - rise_m <= gap_m)
     lying, board = np.repeat(lies, boards[scene_of[lies]]), spans(boards, scene_of[lies])
-    below, above = _touching(scene_of, bottom, top, gap_m, rise_m)
+    below, above = _touching(scene_of, bottom, top, gap_m, rise_m, is_tilted=len(up) > 0)
     face_low, face_high, faces = _top_faces(boxes, scenes, low, high)
     if len(up):
         aside_m = np.repeat(faces_of_boxes.aside_m, faces, axis=0)
@@ -185,6 +186,8 @@ def _find_bearings(
     wide = np.flatnonzero((extent[:, 0] > _LEAST_OVERLAP_M) & (extent[:, 1] > _LEAST_OVERLAP_M))
     # lexsort is stable: contacts of a box with several boards keep their order
     order = wide[np.lexsort((lower[wide], upper[wide]))]
+    if len(up):
+        order = order[without_circles(upper[order], lower[order], boxes.target[:, 2])]
     return Bearing(boxes, upper[order], lower[order], area_low.take(order, axis=0), area_high.take(order, axis=0))
 
 
@@ -222,6 +225,25 @@ def _pressed(
     new_low = np.where(rise < 0.0, high - share * extent, low)
     new_high = np.where(rise > 0.0, low + share * extent, high)
     return new_low, np.where(touches[:, None], new_high, -np.inf)
+
+
+def without_circles(upper: IntArray, lower: IntArray, height: FloatArray) -> NDArray[np.bool_]:
+    """(c,) which contacts remain if no box may lie on itself through other boxes. Tilted boxes may lie on one another
+    in a circle. Of the contacts in and below a circle, those remain whose upper box has the higher middle.
+
+    Args:
+        upper, lower: (c,) numbers of the two bodies of each contact.
+        height: (n,) heights of the boxes' middles, m.
+    """
+    may_be_circle = lower != CARRIER
+    while True:
+        has_load = np.zeros(len(height), bool)
+        has_load[lower[may_be_circle]] = True
+        remaining = may_be_circle & has_load[upper]
+        if (remaining == may_be_circle).all():
+            kept: NDArray[np.bool_] = ~remaining | (height[lower] < height[upper])
+            return kept
+        may_be_circle = remaining
 
 
 def deck_mm(plan: Plan, sim: Simulation) -> FloatArray:
@@ -274,7 +296,7 @@ def _top_faces(
 
 
 def _touching(
-    scene: IntArray, low: FloatArray, high: FloatArray, most_gap_m: FloatArray, rise_m: FloatArray
+    scene: IntArray, low: FloatArray, high: FloatArray, most_gap_m: FloatArray, rise_m: FloatArray, is_tilted: bool
 ) -> tuple[IntArray, IntArray]:
     """(p,) lower and (p,) upper boxes of pairs in the same scene whose vertical gap is small enough for a contact.
 
@@ -285,6 +307,8 @@ def _touching(
         low, high: (n,) heights of the boxes' bottoms and tops, m. Boxes whose heights are not finite have no contacts.
         most_gap_m: (n,) ``most_gap_m`` of ``find_bearings`` for each box.
         rise_m: (n,) largest height of a point of each box's bottom or top above the height in ``low`` or ``high``, m.
+        is_tilted: whether boxes may be tilted. The middle of a tilted box may be lower than that of the box on which it
+            lies, so the order of heights is not considered.
     """
     rows = np.flatnonzero(np.isfinite(low) & np.isfinite(high))
     scene, rise_m = scene[rows], rise_m[rows]
@@ -304,6 +328,6 @@ def _touching(
     below = tops[np.arange(times.sum()) + np.repeat(begins - (np.cumsum(times) - times), times)]
     over = top[below] - bottom[above]
     touching = (over <= most_over_m[above] + rise_m[below]) & (over >= -most_gap_m[above] - rise_m[below])
-    touching &= bottom[below] < bottom[above]
+    touching &= (below != above) if is_tilted else bottom[below] < bottom[above]
     touching &= scene[below] == scene[above]
     return rows[below[touching]], rows[above[touching]]

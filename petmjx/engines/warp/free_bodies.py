@@ -99,10 +99,7 @@ class _Program:
 
     def __init__(self, sim: Simulation, pool: BlockPool, slice_ns: int) -> None:
         timetable = build_timetable(sim, pool.n_boxes)
-        # the solver may take as many iterations as in a placement, since boxes slide for a long time
-        known = constants(sim, timetable)
-        known |= {**_NO_RULES, "driven_iterations": known["iterations"]}
-        self.launcher = KernelLauncher(known, [pool], slice_ns)
+        self.launcher = KernelLauncher(constants(sim, timetable) | _NO_RULES, [pool], slice_ns)
         self.launcher.load()
         self.slice = jax.jit(self._slice)
 

@@ -97,7 +97,6 @@ class Model:
     impratio_invsqrt: wp.float64  # 1 / √impratio.
     tolerance: wp.float64  # Tolerance of the solver, as in MuJoCo.
     iterations: int  # Largest number of solver iterations.
-    driven_iterations: int  # Largest number of solver iterations in a drive.
     ls_iterations: int  # Largest number of iterations of the solver's line search.
 
     queue: int  # The queue from which these blocks take worlds.
