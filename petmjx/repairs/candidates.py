@@ -415,7 +415,8 @@ class Candidates:
 
     def _spend(self, count: int) -> None:
         """Count simulations before they are requested. Raises ``TrialsSpent`` if there would be too many. Parts of a
-        search that run side by side must request few enough simulations that they do not raise it."""
+        search that run side by side must together request so few simulations that none of them raises
+        ``TrialsSpent``."""
         if count > self._n_left:
             raise TrialsSpent
         self.n_trials += count
