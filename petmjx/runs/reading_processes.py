@@ -76,8 +76,8 @@ def read_here(plans: PlanSource | None, sim: Simulation, options: RunOptions) ->
 
 
 def read_in_processes(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanInput | None:
-    """All plans of a source (``gather_plans``), read in one or more processes. None if this fails: the caller then
-    reads the plans itself, and gets the error."""
+    """All plans of a source (``gather_plans``), read in one or more processes. The result is None if this fails: the
+    caller then reads the plans itself, and gets the error."""
     segments = _segments(plans, options)
     sources: Sequence[PlanSource | Segment | None] = segments or [plans]
     try:
@@ -103,7 +103,8 @@ def read_in_processes(plans: PlanSource | None, sim: Simulation, options: RunOpt
 
 
 def _answers(tasks: Sequence[bytes]) -> list[ReadingAnswer] | None:
-    """Start one process for each task, and return the answers of the processes. None if a process cannot answer."""
+    """Start one process for each task, and return the answers of the processes. The result is None if a process cannot
+    answer."""
     children: list[Child] = []
     answers: list[ReadingAnswer] = []
     try:
