@@ -100,7 +100,7 @@ def _off_centre(
     low: FloatArray, high: FloatArray, volume: FloatArray, middle: FloatArray, extent: FloatArray
 ) -> FloatArray:
     """(c,) how far the centre of volume of all boxes, with the candidate's box, is off the target's middle: 4 × the sum
-    of its distances along x and y, each divided by the target's extent.
+    of the distances between the two along x and y, each divided by the target's extent.
 
     Args:
         low, high: (n, 3) lowest and highest corners of the placed boxes, mm.
