@@ -46,7 +46,8 @@ SLIVER_MM: Final = 100.0
 MOST_GAP_MM: Final = 400.0
 
 _RING: Final = 3
-"""Width of the ring around a base whose heights are compared with the box's top, in cells of the height map."""
+"""Width, in cells of the height map, of the ring around a base. The heights in this ring are compared with the box's
+top."""
 
 _LEVEL_MM: Final = 500.0
 """Length, mm, by which heights and lengths are divided to get a feature."""

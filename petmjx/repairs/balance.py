@@ -40,8 +40,7 @@ ROOM_MM: Final = 8.0
 """A box that is lowered between two neighbours has enough room if the gap between the neighbours is larger than the box
 by at least this length. The errors of the places and sizes of two boxes together have a standard deviation of 3 mm. If
 the gap is too narrow, the box lands on top of a neighbour. Of 24 generated plans that stand without errors, 8 fall in
-some worlds with errors. In 7 of the 8 plans that fall with errors, and in none of the others, a box has at most 4 mm of
-room."""
+some worlds with errors. In 7 of these 8 plans, and in none of the 16 other plans, a box has at most 4 mm of room."""
 
 PERHAPS: Final = 0.5
 """Factor on the weight of a load in ``Balance.trouble`` if it is uncertain whether the load is beyond an edge, because

@@ -82,8 +82,8 @@ def targets(
     if no load is a cause. The culprit and its supports are less likely causes.
 
     Args:
-        culprit: number of the first box over a limit; None: unknown.
-        fallen: numbers of all boxes over a limit.
+        culprit: number of the box that first crossed a limit; None if no box crossed one.
+        fallen: numbers of all boxes that crossed a limit.
         n_placed: number of boxes that were placed in the simulation.
     """
     losers = [*([] if culprit is None else [culprit]), *(box for box in fallen if box != culprit)]

@@ -46,8 +46,8 @@ BEAM: Final = 4
 """Number of changed plans that are changed further at once."""
 
 PER_WAY: Final = 2
-"""Largest number of plans that are changed further, of all plans in which the same boxes are changed in the same ways
-and the same box falls."""
+"""Of all plans in which the same boxes are changed in the same ways and the same box falls, at most this number are
+changed further."""
 
 FIRST_AT_ONCE: Final = 4
 """Number of changed plans that are judged first. If one change is enough, statics usually ranks it among the best."""
@@ -82,8 +82,8 @@ BUILT_ANEW: Final = 0.2
 
 ROUNDS_ANEW: Final = 6
 """Largest number of rounds in which plans are built anew. Almost always, the first or second round finds a plan that
-stands. Each round takes a second of statics, even if few of its plans are worth judging, so the few plans without such
-a repair would keep all others waiting."""
+stands. Each round takes a second of statics, even if few of its plans are worth judging, so the few plans for which
+these two rounds find no repair would keep all others waiting."""
 
 PAIR: Final = 2
 """Once a repair with ``PAIR`` + 1 changes is known, the search for a repair with ``PAIR`` changes is wide: it judges
@@ -156,8 +156,8 @@ class Search(Candidates):
         plan: the plan.
         judged: the trial of the unchanged plan when it is only judged; None if this trial is not known before the
             search begins.
-        before: the score of the unchanged plan, which may be known before the search begins; None before its simulation
-            has ended.
+        before: the score of the unchanged plan; None until the plan has been scored. The plan may be scored before the
+            search begins.
         repairs: the repairs, the best first. The best repair may have additional changes for worlds with errors; the
             others have the fewest changes with which the plan stands. Empty: there is no repair. Each change of a
             repair is needed: without it, the plan falls, is not allowed, or stands in too few worlds with errors.
@@ -397,8 +397,9 @@ class Search(Candidates):
         return standing, [Node(node.state, node.faults) for node in nodes[:BEAM]]
 
     def _has_many_faults(self, start: Node, kinds: frozenset[Kind]) -> bool:
-        """Whether a plan has so many faults that single changes hardly help it. False if boxes may be left out, which
-        is the last resort; and with a drive, because faults are then not counted one by one."""
+        """Whether a plan has so many faults that single changes hardly help it. The result is False if boxes may be
+        left out, because this is the last resort. It is also False with a drive, because faults are then not counted
+        one by one."""
         is_asked = self.options.profile is None and Kind.LEAVE_OUT not in kinds
         return is_asked and MANY_FAULTS <= start.n_expected < math.inf
 
