@@ -141,7 +141,7 @@ def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
 
 def _lines_about_densities(plans: Sequence[Plan]) -> list[str]:
     """A list with one line about boxes with implausible densities, such as one of 5,000 kg among boxes of 5 kg. The
-    list is empty if there are no such boxes, or if most boxes have such densities: then other lines say so."""
+    list is empty if there are no such boxes, or if most boxes have such densities, because other lines then say so."""
     odd = []
     for plan in plans:
         density = densities_kg_m3(plan)
