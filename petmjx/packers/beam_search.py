@@ -168,7 +168,7 @@ def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fil
             if boxes in seen_packings:
                 continue
             seen_packings.add(boxes)
-            if number == 0:  # way.filled is known, and its next box is already the best candidate
+            if number == 0:  # the best candidate is the next box of way.filled, so this full packing is already known
                 filled: RankedPacking | None = way.filled
             else:
                 filled = _full_packing(fills, packing, first, _worst(best, width, packing.n_items))

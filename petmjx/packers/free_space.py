@@ -24,8 +24,8 @@ LARGE: Final = ((11, 4), (4, 11)), ((12, 8), (8, 12))
 200 and 400 × 300 mm, large ones 550 × 200 and 600 × 400 mm."""
 
 AIR: Final = 0.5
-"""Cost of a millimetre of air under a carton, as millimetres of additional height. The height of the air is its mean
-over the carton's base."""
+"""Cost of a millimetre of air under a carton, as millimetres of additional height. The height of the air is the mean
+height over the carton's base."""
 
 LEVEL_MM: Final = 15.0
 """A place counts as level if the mean height of the air under a carton's base is at most this length, mm."""

@@ -52,7 +52,8 @@ class HandmadePlan:
         why: the reason of the verdict, in one sentence.
         placements: placements in BED-BPP's format.
         culprit: number of the box that fails first, in packing order from 0; −1 if the plan is stable.
-        rest_top_force_n: (number of a box, force on top of the box at rest in N) for each box whose force is known.
+        rest_top_force_n: (number of a box, force on top of the box at rest in N) for each box for which statics gives
+            this force.
     """
 
     plan_id: str

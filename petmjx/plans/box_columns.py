@@ -93,7 +93,8 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str], units: str, masses
 
     Args:
         chosen: role (``ROLES``) → name of the column that has it, or "-".
-        units, masses: unit of all lengths and of all masses that an option sets; "": no option.
+        units: the unit that an option sets for all lengths; "" if no such option is given. masses: the same for all
+            masses.
 
     Raises:
         InputError: a chosen column does not exist, or cannot have the role. If places or sizes are missing,

@@ -75,7 +75,8 @@ class PlanBuilder:
             self.notes.append(f"{printable_name(reading.columns[HALF_EXTENTS])} and columns like it hold half sizes")
         if LAST_CELLS in reading.columns:
             self.notes.append(
-                f"{printable_name(reading.columns[LAST_CELLS])} and columns like it hold last cells of boxes"
+                f"{printable_name(reading.columns[LAST_CELLS])} and columns like it hold the last grid cell of each "
+                "box (the box ends one cell further)"
             )
         self._note_quantities()
         size, low = placed_boxes(self.columns, reading, candidate, plans, self.wishes, self.notes)

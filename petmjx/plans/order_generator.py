@@ -2,8 +2,8 @@
 masses of cartons.
 
 BED-BPP (Kagerer et al. 2023, "BED-BPP: Benchmarking dataset for robotic bin packing problems", Int. J. of Robotics
-Research 42(11)) has 10,003 grocery orders of 43±14 items for two targets. Here a catalogue of articles takes the place
-of the warehouse, and each order draws articles from it. Names and ids are invented.
+Research 42(11)) has 10,003 grocery orders of 43±14 items for two targets. BED-BPP's orders come from a real
+warehouse. Here, each order draws its articles from an invented catalogue. Names and ids are invented, too.
 
 Order i depends only on (seed, i), so the orders of a smaller set are the first orders of a larger set.
 """

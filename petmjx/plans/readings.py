@@ -146,7 +146,7 @@ class Reading:
         """What the columns of far corners hold, in words; "" if there are none."""
         name = next((self.columns[role] for role in ("x (far)", "corners") if role in self.columns), "")
         are_cells = LAST_CELLS in self.columns
-        return name and f"{name} and columns like it hold {'the last cells' if are_cells else 'the ends'} of boxes"
+        return name and f"{name} and columns like it hold {'the last grid cells' if are_cells else 'the ends'} of boxes"
 
     def line(self) -> str:
         """The reading as one line of text."""

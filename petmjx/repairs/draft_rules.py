@@ -1,9 +1,9 @@
 """Limits that all changed plans keep (``Rules``).
 
-A draft is allowed if no fault of its layout is worse than in the plan: boxes that overlap, that float when they are
-placed, that reach beyond the carrier, or that would be placed under a box that already stands. So a plan with such
-faults can be repaired step by step, but no fault ever becomes worse. A box that is moved aside or turned must not end
-inside a wall.
+A layout has a fault if boxes overlap, float when they are placed, reach beyond the carrier, or would be placed under a
+box that already stands. A draft is allowed if none of its faults is worse than in the plan. So a plan with such faults
+can be repaired step by step, but no fault ever becomes worse. A box that is moved aside or turned must not end inside a
+wall.
 """
 
 from __future__ import annotations
@@ -190,8 +190,8 @@ class Rules:
                 packing order. All other boxes must have the same places as in the allowed draft, and the same order
                 relative to each other. None: every box is checked.
             parent: the allowed draft from which the drafts were made, needed if changed boxes may have been supports of
-                other boxes in this draft; None: they were no supports. If a draft has one sheet more than ``parent``,
-                all its boxes are checked.
+                other boxes in this draft; None: no changed box was a support. If a draft has one sheet more than
+                ``parent``, all its boxes are checked.
         """
         allowed = np.zeros(len(drafts), bool)
         sizes: dict[int, list[int]] = {}
@@ -208,8 +208,8 @@ class Rules:
 
     def have_room(self, draft: Draft, boxes: list[int], ways_mm: Sequence[tuple[float, float]]) -> BoolArray:
         """(w,) for each of several moves along x and y: whether boxes of an allowed draft can make the move together
-        without overlapping other boxes, and without going beyond the limits beside the carrier. If the boxes cannot
-        make a move, the draft with this move is not allowed."""
+        without overlapping other boxes, and without reaching farther beyond the carrier's edges than allowed. If the
+        boxes cannot make a move, the draft with this move is not allowed."""
         ways = np.array(ways_mm).reshape(-1, 1, 2)
         others, moved = np.setdiff1d(draft.rows, boxes), np.array(boxes)
         low, size = draft.corner_mm, draft.size_mm
@@ -261,8 +261,8 @@ class Rules:
 
         Args:
             is_changed: (c, m) the boxes that are checked.
-            bears: the result of ``_may_bear`` for the draft from which the layouts were made; None: no other box is
-                checked.
+            bears: the result of ``_may_bear`` for the draft from which the layouts were made; None: only the boxes
+                ``is_changed`` are checked.
         """
         is_placed, limits = layouts.is_placed, self._limits(layouts.rank.shape[1])
         number, box = np.nonzero(is_changed & is_placed)
@@ -300,7 +300,7 @@ class Rules:
 
     def _may_bear(self, draft: Draft) -> BoolArray:
         """(m, m) whether the column's box may float without the row's box, because the top of the row's box is close
-        below it. The result for the last draft is kept for the next call."""
+        below the column's box. The result for the last draft is kept for the next call."""
         if self._last_bears is None or self._last_bears[0] is not draft:
             self._last_bears = draft, self._bears_closely(draft)
         return self._last_bears[1]

@@ -19,19 +19,19 @@ from petmjx.repairs.repair_options import RepairOptions
 from petmjx.world.supports import deck_mm
 
 TRIALS: Final = 70
-"""Number of trials without errors of a plan that falls, in the mean (benchmarks/notebook/repair.md)."""
+"""Mean number of trials without errors for a plan that falls (benchmarks/notebook/repair.md)."""
 
 TRIALS_WITH_ERRORS: Final = 70
-"""Number of trials in worlds with errors of a plan that falls, in the mean."""
+"""Mean number of trials in worlds with errors for a plan that falls."""
 
 PROPOSALS_S: Final = 1.0
-"""CPU time of the proposals for a plan that falls, and of their statics, s, in the mean."""
+"""Mean CPU time of the proposals for a plan that falls, and of the statics of these proposals, s."""
 
 
 def size_of(plans: Sequence[Plan], sim: Simulation, options: RepairOptions, engine: str, threads: int) -> str:
     """One line with the number of plans, the expected number of steps, and the expected time. Plans with a loose box
-    (``petmjx.plans.plan_statics``) are expected to fall, but at least the largest plan. With a profile, the line has
-    only the number of plans.
+    (``petmjx.plans.plan_statics``) are expected to fall; if no plan has a loose box, the largest plan is expected to
+    fall. With a profile, the line has only the number of plans.
 
     Args:
         engine: name of the engine.

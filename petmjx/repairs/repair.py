@@ -76,9 +76,9 @@ class Repaired:
             Invalid simulations count as falls.
         complete: whether the search came to its end. If the search is not complete, its time was up or its trials were
             spent, and a longer search might find smaller changes.
-        trials_spent: whether the trials were spent before a repair with all boxes was found, although further changes
-            could be tried, or before the search had tested which changes are needed, or had compared repairs in worlds
-            with errors.
+        trials_spent: whether the trials were spent too early: before a repair with all boxes was found, although
+            further changes could be tried; before the search had tested which changes are needed; or before it had
+            compared repairs in worlds with errors.
         built_falls: whether boxes that stand already (``built``) fall before others are placed. If built boxes fall, no
             repair was sought.
     """
@@ -275,7 +275,8 @@ class RepairInterrupted(KeyboardInterrupt):
     """An interrupt of ``petmjx.repair``.
 
     Attributes:
-        repairs: the plans whose search had ended; shares with errors that were not simulated yet are missing.
+        repairs: the results of the plans whose search had ended. Shares are missing if their worlds with errors were
+            not simulated yet.
     """
 
     def __init__(self, repairs: Repairs) -> None:
@@ -398,8 +399,8 @@ def _judge(searches: Sequence[Search], question: Question) -> None:
 
 def _score(searches: Sequence[Search], question: Question) -> None:
     """Score the plans that were not scored yet. On a GPU, all plans are scored together, while the searches propose
-    their first changes: while plans are scored, no changed plans are judged, so a separate score for each search would
-    keep the other searches waiting."""
+    their first changes. A separate score for each search would keep the other searches waiting, because no changed plan
+    is judged during a score."""
     unknown = [search for search in searches if search.before is None]
     if not unknown:
         return
@@ -411,8 +412,8 @@ def _score(searches: Sequence[Search], question: Question) -> None:
 def _with_shares(
     searches: Sequence[Search], question: Question, options: RepairOptions, limit: TimeLimit
 ) -> list[Repaired]:
-    """The results of searches. For each plan before and after its repair, they have the share of the worlds with errors
-    in which it stands, unless the time is up."""
+    """The results of searches. Unless the time is up, a result has the share of the worlds with errors in which the
+    plan stands before its repair, and the share in which it stands afterwards."""
     before: list[Share | None] = [None] * len(searches)
     after = list(before)
     chosen = [_first(search) for search in searches]

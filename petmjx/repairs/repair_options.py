@@ -60,7 +60,7 @@ class RepairOptions(CheckedRecord):
     trials: Annotated[int, within(1, 1_000_000), CliFlag("--trials", "N")] = Field(
         600,
         description="largest number of simulations of changed plans, for each plan; with a profile, a sixth of this "
-        "number, but at least one; if boxes must be left out, half as many again",
+        "number, but at least one; if boxes must be left out, half of this number is added",
     )
     seconds: Annotated[float | None, within(0.1, 10_000_000), CliFlag("--seconds", "S", default="no limit")] = Field(
         None,

@@ -119,7 +119,7 @@ class TimeLimit:
     """The time in which repairs are searched and simulated.
 
     Attributes:
-        seconds: the time, s, from now on.
+        seconds: the length of this time, s. It begins when this object is created.
         compiled_s: time in which engines compiled or loaded programs, s. Time for programs does not count towards
             ``seconds``.
     """
@@ -180,7 +180,8 @@ class Question:
             with_errors = _quick(self._error_sweep.simulation)
             self._quick[1] = self._quick[0] if with_errors == self._quick[0] else with_errors
         self._judging: dict[tuple[bool, int], Simulation] = {}
-        """(whether worlds with errors have other options, boxes in multiples of ``SIZE``) → options of judged drafts"""
+        """(whether the options for worlds with errors are used, number of boxes divided by ``SIZE`` and rounded up) →
+        options of judged drafts"""
 
     @property
     def is_wide(self) -> bool:
@@ -512,7 +513,7 @@ class TrialStream:
         stream.close()  # drafts that are requested later enter the stream as jobs that follow from an outcome
         self._feed(stream, queue, lane)
         progress = self._question.progress
-        compiled_s = self._limit.compiled_s - progress.compile_s  # the programs of earlier runs are in both
+        compiled_s = self._limit.compiled_s - progress.compile_s  # both numbers contain the times of earlier runs
         with closing(outcomes_of_stream(lane.engine, stream, lane.sim, progress, MOST_LISTED)) as outcomes:
             for outcome in outcomes:
                 self._limit.compiled_s = compiled_s + progress.compile_s

@@ -84,8 +84,8 @@ def find_plans(
 
 
 def plans_in_place(plans: PlanSource | None, strict: bool = False) -> PlanSource | None:
-    """The argument ``plans``, in which folders of runs are replaced by plans: if it is a run's folder, or a list of
-    such folders, the result is the plans that these runs simulated. Any other source is returned unchanged.
+    """The argument ``plans``, in which folders of runs are replaced by plans: if ``plans`` is a run's folder, or a list
+    of such folders, the result is the plans that these runs simulated. Any other source is returned unchanged.
 
     Raises:
         InputError: a run cannot be read, or none of its plans can be found in its tables or in a file. With ``strict``,

@@ -183,7 +183,7 @@ class RunResults:
 
     @property
     def carrier(self) -> Carrier | OwnCarrier:
-        """The carrier on which the run's boxes stand. If ``run.json`` does not name a known carrier, the result is
+        """The carrier on which the run's boxes stand. If ``run.json`` names no carrier that petmjx knows, the result is
         ``footprint``."""
         return self._carrying.carrier
 

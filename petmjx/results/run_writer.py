@@ -161,10 +161,11 @@ class RunWriter(RunInfo):
         # The queues are implemented in C, so an interruption of the main thread leaves none of them locked or half
         # changed.
         self._queue: SimpleQueue[Row | _Request] = SimpleQueue()
-        self._room: SimpleQueue[None] = SimpleQueue()  # one entry per try to write, for which ``add`` waits
+        # The writer's thread adds an entry after each try to write. While too many bytes wait, ``add`` waits for one.
+        self._room: SimpleQueue[None] = SimpleQueue()
         self._thread = threading.Thread(target=self._work, name="petmjx-writer", daemon=True)
         self._added_bytes = 0  # Changed only by the thread that adds worlds.
-        self._cut_short = False  # Set only by the main thread.
+        self._cut_short = False  # Whether an error ended the run. Set only by the main thread.
         # Once the writer's thread has started, only this thread uses the attributes below.
         self._tables = Tables(self.out_dir, MemoryParts(Path(), {}) if self._in_memory else None)
         self._temporary: tempfile.TemporaryDirectory[str] | None = None

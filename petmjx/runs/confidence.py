@@ -61,8 +61,9 @@ _DESCRIPTIONS: Final = {
 }
 
 _OF_BOTH: Final = {
-    "n_standing_exact": "n_standing for boxes that appear at their places",
-    "share_exact": "share for boxes that appear at their places; null if no world has a verdict",
+    "n_standing_exact": "number of stable worlds with errors in which boxes appear at their places",
+    "share_exact": "stable worlds / worlds with a verdict, among the worlds with errors in which boxes appear at their "
+    "places; null if none of these worlds has a verdict",
     "only_carried": "number of draws of errors with which the pallet stands only if boxes are carried",
     "only_exact": "number of draws of errors with which the pallet stands only if boxes appear at their places",
     "p_value": "p-value of McNemar's exact test (two-sided) on only_carried and only_exact, corrected for the number "

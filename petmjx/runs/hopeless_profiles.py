@@ -63,7 +63,7 @@ def slide_m(
             if next_slip == len(slips):
                 break
             step = int(slips[next_slip])
-        if step == len(acceleration):  # the profile is over and the carrier at rest, so friction brakes the block
+        if step == len(acceleration):  # the profile is over and the carrier is at rest, so friction brakes the block
             speed, brake = math.hypot(vx, vy), friction * kinetic * gravity_m_s2
             if brake == 0:
                 return math.inf

@@ -104,7 +104,7 @@ class Study(ABC):
         has_errors: whether positions or sizes have errors in some worlds.
         identity: settings on which worlds depend, besides the plans and ``sim``.
         config: entries of ``run.json`` about the study, in addition to the options.
-        edge_risks: plan id → ``EdgeRisk`` of the plan, as far as it is known before the run begins.
+        edge_risks: plan id → ``EdgeRisk`` of the plan, for the plans for which it was computed before the run begins.
     """
 
     sim: Simulation
@@ -224,7 +224,7 @@ class Nominal(Study):
         total_s, done_s = sum(expected_s[plan.plan_id] for plan in missing), 0.0
         for scored_world in score_worlds(worlds, self.sim, engine, progress=progress):
             world = scored_world.world
-            # long worlds come first, so the share of finished worlds would be smaller than the share of the work
+            # the share of the work, not of worlds: long worlds come first, so the share of worlds would be too small
             done_s += expected_s[world.plan.plan_id]
             progress.work_share = done_s / total_s
             yield FinishedWorld(world.plan, NOMINAL, world.job.scene, scored_world.outcome, scored_world.attempts)

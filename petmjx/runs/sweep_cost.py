@@ -24,12 +24,13 @@ from petmjx.world.variants import LegSpec
 
 _HELD_BY_OTHERS: Final = 2.0
 """In a load, boxes beside one another hold each other up, so the load falls at about this multiple of ``tipping_g``. In
-EUMOS's profile, loads of 20 to 60 boxes with a ``tipping_g`` of 0.3 to 0.12 g fell from 0.6 to 0.25 g on."""
+EUMOS's profile, loads of 20 to 60 boxes with a ``tipping_g`` between 0.12 and 0.3 g began to fall at levels between
+0.25 and 0.6 g."""
 
 _FALL_STEPS: Final = 250
-"""Steps of a drive from the acceleration at which a load begins to fall until a box is lost. With EUMOS's profile of
-0.1 to 1.6 g, drives took 270 to 320 steps on average, and with EN 12195-1's profile, drives of two plans of about 50
-boxes took 400 steps."""
+"""Number of steps of a drive between the moment at which a load begins to fall and the moment at which a box is lost.
+With EUMOS's profile of 0.1 to 1.6 g, drives took 270 to 320 steps on average, and with EN 12195-1's profile, drives of
+two plans of about 50 boxes took 400 steps."""
 
 _GENTLE_IN_SEARCHES: Final = 0.5
 """Expected share of the tested levels of a search that are below the largest level that a pallet survives."""
@@ -42,9 +43,9 @@ most ``_MOST_CREEPING``. In searches of EUMOS's levels, this factor was 1.1 for 
 of plans of about 40 boxes, and 3.4 for a plan of 238 boxes."""
 
 _FALLING_POWER: Final = 8
-"""A leg of a chain may have n times the acceleration ``tipping_g`` of a plan, n > 1. The probability that the pallet
-stands after the leg is then expected to be (1 / n) to this power. After a leg with a conveyor of up to 0.3 g, four
-plans of 21 to 54 boxes stood in 5 of 48 worlds of two chains; 11 of these worlds are expected to stand."""
+"""If a leg of a chain has n times the acceleration ``tipping_g`` of a plan (n > 1), the pallet is expected to stand
+after the leg with the probability (1 / n) to this power. After a leg with a conveyor of up to 0.3 g, four plans of 21
+to 54 boxes stood in 5 of 48 worlds of two chains; with this power, 11 of these worlds are expected to stand."""
 
 
 def work_of(worlds: SweepPlan) -> Work:
@@ -139,7 +140,7 @@ class _ShakenLeg(NamedTuple):
     Attributes:
         peak_g: the largest horizontal acceleration that the leg may have, in units of 9.81 m/s². Random profiles are
             left out.
-        is_gentle: whether this acceleration is at most ``STEADY_G``. Vibrations are never gentle.
+        is_gentle: whether ``peak_g`` is at most ``STEADY_G``. Vibrations are never gentle.
     """
 
     steps: int
@@ -194,7 +195,7 @@ def _leg_shares(worlds: SweepPlan) -> _LegShares:
 
 
 def _gentle_share(worlds: SweepPlan) -> float:
-    """The expected share of the drives of a sweep without legs whose acceleration is at most ``STEADY_G``. A search
+    """For a sweep without legs, the expected share of the drives whose acceleration is at most ``STEADY_G``. A search
     tests levels on both sides of the largest level that a pallet survives."""
     sweep = worlds.sweep
     if sweep.search is not None:

@@ -131,7 +131,9 @@ class Sweep(CheckedRecord):
         ]
         | None
     ) = Field(None, description='a path, a list of paths (from the file\'s folder), or "samples"')
-    mode: Literal["grid", "sample"] = Field("grid", description="every combination, or random ones")
+    mode: Literal["grid", "sample"] = Field(
+        "grid", description="grid: every combination of values; sample: random combinations"
+    )
     sample: StrictInt | None = Field(None, ge=1, le=MAX_REPEATS, description="number of random combinations")
     seed: StrictInt = Field(
         0, ge=0, lt=2**63, description="determines all random numbers, together with plan id and replicate"

@@ -55,8 +55,8 @@ class SearchAnswer:
     """The answer of a search for one placement, one profile and one direction.
 
     Attributes:
-        largest_survived, first_failed: largest level survived and smallest level that failed, in g or as a scale; None
-            if no level was survived, or if no level failed.
+        largest_survived, first_failed: largest level survived, and smallest level that failed, in g or as a scale.
+            ``largest_survived`` is None if no level was survived, and ``first_failed`` is None if no level failed.
         at_largest, at_failure: results of the tests at these two levels; None if there was no test at the level.
     """
 

@@ -106,7 +106,8 @@ def sweep_of_run(run: RunResults) -> Sweep:
     except (TypeError, KeyError, AttributeError):
         raise InputError(f"{file}: damaged: config.sweep.file is missing") from None
     if isinstance(tables, dict):
-        with suppress(InputError):  # if the file of a profile is gone, the file of the sweep may still exist
+        # The stored tables cannot be used if the file of a profile is gone. Then the sweep's own file is tried below.
+        with suppress(InputError):
             stored_sweep = sweep_of_tables(tables, sweep_path, True, changes)
             stored_sweep = (
                 stored_sweep.model_copy(update={"nominal": True, "replicates": worlds}) if worlds else stored_sweep

@@ -78,7 +78,8 @@ def _orders_line(path: Path, options: Mapping[str, Any]) -> tuple[str, str]:
         line = str(error).removeprefix(f"{printable(str(path))}: ")
         return line if line.startswith(TWO_WAYS) and not has_named_places(path) else "", ""
     if not sizes or has_named_places(path):
-        # without an error about orders, or if the file has plans, the record already has the error of the plans' reader
+        # No error is returned if the orders' reader reported none, or reported that the file holds plans. In both
+        # cases, the record already has the error of the plans' reader.
         of_plans = not errors or OF_PLAN in str(errors[0])
         return "", "" if sizes or of_plans else str(errors[0])
     plain = f"read as BED-BPP's orders; {count_text(len(sizes), 'order')}, {count_text(sum(sizes), 'box', 'boxes')}"
@@ -140,7 +141,7 @@ def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
 
 def _lines_about_densities(plans: Sequence[Plan]) -> list[str]:
     """A list with one line about boxes with implausible densities, such as one of 5,000 kg among boxes of 5 kg. The
-    list is empty if there are no such boxes, or if most boxes have such densities: then other lines tell it."""
+    list is empty if there are no such boxes, or if most boxes have such densities, because other lines then say so."""
     odd = []
     for plan in plans:
         density = densities_kg_m3(plan)

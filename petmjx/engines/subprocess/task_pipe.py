@@ -196,7 +196,8 @@ def copy(main: Callable[[], None]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     copies: list[int] = []  # a copy that has ended keeps its number until ``waitpid``, so no other process is killed
     gc.collect()
-    gc.freeze()  # collections in a copy write to no objects of this process, so these objects need no second memory
+    # garbage collection in a copy then leaves the objects of this process unchanged, so both processes share memory
+    gc.freeze()
     with socket.socket(fileno=os.dup(0)) as connection:
         while True:
             message, fds, *_ = socket.recv_fds(connection, 1, 2)
