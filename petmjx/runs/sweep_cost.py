@@ -24,8 +24,8 @@ from petmjx.world.variants import LegSpec
 
 _HELD_BY_OTHERS: Final = 2.0
 """In a load, boxes beside one another hold each other up, so the load falls at about this multiple of ``tipping_g``. In
-EUMOS's profile, loads of 20 to 60 boxes with a ``tipping_g`` between 0.12 and 0.3 g began to fall at levels between
-0.25 and 0.6 g."""
+EUMOS's profile, loads of 20 to 60 boxes with a ``tipping_g`` of 0.12 g began to fall at 0.25 g, and loads with a
+``tipping_g`` of 0.3 g at 0.6 g."""
 
 _FALL_STEPS: Final = 250
 """Number of steps of a drive between the moment at which a load begins to fall and the moment at which a box is lost.
