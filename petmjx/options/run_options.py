@@ -182,8 +182,8 @@ class RunOptions(CheckedRecord):
         "top-centre, the centre of its top; or corner-x, corner-xy and the like, the one with the largest x, or x "
         "and y, and else the smallest coordinates",
     )
-    up: Annotated[Literal["x", "y", "z"] | None, CliFlag("--up", "x|y|z", default=_BY_FILE)] = Field(
-        None, description="the vertical axis of files of other tools"
+    up: Annotated[Literal["x", "y", "z", "-y", "-z"] | None, CliFlag("--up", "x|y|z|-y|-z", default=_BY_FILE)] = Field(
+        None, description="the vertical axis of files of other tools; -z: heights are counted downwards along z"
     )
     sizes: Annotated[Literal["placed", "item"] | None, CliFlag("--sizes", "placed|item", default=_BY_FILE)] = Field(
         None, description="whether sizes in files of other tools describe the box as placed, or before it is turned"

@@ -7,7 +7,7 @@ Units, axes and anchors (the points of the boxes that coordinates describe) are 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -21,6 +21,7 @@ from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, may_count, word_
 from petmjx.plans.known_forms import BoxSource
 from petmjx.plans.pose_columns import pose_choices
 from petmjx.plans.raw_cells import cell_number, cell_text
+from petmjx.plans.raw_tables import rows_by_name
 from petmjx.plans.size_and_place_columns import (
     Geometry,
     Places,
@@ -56,10 +57,10 @@ class BoxColumns:
             ``DENSITY_UNITS``; "" if no unit is given.
         weight_is_density: whether ``weight`` has densities.
         plan, article, item_id, group: (n,) names; None: no column has them.
-        sequence: (n,) packing order; None: no column has it. A column of running numbers is not taken as a packing
-            order, since boxes may be numbered in any order.
-        counters: columns of whole numbers that may be a packing order because of their names ("Nr", "Pick"): name →
-            (n,) numbers; NaN for cells that are not whole numbers.
+        sequence: (n,) packing order, NaN for plans without one; None: no column has it. A column of running numbers is
+            not taken as a packing order, since boxes may be numbered in any order.
+        counters: columns of whole numbers that may be a packing order, since their names may mean one ("Nr", "Pick") or
+            are unknown: name → (n,) numbers; NaN for cells that are not whole numbers.
         columns: role → name of its column, for all roles except sizes and places.
         faults: row → (column, error text) of the first bad cell in the row.
         unread: names of columns that are not used.
@@ -144,6 +145,9 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str], units: str, masses
     used = {name for geometry in geometries for name in geometry.columns.values()}
     plan, plan_name = extraction.texts("plan", role="plan")
     plan = extraction.filled_down(plan, plan_name, least_rows=2.0)
+    extraction.check_numbers(plan, plan_name)
+    if sequence_index is not None:
+        _leave_blank(extraction, sequence_index, plan)
     article, article_name = extraction.texts("article", role="article")
     item_id, item_name = extraction.texts("item_id", "number", role="item_id")
     if item_id is None and article is None:
@@ -187,13 +191,25 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str], units: str, masses
     )
 
 
+def _leave_blank(extraction: ColumnExtraction, index: int, plan: Sequence[str] | None) -> None:
+    """Remove the faults of blank cells in a column of packing orders from plans in which all its cells are blank."""
+    parts, cells = extraction.source.boxes.parts, extraction.cells(index)
+    names = parts if plan is None else [f"{part}\n{name}" for part, name in zip(parts, plan, strict=True)]
+    for rows in rows_by_name(names).values():
+        if all(cells[row] in (None, "") for row in rows.tolist()):
+            for row in rows.tolist():
+                if extraction.faults.get(row, ("", ""))[0] == extraction.table.header[index]:
+                    del extraction.faults[row]
+
+
 def _geometry_of(sizes: Sizes, places: Places) -> Geometry:
     """Sizes and places, joined into one ``Geometry``. If their units differ, both are converted to millimetres."""
-    size, axes, size_unit, placed, columns = sizes
+    size, axes, size_unit, placed, columns, by_sizes = sizes
     place, place_unit, anchor, more, up = places
     if size_unit and place_unit and size_unit != place_unit:
         size, place = size * LENGTH_UNITS[size_unit], place * LENGTH_UNITS[place_unit]
         size_unit = place_unit = "mm"
+    anchor = anchor or by_sizes
     return Geometry(size, place, axes, size_unit, place_unit, anchor, placed, {**columns, **more}, named_up=up)
 
 
@@ -219,10 +235,10 @@ def weight_column(extraction: ColumnExtraction) -> int | None:
 
 
 def counting_columns(extraction: ColumnExtraction, used: Collection[str]) -> dict[str, FloatArray]:
-    """Unused columns of whole numbers whose names could mean a packing order."""
+    """Unused columns of whole numbers whose names could mean a packing order, or are unknown."""
     columns: dict[str, FloatArray] = {}
     for index, name in enumerate(extraction.table.header):
-        if name in used or not may_count(name):
+        if name in used or not (may_count(name) or extraction.meanings[index] is None):
             continue
         numbers = [cell_number(cell, extraction.table.decimal) for cell in extraction.cells(index)]
         values = np.array([np.nan if number is None or number.unit else number.value for number in numbers])

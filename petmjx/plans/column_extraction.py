@@ -23,6 +23,7 @@ from petmjx.plans.column_names import (
     ColumnMeaning,
     column_meanings,
     plain_text,
+    split_unit,
     unknown_density_unit,
     word_set,
     words_of,
@@ -37,6 +38,7 @@ from petmjx.plans.raw_cells import (
     cell_text,
     cell_triple,
     has_groups_with_decimals,
+    is_number,
     number_fault_of,
     without_groups,
 )
@@ -67,7 +69,7 @@ _UNIT_WORDS: Final = word_set("unit units uom einheit masseinheit unite unites u
 _SURE_UNITS: Final = frozenset(("mm", "cm", "kg", "lb", "lbs", "inch", "inches"))
 """Texts that are recognised as units in a column of any name. Other units, such as "m" or "in", may also be words with
 another meaning."""
-_ORDER_WORDS: Final = frozenset(("order", "ordre", "orden", "ordine"))
+_ORDER_WORDS: Final = frozenset(("order", "ordre", "orden", "ordine", "ordem"))
 
 
 def role_of(axis: str) -> str:
@@ -121,8 +123,8 @@ class ColumnExtraction:
         """Determine meanings of columns from their cells. A column "order" has customers' orders, not a packing order,
         if at most half of its cells are different numbers. A column of sizes whose cells count the rows has running
         numbers, not sizes: "Br" may mean width ("Breite"), but it is also "number" in Croatian. A column with an
-        unknown name has weights if its cells have a unit of mass. It has rotations if its cells are letters such as
-        "WLH" (which size lies along which axis) or angles such as 90°."""
+        unknown name has weights if its name or its cells have a unit of mass, and rotations if its cells are letters
+        such as "WLH" (which size lies along which axis) or angles such as 90°."""
         self.row_units: dict[bool, list[str]] = {}
         self.unit_columns: list[str] = []
         self.axis_columns: dict[str, int] = {}  # "x" or "y" → column with the direction of this axis of each box
@@ -157,16 +159,19 @@ class ColumnExtraction:
             elif meaning is not None:
                 of_order = meaning.kind == "sequence" and _ORDER_WORDS.intersection(words_of(self.table.header[index]))
                 numbers = [number.value for cell in cells if (number := cell_number(cell, self.table.decimal))]
-                if of_order and "plan" not in kinds and len(set(numbers)) * 2 <= len(cells):
+                texts = map(cell_text, self.cells(index))
+                distinct = set(zip(self.source.boxes.parts, texts, strict=True))  # plans number their boxes anew
+                if of_order and "plan" not in kinds and len(distinct) * 2 <= len(self.table.rows):
                     self.meanings[index] = ColumnMeaning("plan")
                 elif meaning.kind == "size" and _count_rows(numbers):
                     self.meanings[index] = ColumnMeaning("number")
             elif (
                 "weight" not in kinds
-                and all(map(self._is_mass, cells))
+                and (all(map(self._is_mass, cells)) or self._names_mass(index, cells))
                 and not _NO_WEIGHT.intersection(words_of(self.table.header[index]))
             ):
-                self.meanings[index] = ColumnMeaning("weight")
+                unit = split_unit(self.table.header[index])[1]
+                self.meanings[index] = ColumnMeaning("weight", unit=unit if unit in MASS_UNITS else "")
             elif "rotation" not in kinds and (
                 (len({*map(cell_text, cells)}) > 1 and all(map(letters_of, cells))) or _are_quarter_turns(cells)
             ):
@@ -193,6 +198,11 @@ class ColumnExtraction:
     def _is_mass(self, cell: Any) -> bool:
         number = cell_number(cell, self.table.decimal)
         return number is not None and number.unit in MASS_UNITS
+
+    def _names_mass(self, index: int, cells: Sequence[Any]) -> bool:
+        """Whether the name of a column has a unit of mass, and its cells are numbers."""
+        unit = split_unit(self.table.header[index])[1]
+        return unit in MASS_UNITS and unit != "t" and all(is_number(cell) for cell in cells)
 
     def cells(self, index: int) -> list[Any]:
         return [row[index] for row in self.table.rows]
@@ -369,6 +379,23 @@ class ColumnExtraction:
             filled_names.append(name or filled_names[-1])
         self.source = replace(self.source, notes=(*self.source.notes, f"{printable_name(column)} filled down"))
         return filled_names
+
+    def check_numbers(self, names: list[str] | None, column: str) -> None:
+        """Check the names of plans or orders: if all names but that of a single row are whole numbers, this name is a
+        damaged number. Each number must occur several times.
+
+        Args:
+            names: the name of each row; None: there is no column.
+            column: name of the column.
+
+        Raises:
+            InputError: a name is a damaged number.
+        """
+        odd = [row for row, name in enumerate(names or ()) if not name.isdecimal()]
+        if names is None or len(odd) != 1 or 2 * len(set(names)) > len(names):
+            return
+        text = f'{printable_name(column)} must be a whole number ≥ 0, as in all other rows, got "{names[odd[0]]}"'
+        raise InputError(f"{self.table.places[odd[0]]}: {text}")
 
     def indices(self, kind: str, *, of_container: bool = False) -> list[int]:
         """Indices of the columns with this kind of meaning. Columns about containers are left out unless

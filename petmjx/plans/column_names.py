@@ -19,14 +19,15 @@ from petmjx.common.units import LENGTHS_MM, MASSES_KG
 from petmjx.plans.input_conventions import Limits
 
 Kind = Literal[
-    "size", "sizes", "position", "positions", "low", "high", "corners", "quaternion", "euler", "matrix", "weight",
-    "density", "volume", "rotation", "quantity", "layers", "plan", "sequence", "number", "article", "item_id", "group",
-    "material", "row_kind", "strength",
+    "size", "sizes", "position", "positions", "low", "high", "first", "second", "corners", "quaternion", "euler",
+    "matrix", "weight", "density", "volume", "rotation", "quantity", "layers", "plan", "sequence", "number", "article",
+    "item_id", "group", "material", "row_kind", "strength",
 ]  # fmt: skip
 """Meaning of a column. ``sizes`` and ``positions`` are three numbers in one cell. ``low`` and ``high`` are coordinates
-of the corners with the smallest and the largest x, y and z, and ``corners`` are both corners in one cell. ``sequence``
-is a packing order. ``number`` is a running number, which may be a packing order. ``euler`` is an angle about one
-axis."""
+of the corners with the smallest and the largest x, y and z, and ``corners`` are both corners in one cell. ``first`` and
+``second`` are coordinates with the numbers 1 and 2 ("x1", "x2"), before it is known which corners they describe.
+``sequence`` is a packing order. ``number`` is a running number, which may be a packing order. ``euler`` is an angle
+about one axis."""
 
 OWN_COLUMNS: Final = ("length_mm", "width_mm", "height_mm", "weight_kg")
 """petmjx's own names for the sizes and the weight of items, which contain the units."""
@@ -123,18 +124,19 @@ _DIMENSIONS: Final = word_set(
     "dimensiones dimensioni dimensioni wymiary wymiar taille misure medidas shape lxwxh lxbxh lwh lbh whd wdh dwh hwd "
     "wxhxd wxdxh lxlxh bxhxt dimensionen"
 )
-_HALF: Final = word_set("half halfsize halfextents halfextent")
+HALF_WORDS: Final = word_set("half halfsize halfextents halfextent halb halbe halber halbes demi semi mezza mezzo")
+"""Words for half sizes."""
 _BOUNDS: Final = word_set("bbox aabb bounds")
 CONTAINER_WORDS: Final = word_set(
-    "container containers bin bins pallet pallets palette paletten paleta palet pale palety palete paletes bancale "
-    "bancali truck carrier contenedor conteneur contenitore kontener ladungstrager ladetrager trailer vehicle lkw "
-    "camion"
+    "container containers bin bins pallet pallets palette paletten paleta palet pale palety palete paletes "
+    "bancale bancali pall palle pallar lava truck carrier contenedor conteneur contenitore kontener ladungstrager "
+    "ladetrager trailer vehicle lkw camion"
 )
 """Words for pallets and other containers."""
 PALLET_WORDS: Final = word_set(
-    "pallet pallets palette paletten palet paleta pale palety palete bancale bancali pal palno palnr palletno palletid "
-    "palid lu hu su nve sscc lpn uld stop unit nosnik ladungstrager ladetrager ladeeinheit versandelement carrier "
-    "container bin tote totes toteid"
+    "pallet pallets palette paletten palet paleta pale palety palete bancale bancali pall palle pallar lava pal "
+    "palno palnr palletno palletid palid lu hu su nve sscc lpn uld stop unit nosnik ladungstrager ladetrager "
+    "ladeeinheit versandelement carrier container bin tote totes toteid"
 )
 """Words that mean a pallet in names of columns that otherwise have no known meaning, and in types of records."""
 TITLE_WORDS: Final = PALLET_WORDS | word_set(
@@ -150,7 +152,7 @@ _UNPLACED: Final = word_set(
 _WORDS: Final[dict[Kind, frozenset[str]]] = {
     "weight": word_set(
         "weight weights mass masses masse gewicht gew poids peso pesos waga masa ciezar wt wg wgt bruttogewicht kg "
-        "agirlik hmotnost vaegt vekt vikt paino suly greutate tezina brgew"
+        "agirlik hmotnost vaha vaegt vekt vikt paino suly greutate tezina brgew"
     ),
     "density": word_set("density dichte densite densidad densita gestosc"),
     "volume": word_set("volume vol volumen volumes objetosc objem kubatur"),
@@ -167,7 +169,8 @@ _WORDS: Final[dict[Kind, frozenset[str]]] = {
     "layers": word_set("layers layer tiers lagen lage schichten couches couche capas strati warstwy"),
     "sequence": word_set(
         "sequence seq step steps order packingorder packorder loadorder loadingorder placementorder rank reihenfolge "
-        "schritt packreihenfolge ordre etape secuencia sequenza passo kolejnosc krok paso"
+        "schritt packreihenfolge ordre etape secuencia sequenza passo kolejnosc krok paso packfolge stapelfolge "
+        "ladefolge volgorde raekkefolge rekkefolge ordning jarjestys sequencia orden ordine ordem"
     ),
     "number": word_set(
         "nr no num number numero nummer index idx lfd lfdnr lp n pos position row zeile ligne fila riga wiersz"
@@ -176,7 +179,7 @@ _WORDS: Final[dict[Kind, frozenset[str]]] = {
         "article articles artikel artikelnr artikelnummer sku skus product products produkt produkte produit articulo "
         "articolo artykul producto prodotto material materialnr ref reference referencia riferimento type typ tipo "
         "cargo goods kind name names bezeichnung description beschreibung partno article_id codice codigo code kod "
-        "item urun"
+        "item urun vare varenr varenummer tuote zbozi polozka artikl towar artigo"
     ),
     "item_id": word_set(
         "id ids uid uuid itemid boxid caseid box boxes case cases carton cartons karton packstuck packstueck colis "
@@ -217,11 +220,11 @@ _BOX: Final = word_set(
 )
 
 _COMPOUND: Final = re.compile(
-    r"^(artikel|aussen|box|carton|case|einzel|item|karton|kisten?|kolli|pack(?:age|stuc?k|stueck)|paket|parcel|produkt|stuc?k)"
-    r"(lange|laenge|length|breite|width|hoe?he|height|tiefe|depth|gewicht|weight|nummer|nr|id)$"
+    r"^(artikel|aussen|brutt?o|nett?o|halbe?|demi|semi|box|carton|case|einzel|item|karton|kisten?|kolli|pack(?:age|stuc?k|stueck)|paket|parcel|produkt|stuc?k)"
+    r"(lange|laenge|length|breite|width|hoe?he|height|tiefe|depth|longueur|largeur|hauteur|mass|gewicht|weight|vikt|vaegt|vekt|paino|nummer|nr|id)$"
 )
 """A word for a box and a word for its size, weight or number, written as one word: "Artikellänge", "Kartongewicht",
-"boxwidth"."""
+"boxwidth", "Brutogewicht"."""
 _TOKEN: Final = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|'")
 _UNIT_MARK: Final = re.compile(
     r"[\[(\{<]\s*([^\])}>]*?)\s*[\])}>]|/\s*([a-zµ]+)\s*$|\bin\s+([a-z]+)\s*$", re.IGNORECASE
@@ -274,8 +277,36 @@ _WEIGHTS_BY_UNIT: Final = word_set(
 _NUMBER_SIGN: Final = re.compile(r"\b[nN]\s?[°º]|№")
 
 
+_OTHER_SCRIPTS: Final = {
+    word: english
+    for english, words in {
+        "length": "длина 长度 長度 长 長さ 長 길이", "width": "ширина 宽度 寬度 宽 寬 幅 너비 폭",
+        "height": "высота 高度 高さ 高 높이", "depth": "глубина 深度 深さ 深 奥行き 奥行 깊이",
+        "weight": "вес масса 重量 重さ 质量 質量 무게 중량", "gross": "брутто 毛重", "center": "центр 中心 중심",
+        "coordinate": "координата координаты 坐标 座標 좌표", "position": "позиция положение 位置 위치",
+        "pallet": "паллета паллет палета поддон 托盘 托盤 栈板 棧板 パレット 팔레트 파레트",
+        "article": "артикул товар наименование 产品 產品 商品 物料 货物 貨物 品名 品番 名称 名稱 제품 상품 품명",
+        "quantity": "количество 数量 數量 수량", "sequence": "порядок последовательность 顺序 順序 順番 순서",
+        "number": "номер 序号 序號 编号 編號 番号 번호", "layer": "слой ярус 层 層 段 단",
+        "box": "коробка короб 箱 상자", "rotation": "поворот 旋转 旋轉 回転 회전",
+        "total": "итого всего 合计 合計 总计 總計 小计 합계",
+        "mm": "мм 毫米", "cm": "см 厘米 公分", "kg": "кг 千克 公斤", "m": "м 米", "g": "г 克",
+    }.items()
+    for word in words.split()
+}  # fmt: skip
+"""Words and units in other scripts → the English word."""
+_IN_OTHER_SCRIPT: Final = re.compile(
+    "|".join(rf"(?<!\w){word}(?!\w)" if word[0] < "\u0500" else word for word in sorted(_OTHER_SCRIPTS, key=len)[::-1]),
+    re.IGNORECASE,
+)
+"""Words in Cyrillic count only if they are whole words; other scripts have no spaces between words."""
+
+
 def plain_text(text: str) -> str:
-    """Text without accents: "Länge" → "Lange", "długość" → "dlugosc", "Maße" → "Masse"."""
+    """Text without accents: "Länge" → "Lange", "długość" → "dlugosc", "Maße" → "Masse". Known words in other scripts
+    are translated: "длина" → "length", "x坐标" → "x coordinate"."""
+    if not text.isascii():
+        text = _IN_OTHER_SCRIPT.sub(lambda match: f" {_OTHER_SCRIPTS[match[0].lower()]} ", text).strip()
     text = (
         _NUMBER_SIGN.sub("No ", text)
         .replace("ł", "l")
@@ -296,14 +327,17 @@ _CAMEL_UNIT: Final = re.compile(
 """A unit at the end of a name, without a space or bracket before the unit: "lengthMm", "posXmm"."""
 
 
+_MEMBER: Final = re.compile(r"(.+?)(\.[^.\[\]]*|\[\d+\])")
+"""The name of a member of an object or of a list: "position.x", "size[0]"."""
 LONGEST_NAME: Final = 256
 """Largest number of characters of a name in which a unit is sought. The time of the search grows with the square of the
 length: a cell of 8,000 brackets took 1 s."""
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """A name without its unit, and the unit: "L [mm]" → ("L", "mm"), "length_mm" → ("length", "mm"). The unit is "" if
-    there is none, or if the name is longer than ``LONGEST_NAME``."""
+    """A name without its unit, and the unit: "L [mm]" → ("L", "mm"), "length_mm" → ("length", "mm"). The unit may be
+    that of an object or a list: "size_mm[0]" → ("size[0]", "mm"), "size_mm.length" → ("size.length", "mm"). The unit is
+    "" if there is none, or if the name is longer than ``LONGEST_NAME``."""
     if len(name) > LONGEST_NAME:
         return name, ""
     for match in _UNIT_MARK.finditer(name):
@@ -319,6 +353,9 @@ def split_unit(name: str) -> tuple[str, str]:
     camel = _CAMEL_UNIT.fullmatch(name.strip())
     if camel is not None:
         return camel[1], camel[2].lower()
+    if (member := _MEMBER.fullmatch(name)) is not None:
+        whole, unit = split_unit(member[1])
+        return (whole + member[2], unit) if unit else (name, "")
     return name, ""
 
 
@@ -406,6 +443,7 @@ def _meanings_of(names: tuple[str, ...]) -> list[ColumnMeaning | None]:
     meanings = [_meaning(name) for name in names]
     if not any(meaning is not None and meaning.kind in ("size", "sizes", "high") for meaning in meanings):
         meanings = [_meaning(_SCALE.sub(" size", name)) for name in names]
+    meanings = _with_corners(meanings)
     bases = [split_unit(name.rpartition(".")[2])[0].strip(" .:") for name in names]
     named_sides = [_OF_SIDE.sub("", base.lower()).replace("floor", "bottom") for base in bases]
     sides = {side: index for index, side in enumerate(named_sides) if side in _SIDES}
@@ -463,6 +501,20 @@ def _meanings_of(names: tuple[str, ...]) -> list[ColumnMeaning | None]:
     return meanings
 
 
+def _with_corners(meanings: list[ColumnMeaning | None]) -> list[ColumnMeaning | None]:
+    """The meanings, in which coordinates with the numbers 1 and 2 are those of two corners of a box. If there is only
+    one number, these are coordinates of a corner beside that without a number or with 0 ("x", "x1"), or of a point."""
+    kinds = {meaning.kind for meaning in meanings if meaning is not None}
+    is_end = bool(kinds & {"low", "position", "positions"})
+    ends: dict[Kind, Kind] = {"first": "low", "second": "high"}
+    if not {"first", "second"} <= kinds:
+        ends = dict.fromkeys(ends, "high" if is_end else "position")
+    return [
+        replace(meaning, kind=ends[meaning.kind]) if meaning is not None and meaning.kind in ends else meaning
+        for meaning in meanings
+    ]
+
+
 def _letter_of_weight(single: Mapping[int, str]) -> int | None:
     """The column of weights in a table whose sizes are l, d and h, if a column w follows them; else None.
 
@@ -500,7 +552,7 @@ def _numbered_sizes(names: Sequence[str]) -> Iterator[tuple[str, int, bool]]:
 
 _COUNTER: Final = re.compile(
     r"^(?:#|n|nr|no|num|number|numer|numero|nummer|numbering|lfd|laufende|lp|l p|index|idx|i|k|pick|picked|picking|pos|"
-    r"position|posizione|posicion|pozycja|seq|ordine|ordre|orden|order|place|placed|packed|loaded|stacked|poradi|rang|rank|"
+    r"position|posizione|posicion|pozycja|seq|ordine|ordre|orden|ordem|sira|order|place|placed|packed|loaded|stacked|poradi|rang|rank|"
     r"count|counter|cislo|c|row|line|zeile|volgorde|volgnummer|reihe)(?: (?:nr|no|num|nummer|number|deg))?$"
 )
 
@@ -577,7 +629,7 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
     words, context = set(tail), set(path)
     everything = words | context
     placed = bool(everything & (_PLACED | _ORIENTED))
-    half = bool(everything & _HALF) or "half" in everything
+    half = bool(everything & HALF_WORDS)
     last = tail[-1]
     primed = last == "'" and len(tail) > 1
     if primed:
@@ -585,7 +637,7 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
     size_word = next((size for size, names in _SIZES.items() if words & set(names.split())), None)
     if size_word is None and len(tail) == 1:
         size_word = _SHORT.get(last)
-    if size_word is None and len(tail) == 2 and tail[0] in _BOX | _ORIENTED and last in _LONE:
+    if size_word is None and len(tail) == 2 and tail[0] in _BOX | _ORIENTED | HALF_WORDS and last in _LONE:
         size_word = _LONE[last]
     if last == "qw" or (last == "w" and everything & {"rot", "rotation"}):
         return ColumnMeaning("quaternion", "w")
@@ -616,7 +668,7 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
             "low" if mark in ("min", "lo", "start") else "high" if mark in ("max", "hi", "end") else "position", letter
         )
     if edge is not None and not size_word:
-        return ColumnMeaning("low" if edge[2] in "0" else f"edge{edge[2]}", edge[1])  # type: ignore[arg-type]  # resolved by the caller
+        return ColumnMeaning(("low", "first", "second")[int(edge[2])], edge[1])
     if index and int(index) < 6 and (words & _BOUNDS or {"bounding", "box"} <= words):  # two corners in one list
         return ColumnMeaning("low" if int(index) < 3 else "high", str(int(index) % 3))
     if everything & {"quaternion", "quat", "quaternions", "orientation"} and (axis or last == "w" or index):
@@ -635,7 +687,7 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
     if size_word and not (words & {"unit", "units", "total", "max", "min", "sum", "weight", "nesting", "nested"}):
         return ColumnMeaning("size", size_word, placed=placed, half=half)
     if axis is not None:
-        if is_dims or words & {"d", "delta", "l", "len", "size"} or half:
+        if is_dims or words & {"d", "delta", "l", "len", "ext", "size"} or half:
             return ColumnMeaning("size", axis, placed=placed, half=half)
         if everything & {"rotation", "rot", "angle", "angles", "euler"}:
             return ColumnMeaning("euler", axis)

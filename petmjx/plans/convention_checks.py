@@ -44,6 +44,9 @@ LIGHTEST_KG_M3: Final = 2.0
 HEAVIEST_KG_M3: Final = 20_000.0
 """Smallest and largest possible density of a whole plan, kg/m³. Air has 1.2 kg/m³, crisps in cartons have 30 and gold
 has 19,300."""
+LIGHTEST_BOX_KG_M3, HEAVIEST_BOX_KG_M3 = 2.0, 5000.0
+"""Densities outside these limits, kg/m³, suggest wrong weights or lengths. The lower limit is below the density of
+foam, and the upper limit above the density of iron parts."""
 _USUAL_KG_M3: Final = 300.0
 _USUAL_M3: Final = 0.015
 """Usual density and volume of a carton, from BED-BPP's orders. A plan is too dense by a factor of 1000 if masses in
@@ -298,7 +301,7 @@ def with_conventions(plan_set: PlanSet, extent_mm: tuple[float, float] | None) -
         plan for plan in plan_set.plans if plan.source not in plan_set.readings
     ]  # plans of other tools have already been converted to petmjx's convention
     own_odd = [layout for layout in odd if layout.source not in plan_set.readings]
-    conventions = find_conventions(own_plans, own_odd, extent_mm)
+    conventions = [*find_conventions(own_plans, own_odd, extent_mm), *odd_boxes(plan_set.plans)]
     return replace(plan_set, warnings=odd, conventions=[*readings, *conventions])
 
 
@@ -430,6 +433,27 @@ def _from_the_middle(plan: Plan, way: Convention | None, extent_mm: tuple[float,
 def densities_kg_m3(plan: Plan) -> FloatArray:
     """(n,) density of each box, kg/m³."""
     return np.asarray(plan.mass_kg / (plan.size_mm.prod(axis=1) / _MM3_PER_M3))
+
+
+def odd_boxes(plans: Sequence[Plan]) -> list[str]:
+    """A list with one line about boxes with implausible densities, such as one of 5,000 kg among boxes of 5 kg. The
+    list is empty if there are no such boxes, or if most boxes have such densities: then other lines tell it."""
+    if not plans:
+        return []
+    volume = np.concatenate([plan.size_mm for plan in plans]).prod(axis=1) / _MM3_PER_M3
+    density = np.concatenate([plan.mass_kg for plan in plans]) / volume
+    (odd,) = np.nonzero((density < LIGHTEST_BOX_KG_M3) | (density > HEAVIEST_BOX_KG_M3))
+    if not len(odd) or 2 * len(odd) > len(density):
+        return []
+    oddest = int(odd[np.abs(np.log(density[odd] / _USUAL_KG_M3)).argmax()])
+    ends = np.cumsum([plan.n_boxes for plan in plans])
+    index = int(np.searchsorted(ends, oddest, side="right"))
+    plan = plans[index]
+    box = oddest - int(ends[index]) + plan.n_boxes
+    weight = f"{three_digits(float(plan.mass_kg[box]))} kg, {three_digits(float(density[oddest]))} kg/m³"
+    limits = f"not between {LIGHTEST_BOX_KG_M3:g} and {HEAVIEST_BOX_KG_M3:,g} kg/m³"
+    count = f"; {len(odd):,} such boxes in all" if len(odd) > 1 else ""
+    return [f"{plan.source}: plan {printable_name(plan.plan_id)}: {_box(plan, box)} has {weight}, {limits}{count}"]
 
 
 def _odd_densities(plans: Sequence[Plan]) -> dict[str, tuple[Convention, str]]:

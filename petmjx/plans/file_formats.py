@@ -116,7 +116,10 @@ def looks_like_own_json(data: bytes | bytearray) -> bool:
 def is_of_other_tools(data: bytes | bytearray) -> bool:
     """Whether bytes may be a sheet, an array, a scene, XML or a web page of another tool. The bytes are known not to be
     UTF-8 text in one of petmjx's forms."""
-    return bytes(data[:6]).startswith(_OTHER_TOOLS) or _MARKUP.match(data) is not None
+    begin = bytes(data[: 1 << 10])
+    if (encoding := wide_encoding(data)) is not None:
+        begin = begin.decode(encoding, "ignore").encode()
+    return begin.startswith(_OTHER_TOOLS) or _MARKUP.match(begin) is not None
 
 
 def looks_like_json(data: bytes | bytearray) -> bool:
@@ -153,7 +156,7 @@ def wide_encoding(data: bytes | bytearray) -> str | None:
     head = bytes(data[:4])
     marked = next((name for mark, name in _MARKS if head.startswith(mark)), None)
     if marked == "utf-16":  # in Windows-1252, the two bytes of the mark are letters
-        return marked if b"\0" in data[2:4] or len(data) == 2 else None
+        return marked if b"\0" in data[2 : 1 << 12] or len(data) == 2 else None
     if marked is not None:
         return marked
     name = _ZEROS.get(tuple(map(bool, head)))

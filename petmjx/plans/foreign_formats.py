@@ -21,7 +21,7 @@ from petmjx.plans.numpy_arrays import loaded_array, loaded_arrays, sources_of_ar
 from petmjx.plans.printed_values import printed_values, values_of_blocks, values_of_lines
 from petmjx.plans.python_objects_and_py3dbp import is_printed_object, python_values, source_of_printed
 from petmjx.plans.raw_cells import cell_number
-from petmjx.plans.raw_tables import BoxList, RawTable, not_placed, rows_with_boxes, united, with_titles
+from petmjx.plans.raw_tables import BoxList, RawTable, not_placed, rows_with_boxes, united, with_names_of, with_titles
 from petmjx.plans.scene_files import is_gltf, is_three_js, source_of_gltf, source_of_scene, source_of_three_js
 from petmjx.plans.table_sections import are_unplaced
 from petmjx.plans.text_tables import decoded_text
@@ -174,19 +174,18 @@ def _sources_of_markup(text: str) -> list[BoxSource]:
     Raises:
         InputError: the text has no lists of boxes.
     """
-    kind = foreign_kind(text.encode()[:4096]) or "is XML of another kind"
     if re.search(r"<table[\s>]", text, re.IGNORECASE) and re.search(r"<t[dh][\s>]", text, re.IGNORECASE):
         return sources_of_tables(tables_of_page(text), "a web page (HTML)")
-    try:
-        if sources := _sources_of_value(value_of_xml(text), "XML"):
-            return [replace(source, form=X3D) for source in sources] if re.search(r"<X3D[\s>]", text) else sources
-    except InputError:
-        pass
-    raise NoBoxes(kind)
+    if "HTML" in (kind := foreign_kind(text.encode()[:4096]) or ""):
+        raise NoBoxes(kind)
+    if not (sources := _sources_of_value(value_of_xml(text), "XML")):
+        raise NoBoxes("is XML without a list of boxes: petmjx looks for elements with places and sizes")
+    return [replace(source, form=X3D) for source in sources] if re.search(r"<X3D[\s>]", text) else sources
 
 
 def sources_of_tables(raw_tables: Sequence[RawTable], kind: str) -> list[BoxSource]:
-    """Turn tables into lists of boxes. Tables with the same header are joined into one list.
+    """Turn tables into lists of boxes. Tables whose columns of sizes and places have the same names, or names with the
+    same meanings, are joined into one list.
 
     Args:
         kind: kind of the file, in words.
@@ -198,6 +197,10 @@ def sources_of_tables(raw_tables: Sequence[RawTable], kind: str) -> list[BoxSour
         if n_unplaced and table in unplaced:
             continue
         key = geometric_names(table.header) if table.has_header else table.header
+        for other_key, (first, *_) in groups.items() if table.has_header and key not in groups else ():
+            renamed = with_names_of(table, first)
+            if geometric_names(renamed.header) == other_key:
+                key, table = other_key, renamed
         groups.setdefault(key, []).append(table)
     sources = []
     for tables in groups.values():

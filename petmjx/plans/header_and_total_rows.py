@@ -184,8 +184,9 @@ def computed_row(table: RawTable, rows: Sequence[int]) -> str:
         rows: indices of the rows of one plan.
 
     The sizes, places and weights of the last row must all be sums, or all be means. At least two numbers of the row
-    must clearly be sums or means. A single sum or mean is not enough. A box on two smaller boxes may have the sum of
-    their lengths, and a box in the middle of a layer of equal boxes has their mean place. If a table has petmjx's own
+    must clearly be sums or means. A single sum or mean is not enough: a box on two smaller boxes may have the sum of
+    their lengths, and a box in the middle of a layer of equal boxes has their mean place. A single sum is enough if the
+    row has no sizes and no places. If a table has petmjx's own
     column names and no places, its last row is never taken for a row of means: it is more likely a medium-sized box. If
     all rows have articles, the last row is not taken for a row of means either.
     """
@@ -210,7 +211,7 @@ def computed_row(table: RawTable, rows: Sequence[int]) -> str:
     for kind, index in columns:
         number = cell_number(last[index], table.decimal)
         if number is None:
-            if last[index] is not None:
+            if last[index] is not None and kind not in ("sequence", "number"):
                 return ""
             continue
         above = [cell_number(table.rows[row][index], table.decimal) for row in rows[:-1]]
@@ -228,7 +229,8 @@ def computed_row(table: RawTable, rows: Sequence[int]) -> str:
         n_goods += varies and kind not in _PLACES
         if not sums and not means:
             return ""
-    return "the sums" if sums and n_sums > 1 else "the means" if means and n_means > 1 and n_goods else ""
+    has_geometry = any(last[index] is not None for index in geometric_columns(table.header))
+    return "the sums" if sums and n_sums > has_geometry else "the means" if means and n_means > 1 and n_goods else ""
 
 
 def _names_box(articles: Iterable[Any]) -> bool:

@@ -14,7 +14,9 @@ from petmjx.common.text import count_text
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.column_extraction import LAST_CELLS, role_of
-from petmjx.plans.column_names import LENGTH_UNITS, limits_in, names_deck
+from petmjx.plans.column_names import DENSITY_UNITS, LENGTH_UNITS, MASS_UNITS, UNIT_WORDS, names_deck
+from petmjx.plans.convention_checks import HEAVIEST_BOX_KG_M3, LIGHTEST_BOX_KG_M3
+from petmjx.plans.input_conventions import Limits
 from petmjx.plans.nested_containers import FLAT
 from petmjx.plans.plan_fields import FARTHEST_MM, LARGEST_MM, SMALLEST_MM, coordinate_fault, positive_fault
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, shared_length
@@ -24,6 +26,18 @@ from petmjx.plans.reading_choice import container_of
 from petmjx.plans.readings import Reading, Wishes
 from petmjx.plans.size_and_place_columns import Geometry
 
+if TYPE_CHECKING:
+    from petmjx.plans.item_columns import ItemColumns
+
+USUAL_KG_M3: Final = 300.0
+"""Density of boxes if a file has no weights: that of cartons in BED-BPP's orders. Verdicts hardly depend on a density
+that is the same for all boxes."""
+_WATER_KG_M3: Final = 1000.0
+_RELATIVE: Final = 1.5
+"""If no density in a column without a unit exceeds this value, the densities are relative to the density of water."""
+_LEAST_KG_M3: Final = 25.0
+"""A column without a unit, and with a smaller median density, may be in another unit than kg/m³. Cartons of crisps have
+a density of 30 kg/m³ (1.9 lb/ft³), usual cartons 300 kg/m³ (19 lb/ft³)."""
 _OF_DECKS_MM: Final = ((380.0, 580.0), (1320.0, 1500.0))
 """Limits of the sides of a pallet, mm: the smallest short and long side, and the largest short and long side."""
 _HIGHEST_DECK_MM: Final = 250.0
@@ -92,14 +106,15 @@ def _deck_heights(
 
 def rows_below_deck(low: FloatArray, plans: Mapping[str, NDArray[np.int64]], size: FloatArray) -> set[int]:
     """Numbers of the rows of boxes below the deck, whose heights are probably wrong. A plan's deck is taken to be at
-    height 0 if the boxes below 0 have, together, less than half of the base area of the boxes at 0. Such boxes cannot
-    carry the boxes at 0."""
+    height 0 if the boxes below 0 cannot carry the boxes at 0: if they have, together, less than half of the base area
+    of the boxes at 0, or if there are fewer of them, and the top of none is at 0."""
     below: set[int] = set()
     area = size[:, 0] * size[:, 1]
     for rows in plans.values():
         small = _LEVEL * float(np.nanmedian(size[rows, 2]))
         lower, at_0 = (rows[where] for where in (low[rows, 2] < -small, np.abs(low[rows, 2]) <= small))
-        if np.nansum(area[lower]) < np.nansum(area[at_0]) / 2:
+        carries = (np.abs(low[lower, 2] + size[lower, 2]) <= small).any()
+        if np.nansum(area[lower]) < np.nansum(area[at_0]) / 2 or (len(lower) < len(at_0) and not carries):
             below |= {*lower.tolist()}
     return below
 

@@ -79,7 +79,7 @@ def load_plans(
     carrier_extent_mm: tuple[float, float] | None = None,
     units: str | None = None,
     anchor: Anchor | None = None,
-    up: Literal["x", "y", "z"] | None = None,
+    up: Literal["x", "y", "z", "-y", "-z"] | None = None,
     sizes: Literal["placed", "item"] | None = None,
     columns: Mapping[str, str] | str | None = None,
     density: float | None = None,
@@ -108,8 +108,8 @@ def load_plans(
         anchor: the point of a box that the plans' coordinates describe: ``corner`` (front-left-bottom), ``centre``,
             ``base-centre``, ``far-corner`` (with the largest x, y and z), ``top-centre``, ``corner-x`` (with the
             largest x only) and the like; None: the corner, or for files of other tools the most plausible point.
-        up: the vertical axis in files of other tools; None: the most plausible axis. ``up`` and all arguments after it
-            apply only to files of other tools.
+        up: the vertical axis in files of other tools; "-z": heights are counted downwards along z; None: the most
+            plausible axis. ``up`` and all arguments after it apply only to files of other tools.
         sizes: ``placed``: sizes of boxes as placed; ``item``: sizes before boxes are turned.
         columns: role (``length``, ``x``, ``weight`` …, see docs/plan-format.md) → name of its column, or "-".
         density: density of boxes that have no weight, kg/m³; None: 300.

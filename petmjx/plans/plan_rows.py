@@ -16,8 +16,9 @@ from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.column_extraction import IGNORED
-from petmjx.plans.column_names import PALLET_WORDS, words_of
+from petmjx.plans.column_names import PALLET_WORDS, may_count, words_of
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, gaps_mm
+from petmjx.plans.plausibility import n_before_support
 from petmjx.plans.raw_cells import cell_text
 from petmjx.plans.raw_tables import rows_by_name
 from petmjx.plans.reading_candidates import Candidate
@@ -28,6 +29,8 @@ _MANY_OVERLAP: Final = 0.3
 """If at least this share of the boxes overlaps, two pallets have probably been read as one."""
 _LEAST_OF_PALLETS: Final = 4
 """Smallest number of boxes in a file for which petmjx searches for a column that names the pallets."""
+_LARGEST_NUMBER: Final = 2**53
+"""Largest number of a packing order. Larger numbers of this type may be rounded."""
 _OF_STACKS: Final = frozenset(("stack", "stacks", "stack id", "stack_id", "stack no", "stack_no", "stackid"))
 """Names of columns that may name pallets, or stacks of one pallet."""
 
@@ -162,7 +165,7 @@ def packing_order(
 ) -> tuple[NDArray[np.int64], str, str]:
     """(n,) packing order of a plan's rows, from 1; the source of this order ("sequence", "rows" or "height"); and the
     name of the column of running numbers that is used as packing order ("": none). Adds notes to ``notes``."""
-    if columns.sequence is not None:
+    if columns.sequence is not None and not np.isnan(columns.sequence[rows]).all():
         return columns.sequence[rows].astype(np.int64), "sequence", ""
     order = np.arange(1, len(rows) + 1)
     possible = _can_be_placed(order, low, size)
@@ -175,9 +178,10 @@ def packing_order(
         if not possible:
             notes.append(f"packing order by {printable_name(name)}: rows are not in packing order")
             return counted.astype(np.int64), "sequence", name
-        notes.append(
-            f"{printable_name(name)} may be the packing order, too (--columns sequence={printable_name(name)})"
-        )
+        if may_count(name):
+            notes.append(
+                f"{printable_name(name)} may be the packing order, too (--columns sequence={printable_name(name)})"
+            )
     if not possible:
         order[np.argsort(low[:, 2], kind="stable")] = np.arange(1, len(rows) + 1)
         return order, "height", ""
@@ -188,13 +192,15 @@ def repeated_number(columns: BoxColumns, rows: NDArray[np.int64]) -> str | None:
     """The fault of a plan's packing order: a number that is repeated or is not whole. The result is None if there is no
     fault."""
     sequence, places = columns.sequence, columns.source.boxes.table.places
-    if sequence is None:
+    if sequence is None or np.isnan(sequence[rows]).all():
         return None
     name, first_rows = columns.columns["sequence"], dict[float, int]()
     for row in rows.tolist():
         value = float(sequence[row])
         if not value.is_integer():
             return f"{places[row]}: {name} must be a whole number, got {value:g}"
+        if abs(value) > _LARGEST_NUMBER:
+            return f"{places[row]}: {name} is too large, got {value:g}"
         if value in first_rows:
             plans = "" if columns.plan else "; several plans? then name their column: --columns plan=NAME"
             unused = f"no packing order? then --columns sequence={IGNORED}"
@@ -209,10 +215,12 @@ def _counts_all(values: FloatArray) -> bool:
 
 
 def _can_be_placed(order: NDArray[Any], low: FloatArray, size: FloatArray) -> bool:
-    """Whether, in this packing order, each box that lies on other boxes is placed after at least one of the boxes below
-    it."""
+    """Whether, in this packing order, each box that lies on other boxes is placed after all boxes that touch it from
+    below, and after at least one of the boxes below it."""
     by_order = np.argsort(order, kind="stable")
     low, size = low[by_order], size[by_order]
+    if n_before_support(low, size, DEFAULT_TOLERANCE_MM):
+        return False
     in_order = gaps_mm(low, size) > DEFAULT_TOLERANCE_MM
     at_all = gaps_mm(low, size, in_order=False) > DEFAULT_TOLERANCE_MM
     return not (in_order & ~at_all).any()

@@ -80,7 +80,10 @@ def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]
     heights = low[:, 2] - bottom
     offset = 0.0
     if abs(bottom) > tolerance:
-        offset = 1.0 if 0 < bottom < 1.2 * float(np.median(size[:, 2])) else 4.0
+        extent = float(((low + size).max(axis=0) - low.min(axis=0))[:2].max())
+        offset = 1.0 if 0 < bottom < max(1.2 * float(np.median(size[:, 2])), _HIGHEST_DECK * extent) else 4.0
+        if abs(bottom - float(np.median(size[heights <= tolerance, 2])) / 2) <= tolerance:
+            offset = 3.0  # heights are rather those of centres
         half = layout.container[2] / 2
         if not np.isnan(half) and abs(bottom + half) <= 2 * tolerance:
             offset = 0.8
@@ -128,6 +131,9 @@ def _floor_of(low: FloatArray, high: FloatArray, tolerance: float) -> float:
     return float(bottoms[0])
 
 
+_HIGHEST_DECK: Final = 0.2
+"""Largest height of a deck above the level from which heights are measured, as a share of the longest side of the
+load: a pallet of 800 mm is 144 mm high."""
 _FEW_BELOW: Final = 0.1
 """Boxes below a level count as errors of the file, and the level as the floor, only if they are at most this share of
 all boxes."""
@@ -213,13 +219,14 @@ _POINTS: Final = ((0.0, 0.0), (0.5, 0.5), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (0
 of the top, if y is the vertical axis."""
 
 
-def are_other_points(layout: Layout, mm: float, point: FloatArray) -> bool:
-    """Whether coordinates that were read as one point of each box, such as a corner, probably describe another point of
-    each box. The vertical axis may be z or y.
+def vote_for_other_points(layout: Layout, mm: float, point: FloatArray) -> int:
+    """1 if coordinates that were read as those of one point of each box, such as a corner, are probably those of
+    another point of each box; −1 if they are probably those of the given point; 0 if unknown. The vertical axis may be
+    z or y.
 
-    Two conditions must hold. If coordinates describe the other point, the load begins at a corner of the deck, or is
-    symmetric to the origin, along both horizontal axes. If coordinates describe the given point, neither is true of the
-    load. The origin may be a corner of the deck, or the middle of a deck.
+    The result is 1 under two conditions. If coordinates are read as those of the other point, the load begins at a
+    corner of the deck, or is symmetric to the origin, along both horizontal axes. If coordinates are read as those of
+    the given point, neither is true of the load. The origin may be a corner of the deck, or the middle of a deck.
 
     Args:
         mm: the unit of the layout's lengths, in millimetres.
@@ -231,18 +238,20 @@ def are_other_points(layout: Layout, mm: float, point: FloatArray) -> bool:
     decks += [(0.0, 0.0), *((short, long) for long, short in decks)]
     if not np.isnan(layout.container[:2]).any():
         decks = [(0.0, 0.0), (float(layout.container[0]), float(layout.container[1]))]
+    fit_given_point = []
     for level in ((0, 1), (0, 2)):
         low, size = layout.low[:, level], layout.size[:, level]
         others = [low + size * (point[list(level)] - other) for other in _POINTS]
         extents = [(begin.min(axis=0), (begin + size).max(axis=0)) for begin in (low, *others)]
-        as_corners, *as_others = (
+        as_given, *as_others = (
             bool(np.abs(begin + end).max() <= tolerance)
             or any(float(np.abs(begin + np.array(deck) / 2).max()) <= tolerance for deck in decks)
             for begin, end in extents
         )
-        if any(as_others) and not as_corners:
-            return True
-    return False
+        if any(as_others) and not as_given:
+            return 1
+        fit_given_point.append(as_given)
+    return -1 if fit_given_point[0] else 0
 
 
 def order_cost(layouts: Sequence[Layout]) -> float:
@@ -258,20 +267,25 @@ def order_cost(layouts: Sequence[Layout]) -> float:
     return min(_cost_in_order(layouts, 1), _cost_in_order(layouts, -1))
 
 
+def are_listed_downwards(layouts: Sequence[Layout]) -> bool:
+    """Whether boxes cannot have been placed in the order in which they are listed, but in the reversed order."""
+    return _cost_in_order(layouts, -1) < _EARLY_BOX_COST <= _cost_in_order(layouts, 1)
+
+
 def _cost_in_order(layouts: Sequence[Layout], direction: int) -> float:
     """The cost of placing boxes in the listed order (``direction`` 1) or in the reversed order (-1)."""
-    falls, rises, n_late = np.zeros(3), np.zeros(3), 0
+    falls, rises, n_early = np.zeros(3), np.zeros(3), 0
     for layout in layouts:
         tolerance = _tolerance_of(layout)
         low, size = layout.low[::direction], layout.size[::direction]
         steps = np.diff(low, axis=0)
         falls += (steps < -tolerance).sum(axis=0)
         rises += (steps > tolerance).sum(axis=0)
-        n_late += _n_late(low[:_SMALL_LOAD], size[:_SMALL_LOAD], tolerance)
+        n_early += n_before_support(low[:_SMALL_LOAD], size[:_SMALL_LOAD], tolerance)
     fewest = min((falls[axis] for axis in (0, 1) if rises[axis]), default=math.inf)
     is_ordered = fewest <= _MOST_FALLS * sum(len(layout.low) - 1 for layout in layouts)
     more = float(falls[2] - fewest) / math.sqrt(falls[2] + fewest) if is_ordered and falls[2] > fewest else 0.0
-    return min(_FALL_COST * more + _LATE_BOX_COST * n_late, _LARGEST_ORDER_COST)
+    return min(_FALL_COST * more + _EARLY_BOX_COST * n_early, _LARGEST_ORDER_COST)
 
 
 _LARGEST_ORDER_COST: Final = 2.4
@@ -285,13 +299,13 @@ level coordinate."""
 _MOST_FALLS: Final = 0.2
 """Boxes count as listed along a level axis only if their coordinates along this axis fall in at most this share of the
 steps from one box to the next."""
-_LATE_BOX_COST: Final = 0.8
+_EARLY_BOX_COST: Final = 0.8
 """Cost of each box that is listed before a box on which it rests. None of the plans with which ``order_cost`` was
 measured has such a box. If these plans are read along another vertical axis, 42 to 46 % (``baseline``) and 66 to 69 %
 (``balanced``) of them have such a box."""
 
 
-def _n_late(low: FloatArray, size: FloatArray, tolerance: float) -> int:
+def n_before_support(low: FloatArray, size: FloatArray, tolerance: float) -> int:
     """Number of boxes that are listed before a box on which they rest."""
     high = low + size
     carries = np.abs(np.subtract.outer(high[:, 2], low[:, 2])) <= tolerance  # rows are lower boxes
@@ -312,11 +326,20 @@ def is_wall(layout: Layout) -> bool:
 _LEAST_OF_WALL: Final = 4  # fewer boxes may be a bridge, which people build to try a simulator
 
 
-def begin_at_different_heights(layouts: Sequence[Layout]) -> bool:
-    """Whether the lowest boxes of several plans are at different heights, and no plan has its lowest box at 0."""
-    bottoms = [float(layout.low[:, 2].min()) for layout in layouts if np.isnan(layout.container[2])]
+def share_at_other_heights(layouts: Sequence[Layout]) -> float:
+    """Share of plans that do not begin at the height at which most plans of the file begin. If a plan begins at 0, the
+    others may also begin at the height of any of its boxes, since a plan may lack its bottom layer."""
+    low = [layout.low[:, 2] for layout in layouts if np.isnan(layout.container[2])]
+    if not low:
+        return 0.0
     tolerance = max(map(_tolerance_of, layouts))
-    return bool(bottoms) and max(bottoms) - min(bottoms) > tolerance and min(map(abs, bottoms)) > tolerance
+    bottoms = np.array([heights.min() for heights in low])
+    is_alike = np.abs(np.subtract.outer(bottoms, bottoms)) <= tolerance
+    at_deck = [heights for heights in low if abs(heights.min()) <= tolerance]
+    if at_deck:
+        is_alike = np.abs(np.subtract.outer(np.concatenate(at_deck), bottoms)) <= tolerance
+        return 1.0 - float(is_alike.any(axis=0).mean())
+    return 1.0 - float(is_alike.mean(axis=1).max())
 
 
 def same_layouts(one: Sequence[Layout], other: Sequence[Layout]) -> bool:

@@ -55,11 +55,11 @@ def pose_choices(extraction: ColumnExtraction) -> list[Geometry]:
         rotations, scale = _without_scale(rotations)
         if sizes is None and np.allclose(scale, 1.0, equal_nan=True):
             return []
-        size, axes, unit, _, columns = sizes or Sizes(np.ones((n, 3)), XYZ, "", False, {})
+        size, axes, unit, _, columns, anchor = sizes or Sizes(np.ones((n, 3)), XYZ, "", False, {})
         if not np.allclose(size, scale, rtol=1e-3, equal_nan=True):  # else the matrices only repeat the sizes
             size = size * scale
             _check_scales(extraction, scale, matrix)
-        geometry = Geometry(size, places, axes, unit, unit, columns={**columns, "pose": header[matrix]})
+        geometry = Geometry(size, places, axes, unit, unit, anchor, columns={**columns, "pose": header[matrix]})
         return [_turned(extraction, geometry, rotations, matrix)]
     options = (
         _quaternions(extraction) or _angles(extraction) or _turning_matrices(extraction) or _frames(extraction)
@@ -74,7 +74,8 @@ def pose_choices(extraction: ColumnExtraction) -> list[Geometry]:
     for number, (rotation, named, index) in enumerate(options):
         if tilted[number] == min(tilted):
             columns = {**sizes.columns, **at.columns, **named}
-            geometry = Geometry(sizes.size, at.place, sizes.axes, sizes.unit, at.unit, at.anchor, columns=columns)
+            anchor = at.anchor or sizes.anchor
+            geometry = Geometry(sizes.size, at.place, sizes.axes, sizes.unit, at.unit, anchor, columns=columns)
             geometries.append(_turned(extraction, replace(geometry, prior=0.4 * number), rotation, index))
     return geometries
 
@@ -197,7 +198,7 @@ def _turned(extraction: ColumnExtraction, geometry: Geometry, rotation: FloatArr
         is_rotation_of_box = cosine.max() <= 1 + _ROUNDED_SCALE
         fault = f"is turned by {degrees:.3g}° out of right angles: only level boxes at right angles"
         extraction.bad(int(row), index, fault if is_rotation_of_box else "is no rotation")
-    return replace(geometry, placed=True, turn=np.abs(np.rint(rotation)))
+    return replace(geometry, placed=True, turn=np.rint(rotation))
 
 
 def _roles(role: str, names: Sequence[str]) -> dict[str, str]:

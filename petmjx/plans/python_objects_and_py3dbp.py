@@ -159,7 +159,7 @@ def source_of_printed(text: str) -> BoxSource | None:
             fields[entry[1]] = entry[2].strip()
         elif plain.startswith("***"):
             end_fields()
-        elif "pos(" in plain and not unfitted:
+        elif ("pos(" in plain or re.match(r"=+>", plain)) and not unfitted:
             lost.append((f"line {number}", f"is no box as py3dbp prints it: {printable_name(plain)}"))
     end_fields()
     if not rows and not lost:

@@ -86,6 +86,25 @@ def united(tables: Sequence[RawTable]) -> RawTable:
     )
 
 
+def with_names_of(table: RawTable, first: RawTable) -> RawTable:
+    """The table, in which a column whose name has the same meaning as that of another table's column gets the other
+    name ("Pos. X [mm]" → "X [mm]"). The meaning must be known, and no further column of the two tables may have it."""
+    meanings, others = (
+        [meaning and replace(meaning, letter=False) for meaning in column_meanings(header)]
+        for header in (table.header, first.header)
+    )
+    names = {
+        meaning: first.header[others.index(meaning)]
+        for meaning in meanings
+        if meaning is not None and meanings.count(meaning) == others.count(meaning) == 1
+    }
+    header = tuple(
+        name if meaning is None else names.get(meaning, name)
+        for name, meaning in zip(table.header, meanings, strict=True)
+    )
+    return replace(table, header=header) if len(set(header)) == len(header) else table
+
+
 def with_titles(tables: Sequence[RawTable]) -> Sequence[RawTable]:
     """Tables whose places begin with the title of the table: "row 5" → "Sheet 1, row 5". If all tables have the same
     title, the places are not changed."""

@@ -10,15 +10,18 @@ from itertools import chain, permutations
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.column_extraction import SIZE_WORDS, XYZ, role_of
-from petmjx.plans.column_names import LENGTH_UNITS, words_of
+from petmjx.plans.column_names import LENGTH_UNITS, word_set, words_of
 from petmjx.plans.input_conventions import ANCHORS
+from petmjx.plans.known_forms import SCENE
 from petmjx.plans.plausibility import Layout
-from petmjx.plans.readings import Wishes
+from petmjx.plans.readings import POSES, Wishes
 from petmjx.plans.size_and_place_columns import Geometry
+from petmjx.plans.turn_columns import Turns
 
 _SIX: Final = np.array([(0, 1, 2), (1, 0, 2), (1, 2, 0), (2, 1, 0), (2, 0, 1), (0, 2, 1)])
 """py3dbp's ``rotation_type`` → which of width, height and depth lies along each of the three axes (as in its function
@@ -34,12 +37,15 @@ _GUESSED_TURNS: Final = 2.0
 _TURNED_ARRAY: Final = 0.6
 """Cost of a reading with the sizes of boxes before they are turned, for an array without column names. Arrays mostly
 come from programs that train packers, and have sizes as placed."""
+_PLACED_POINT_COST: Final = 0.8
+"""Cost of a reading in which coordinates of poses are those of a corner, or of the centre of the base or the top, of
+the box as placed. By its definition, a pose turns a box about the point that its coordinates describe."""
 _FIRM_COST: Final = 3.0
 """Cost of a reading that contradicts what is known from the form of the file, the names of its columns, or the
 rotations."""
 
 
-_UP: Final = {"z": (0, 1, 2), "y": (0, 2, 1), "x": (1, 2, 0)}
+_UP: Final = {"z": (0, 1, 2), "y": (0, 2, 1), "x": (1, 2, 0), "-z": (0, 1, 2), "-y": (0, 2, 1)}
 """The file's vertical axis → the file's axes (by their numbers) along the plan's x, y and z."""
 
 
@@ -73,9 +79,13 @@ class Candidate:
     @property
     def point(self) -> FloatArray:
         """(3,) the anchor, as shares of the extents along the plan's axes. The names of corners refer to the file's
-        axes."""
+        axes: the corner with the smallest coordinates is an upper one if heights are counted downwards."""
         point = np.array(ANCHORS[self.anchor])
-        return point[list(_UP[self.up])] if self.anchor.startswith("corner-") else point
+        if self.anchor.startswith("corner-"):
+            point = point[list(_UP[self.up])]
+        if self.up.startswith("-") and "corner" in self.anchor:
+            point[2] = 1 - point[2]
+        return point
 
     @property
     def along(self) -> tuple[str, str, str]:
@@ -89,23 +99,54 @@ def turned_sizes(columns: BoxColumns, candidate: Candidate) -> FloatArray:
     geometry = candidate.geometry
     size = geometry.size[:, candidate.pair]
     if geometry.turn is not None:
-        turned: FloatArray = np.einsum("nij,nj->ni", geometry.turn, np.nan_to_num(size, nan=np.nan))
+        turned: FloatArray = np.einsum("nij,nj->ni", np.abs(geometry.turn), np.nan_to_num(size, nan=np.nan))
         return turned
     turns = columns.turns
     if candidate.rule == "none" or turns is None:
         return size
-    if candidate.rule == "letters":
-        assert turns.letters is not None
-        return np.take_along_axis(geometry.size, turns.letters, axis=1)
-    codes = np.maximum(turns.codes, 0)
     if candidate.rule in ("swap", "swap back", "degrees"):
+        codes = np.maximum(turns.codes, 0)
         first, second, _ = _UP[candidate.up]
         level = [{first: second, second: first}.get(axis, axis) for axis in range(3)]
         odd = codes % 2 == (candidate.rule != "swap back")
         return np.where(odd[:, None], size[:, level], size)
-    first = 1 if candidate.rule.endswith("from 1") else 0
-    six = _PERMUTATIONS if candidate.rule.startswith("permutations") else _SIX
-    return np.take_along_axis(size, six[np.clip(codes - first, 0, 5)], axis=1)
+    placed_sides = _sides_along_axes(turns, candidate.rule)
+    return np.take_along_axis(geometry.size if candidate.rule == "letters" else size, placed_sides, axis=1)
+
+
+def _sides_along_axes(turns: Turns, rule: str) -> NDArray[np.int64]:
+    """(n, 3) which of the three sizes of each box lies along each of the file's axes, for rules that may turn a box
+    about any axis."""
+    if rule == "letters":
+        assert turns.letters is not None
+        return turns.letters
+    first = 1 if rule.endswith("from 1") else 0
+    six = _PERMUTATIONS if rule.startswith("permutations") else _SIX
+    sides: NDArray[np.int64] = six[np.clip(np.maximum(turns.codes, 0) - first, 0, 5)]
+    return sides
+
+
+_TIPPED_COST, _TIPPED_NEXT_COST = 1.5, 1.0
+"""Costs of a reading in which some boxes are tipped on a side. The second cost holds if py3dbp's rotations are only 0
+and 1, since py3dbp tries 1 next if a box does not fit unturned, whichever axis is the vertical."""
+
+
+def tipping_cost(columns: BoxColumns, candidate: Candidate, rows: NDArray[np.int64]) -> float:
+    """How implausible it is that boxes are turned as in a reading: boxes on pallets mostly stay upright, so the same
+    side of all boxes is vertical.
+
+    Args:
+        rows: numbers of the rows that are examined.
+    """
+    turns, sizes = columns.turns, candidate.geometry.size[rows]
+    if turns is None or candidate.rule in ("none", "swap", "swap back", "degrees", *POSES):
+        return 0.0
+    sides = _sides_along_axes(turns, candidate.rule)[rows, axis_up(candidate.up)]
+    is_cube = np.ptp(sizes, axis=1) == 0  # its rotation shows nothing
+    if len(set(sides[~is_cube].tolist())) < 2:
+        return 0.0
+    codes = set(turns.codes[rows].tolist())
+    return _TIPPED_NEXT_COST if candidate.rule == "py3dbp" and codes <= {0, 1} else _TIPPED_COST
 
 
 def layout_of(columns: BoxColumns, candidate: Candidate, container: Mapping[str, float] | None = None) -> Layout:
@@ -114,8 +155,18 @@ def layout_of(columns: BoxColumns, candidate: Candidate, container: Mapping[str,
     size = turned_sizes(columns, candidate) * candidate.scale
     place = candidate.geometry.place
     order = _UP[candidate.up]
+    if candidate.rule == POSES[1] and (turn := candidate.geometry.turn) is not None:
+        # from the point of the box before it is turned to the same point of the box as placed
+        point = np.empty(3)
+        point[list(order)] = candidate.point
+        unturned = candidate.geometry.size[:, candidate.pair] * candidate.scale
+        place = place + np.einsum("nij,nj->ni", turn, (0.5 - point) * unturned) - (0.5 - point) * size
     size, place = size[:, order], place[:, order]
+    if candidate.up.startswith("-"):
+        place[:, 2] *= -1
     low = place - candidate.point * size
+    if candidate.up.startswith("-") and np.nanmax(low[:, 2] + size[:, 2]) <= 0:
+        low[:, 2] -= np.nanmin(low[:, 2])  # heights are measured from the top
     extents = _container_along(candidate, container or {}, order)
     if candidate.up == "y" and container and container.keys() == {"0", "1", "2"}:
         listed = np.array([container[axis] for axis in "012"])  # perhaps length, width, height, not x, y, z
@@ -155,6 +206,12 @@ def candidates(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
                         continue
                     for anchor, anchor_prior in _anchors(geometry, form.anchor, wishes):
                         prior = geometry.prior + up_prior + pair_prior + rule_prior + anchor_prior
+                        if geometry.turn is not None and not wishes.rule:
+                            if anchor == "centre" or (geometry.turn == np.eye(3)).all():
+                                if rule == POSES[1]:
+                                    continue  # both rules place all boxes alike
+                            elif rule == POSES[0]:
+                                prior += _PLACED_POINT_COST
                         yield Candidate(geometry, pair, up, anchor, rule, prior, scale)
 
 
@@ -162,6 +219,8 @@ def _ups(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tuple[
     if wishes.up:
         return [(wishes.up, 0.0)]
     form = columns.source.form
+    if form.name == SCENE.name:
+        return [(form.up, 0.0)]
     named_axis = form.up or geometry.named_up
     if named_axis:
         return [(up, 0.0 if up == named_axis else _FIRM_COST) for up in ("z", "y")]
@@ -187,6 +246,33 @@ def candidates_on_side(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidat
             yield replace(candidate, prior=candidate.prior + X_UP_COST)
 
 
+def candidates_downwards(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
+    """Yield all readings in which heights are counted downwards along z or y, unless names, the form or the caller give
+    the vertical."""
+    form = columns.source.form
+    free = [geometry for geometry in columns.geometries if not geometry.named_up]
+    for geometry in () if wishes.up or form.up else free:
+        for up, axis, up_cost in (("-z", 2, 0.0), ("-y", 1, 1.0)):
+            tops = geometry.place[:, axis]
+            if geometry.anchor == "corner" and geometry.axes == XYZ:
+                tops = tops + geometry.size[:, axis]
+            is_below = np.nanmax(tops, initial=-math.inf) <= 0 and np.nanmin(tops, initial=0.0) < 0
+            up_cost += _DOWNWARDS_COST if is_below else _DOWNWARDS_ABOVE_0_COST
+            ways = [(replace(wishes, up=up), up_cost)]
+            if not (wishes.anchor or form.anchor or geometry.anchor):
+                ways.append((replace(wishes, up=up, anchor=f"corner{up}"), up_cost + _LOWER_CORNER_COST))
+            for chosen, cost in ways:
+                for candidate in candidates(replace(columns, geometries=[geometry]), chosen):
+                    yield replace(candidate, prior=candidate.prior + cost)
+
+
+_DOWNWARDS_COST, _DOWNWARDS_ABOVE_0_COST = 2.0, 4.5
+"""Costs of a reading in which heights are counted downwards: if no height is above 0, and if some heights are."""
+_LOWER_CORNER_COST: Final = 0.3
+"""Cost of a reading in which heights are counted downwards, and coordinates are those of the lower corner, which has
+the largest height, instead of the upper one."""
+
+
 def candidates_of_corners(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
     """Yield the readings in which coordinates describe a corner that ``candidates`` does not try. Yield none if names,
     the form or the caller say which point of a box coordinates describe."""
@@ -203,12 +289,12 @@ def _turning_axis(turn: FloatArray) -> str:
     turned about the vertical. The result is "" if no box is turned, or boxes are turned about several axes.
 
     Args:
-        turn: (n, 3, 3) absolute values of rotation matrices.
+        turn: (n, 3, 3) rotation matrices.
     """
-    is_turned = np.isfinite(turn).all(axis=(1, 2)) & (turn != np.eye(3)).any(axis=(1, 2))
+    is_turned = np.isfinite(turn).all(axis=(1, 2)) & (np.abs(turn) != np.eye(3)).any(axis=(1, 2))
     if not is_turned.any():
         return ""
-    fixed = [bool((turn[is_turned, axis, axis] == 1).all()) for axis in range(3)]
+    fixed = [bool((np.abs(turn[is_turned, axis, axis]) == 1).all()) for axis in range(3)]
     return "y" if fixed == [False, True, False] else "z" if fixed == [False, False, True] else ""
 
 
@@ -269,7 +355,7 @@ def _is_of_scene(geometry: Geometry) -> bool:
 
 def _rules(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tuple[str, float]]:
     if geometry.turn is not None:
-        return [("pose", 0.0)]
+        return [(rule, 0.0) for rule in (POSES if wishes.rule not in POSES else (wishes.rule,))]
     if columns.turns is None or wishes.sizes == "placed":
         return [("none", 0.0)]
     if wishes.rule and (wishes.rule == "none" or wishes.rule in columns.turns.rules):
@@ -278,7 +364,7 @@ def _rules(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tupl
     named_rule = wishes.sizes or form.sizes or ("placed" if geometry.placed else "")
     rules = []
     for number, rule in enumerate(columns.turns.rules):
-        if form.rule and rule != form.rule:
+        if form.rule in columns.turns.rules and rule != form.rule:
             continue
         if rule == "py3dbp" and number and not form.rule and "type" not in columns.turns.column.lower():
             continue
@@ -290,6 +376,7 @@ def _rules(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tupl
     turned = _FIRM_COST if named_rule == "placed" else 0.0
     if not named_rule:
         hint = _sizes_by_article(columns, geometry) or _sizes_by_length(columns, geometry)
+        hint = hint or _sizes_by_name(columns, geometry)
         placed, turned = placed + (2.5 if hint == "item" else 0.0), turned + (2.5 if hint == "placed" else 0.0)
     return [("none", placed), *((rule, prior + turned) for rule, prior in rules)]
 
@@ -344,6 +431,20 @@ def _sizes_by_length(columns: BoxColumns, geometry: Geometry) -> str:
     if unturned_share < _LONGER_SHARE:
         return ""
     return "item" if turned_share >= _LONGER_SHARE else "placed" if turned_share <= 1 - _LONGER_SHARE else ""
+
+
+_OF_ITEMS: Final = word_set("item article sku product original nominal unrotated")
+_OF_YAWS: Final = word_set("yaw theta heading azimuth psi")
+"""Words in names of sizes, and in the name of a column of rotations, that mean sizes before the box is turned."""
+
+
+def _sizes_by_name(columns: BoxColumns, geometry: Geometry) -> str:
+    """Whether sizes are those of the item, as names say. The result is "" if names do not say it."""
+    roles = {*map(role_of, geometry.axes), "sizes"}
+    names = [name for role, name in geometry.columns.items() if role in roles]
+    is_item = bool(names) and all(_OF_ITEMS.intersection(words_of(name)) for name in names)
+    is_yaw = columns.turns is not None and bool(_OF_YAWS.intersection(words_of(columns.turns.column)))
+    return "item" if is_item or is_yaw else ""
 
 
 def _anchors(geometry: Geometry, known: str, wishes: Wishes) -> list[tuple[str, float]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
@@ -17,8 +17,7 @@ from petmjx.plans.column_extraction import LAST_CELLS, XYZ
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS
 from petmjx.plans.plausibility import (
     Layout,
-    are_other_points,
-    begin_at_different_heights,
+    are_listed_downwards,
     converted_share,
     deck_cost,
     density_cost,
@@ -29,10 +28,30 @@ from petmjx.plans.plausibility import (
     load_fit,
     order_cost,
     same_layouts,
+    share_at_other_heights,
     side_cost,
+    vote_for_other_points,
 )
-from petmjx.plans.reading_candidates import Candidate, candidates, candidates_of_corners, candidates_on_side, layout_of
-from petmjx.plans.readings import AmbiguousFile, Evidence, Reading, Wishes, differences, overlap_text, tie_text
+from petmjx.plans.reading_candidates import (
+    Candidate,
+    candidates,
+    candidates_downwards,
+    candidates_of_corners,
+    candidates_on_side,
+    layout_of,
+    tipping_cost,
+)
+from petmjx.plans.readings import (
+    POSES,
+    AmbiguousFile,
+    Evidence,
+    Reading,
+    Wishes,
+    differences,
+    implausible_text,
+    tie_text,
+    up_words,
+)
 from petmjx.plans.size_and_place_columns import Geometry
 
 TIE: Final = 1.5
@@ -51,12 +70,13 @@ WEAK_LEAD: Final = 3.0
 """A weak reading (see ``WEAK``) wins only if its cost is lower than the cost of every other reading by at least this
 value. If a plan really has odd boxes, even more boxes are odd in wrong readings."""
 _OTHER_POINT_COST: Final = 3.6
-"""Cost of a reading in which coordinates describe corners, if they probably describe other points
-(``are_other_points``). For a reading with coordinates of centres, the cost is half as large: such coordinates may
-describe the middles of tops, if y is the vertical axis."""
+"""Cost of a reading in which coordinates are those of corners, if they are probably those of other points
+(``vote_for_other_points``). For a reading with coordinates of centres, the cost is half as large: such coordinates may
+be those of the middles of tops, if y is the vertical axis."""
 _WALL_COST: Final = 2.0
-"""Cost of a reading in which boxes form a wall (``is_wall``). If y is as likely to be the vertical as z, and the file
-has more than a few boxes, the reading as a flat layer wins. Otherwise, the user is asked for the vertical axis."""
+"""Cost of a reading in which boxes form a wall (``is_wall``) in all plans; if some plans are walls, their share of the
+cost. If y is as likely to be the vertical as z, and the file has more than a few boxes, the reading as a flat layer
+wins; else the user is asked for the vertical axis."""
 _MOST_BOXES: Final = 400
 _MOST_PLANS: Final = 12
 """Largest number of boxes, and largest number of plans, that are used to judge readings. The chosen reading applies to
@@ -98,7 +118,8 @@ class _Judged:
         rows: the row numbers of all boxes of the layouts.
         units: all choices of units, cheapest first. The costs of units depend on which sides of the load lie on the
             deck.
-        order_cost: how implausible it is that the load begins where it does, and that boxes are listed in this order.
+        begin_cost: how implausible it is that the load begins where it does.
+        order_cost: how implausible it is that boxes are listed in this order, and turned in this way.
     """
 
     candidate: Candidate
@@ -108,11 +129,12 @@ class _Judged:
     layouts: tuple[Layout, ...]
     rows: NDArray[np.int64]
     units: tuple[_Units, ...] = ()
+    begin_cost: float = 0.0
     order_cost: float = 0.0
 
     @property
     def cost(self) -> float:
-        return self.candidate.prior + self.layout_cost + self.units[0].cost + self.order_cost
+        return self.candidate.prior + self.layout_cost + self.units[0].cost + self.begin_cost + self.order_cost
 
 
 _Sample = list[tuple[NDArray[np.int64], Mapping[str, float]]]
@@ -171,34 +193,41 @@ def _judge(columns: BoxColumns, wishes: Wishes, candidate: Candidate, sample: _S
     n_boxes = len(all_rows)
     evidence = Evidence(n_boxes, int(sums[0]), int(sums[1]), int(sums[2]), float(sums[3] / n_boxes))
     origin = max(set(origins), key=origins.count)
-    cost = sum(costs) / n_boxes + _UNEQUAL_FLOOR_COST * begin_at_different_heights(layouts)
+    cost = sum(costs) / n_boxes + _UNEQUAL_FLOOR_COST * share_at_other_heights(layouts)
     judged = _Judged(candidate, cost, origin, evidence, tuple(layouts), all_rows)
     units = tuple(_units(judged, columns, wishes))
     weight = _PY3DBP_ORDER_WEIGHT if columns.source.form.rule == "py3dbp" else 1.0
-    return replace(judged, units=units, order_cost=_order_cost(judged, LENGTH_UNITS[units[0].length], weight))
+    knows_anchor = bool(candidate.geometry.anchor or wishes.anchor)
+    begin, order = _begin_and_order_cost(judged, LENGTH_UNITS[units[0].length], weight, knows_anchor)
+    order += tipping_cost(columns, candidate, all_rows)
+    return replace(judged, units=units, begin_cost=begin, order_cost=order)
 
 
-_UNEQUAL_FLOOR_COST: Final = 2.5
-"""Cost of a reading in which the plans of a file begin at different heights above the deck. This is implausible, since
-a program measures the heights in all plans of a file from the same level."""
+_UNEQUAL_FLOOR_COST: Final = 5.0
+"""Cost of a reading, times the share of plans that do not begin at the height at which other plans of the file begin.
+This is implausible, since a program measures the heights in all plans of a file from the same level."""
 _PY3DBP_ORDER_WEIGHT: Final = 0.4
 """Weight with which the order of boxes counts in the cost of a reading, for files of py3dbp. The weight is low because
 py3dbp fills a container along x, then y, then z, whichever axis is the vertical."""
 
 
-def _order_cost(judged: _Judged, mm: float, weight: float) -> float:
+def _begin_and_order_cost(judged: _Judged, mm: float, weight: float, knows_anchor: bool) -> tuple[float, float]:
     """How implausible it is that the loads begin where they do, and that boxes are listed in this order.
 
     Args:
         mm: millimetres of a unit of the layouts.
         weight: weight with which the order of boxes counts.
+        knows_anchor: whether names or the caller say which point of a box coordinates describe.
     """
     anchor = judged.candidate.anchor
     is_close = judged.layout_cost <= 2 * WEAK  # readings with higher costs cannot win
-    is_other = is_close and all(are_other_points(layout, mm, judged.candidate.point) for layout in judged.layouts)
-    shifted = _OTHER_POINT_COST * is_other * (1.0 if "corner" in anchor else 0.5)
-    sideways = weight * order_cost(judged.layouts) + _WALL_COST * any(map(is_wall, judged.layouts))
-    return shifted + sideways
+    point = judged.candidate.point
+    is_other = (
+        is_close and not knows_anchor and sum(vote_for_other_points(layout, mm, point) for layout in judged.layouts) > 0
+    )
+    begin_cost = _OTHER_POINT_COST * is_other * (1.0 if "corner" in anchor else 0.5)
+    walls = float(np.mean([is_wall(layout) for layout in judged.layouts]))
+    return begin_cost, weight * order_cost(judged.layouts) + _WALL_COST * walls
 
 
 def _units(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[_Units]:
@@ -277,11 +306,14 @@ def choose_reading(
     ]
     if rivals := close or [other for other in turned if other.candidate.prior < best.candidate.prior]:
         possible = [best, *rivals, *(other for other in turned if other not in rivals)]
-        readings = [_reading(one, columns, wishes) for one in possible]
-        raise AmbiguousFile(tie_text(readings, is_weak), readings[:4])
+        if possible[1].candidate.up != best.candidate.up and not is_weak:
+            further = _along_further_axes(judged, possible[:2])
+            possible = [*possible[:2], *further, *(other for other in possible[2:] if other not in further)]
+        readings = [_reading(one, columns, wishes) for one in possible[:4]]
+        raise AmbiguousFile(tie_text(readings, is_weak), readings)
     if _is_impossible(best, columns, wishes):
         reading = _reading(best, columns, wishes)
-        raise AmbiguousFile(overlap_text(reading), [reading])
+        raise AmbiguousFile(implausible_text(reading), [reading])
     units = _likely_units(best, wishes)
     readings = [_reading(best, columns, wishes, choice) for choice in units]
     if len(units) > 1:
@@ -289,12 +321,43 @@ def choose_reading(
     (reading,) = readings
     if (rival := _other_mass(best)) is not None:
         reading = replace(reading, notes=(f"weights may be in {rival}, too (--units)",))
-    if turned:
-        reading = replace(reading, notes=(*reading.notes, f"{turned[0].candidate.up} may be upwards, too (--up)"))
+    if others := turned or _reversed_piles(judged):
+        note = f"{up_words(others[0].candidate.up).replace(' ', ' may be ')}, too (--up)"
+        reading = replace(reading, notes=(*reading.notes, note))
     if wishes.anchor and not wishes.exact:
         reading = replace(reading, notes=(*reading.notes, *_changes_by_anchor(reading, columns, wishes, sample)))
     alternatives = tuple(_reading(one, columns, wishes) for one in judged[1:4])
     return replace(reading, alternatives=alternatives), best.candidate
+
+
+def _reversed_piles(judged: Sequence[_Judged]) -> list[_Judged]:
+    """The readings in which the pile of the most plausible reading is upside down, if its boxes are listed from the top
+    down, and if the boxes of the reversed pile lie as well."""
+    best = judged[0]
+    return [
+        other
+        for other in judged[1:]
+        if other.candidate.up == f"-{best.candidate.up}"
+        and other.evidence.n_odd <= best.evidence.n_odd
+        and are_listed_downwards(best.layouts)
+        and not same_layouts(best.layouts, other.layouts)
+    ]
+
+
+def _along_further_axes(judged: Sequence[_Judged], two: Sequence[_Judged]) -> list[_Judged]:
+    """The most plausible reading for each of the axes x, y and z that is the vertical in neither of two readings, if
+    its boxes lie as well as theirs."""
+    axes = {"-y", "-z", *(one.candidate.up for one in two)}
+    further = []
+    for other in judged:  # most plausible first
+        if (
+            other.candidate.up not in axes
+            and other.evidence.n_odd <= min(one.evidence.n_odd for one in two)
+            and other.layout_cost < min(one.layout_cost for one in two) + TIE
+        ):
+            axes.add(other.candidate.up)
+            further.append(other)
+    return further
 
 
 def _changes_by_anchor(reading: Reading, columns: BoxColumns, wishes: Wishes, sample: _Sample) -> list[str]:
@@ -317,7 +380,7 @@ def _may_be_turned(best: _Judged, other: _Judged) -> bool:
     the weak evidence speaks against the usual vertical axis, the user is asked; otherwise, a note names the other
     axis."""
     is_known = not np.isnan(best.layouts[0].container[:2]).any()
-    firm, other_firm = (one.layout_cost + is_known * one.units[0].cost for one in (best, other))
+    firm, other_firm = (one.layout_cost + one.begin_cost + is_known * one.units[0].cost for one in (best, other))
     return (
         other.candidate.up != best.candidate.up
         and other.candidate.prior < best.candidate.prior + TIE
@@ -333,20 +396,28 @@ def _is_doubtful(best: _Judged) -> bool:
     most plausible reading, boxes overlap, float, are outside or are listed from one side to the other. It may also be
     so if the sizes do not lie along the axes that name them."""
     is_exchanged = best.candidate.geometry.axes == XYZ and best.candidate.pair != (0, 1, 2)
-    return best.evidence.n_odd > 0 or is_exchanged or best.order_cost > 0
+    return best.evidence.n_odd > 0 or is_exchanged or best.begin_cost + best.order_cost > 0
 
 
 _LEAST_OVERLAPPING: Final = 6
 """A layout is impossible only if at least this number of its boxes overlap."""
 
 
+_LARGEST_PRIOR: Final = 7.0
+"""A reading with a vertical other than z and y is not taken if it costs at least this before any numbers are
+considered: then its points are unusual, too, or it contradicts names. It may be the most plausible reading because a
+number is damaged."""
+
+
 def _is_impossible(best: _Judged, columns: BoxColumns, wishes: Wishes) -> bool:
-    """Whether more than half of the boxes overlap in the most plausible reading, and neither the form nor the caller
-    says which point of a box coordinates describe."""
+    """Whether more than half of the boxes overlap in the most plausible reading, or the reading is unusual
+    (``_LARGEST_PRIOR``); and neither the form nor the caller says which point of a box coordinates describe."""
     n_overlapping = best.evidence.n_overlapping
     form = columns.source.form
     is_said = bool(wishes.anchor or wishes.exact or (form.anchor and form.up))
-    return not is_said and n_overlapping >= _LEAST_OVERLAPPING and 2 * n_overlapping > best.evidence.n_boxes
+    overlaps = n_overlapping >= _LEAST_OVERLAPPING and 2 * n_overlapping > best.evidence.n_boxes
+    is_unusual = best.candidate.up not in ("z", "y") and best.candidate.prior >= _LARGEST_PRIOR
+    return not is_said and (overlaps or is_unusual)
 
 
 def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> list[_Judged]:
@@ -359,8 +430,8 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
             break
         judged.append(_judge(columns, wishes, candidate, sample))
         lowest = min(lowest, judged[-1].cost)
-    for further in (candidates_on_side, candidates_of_corners):
-        if further is candidates_on_side or _is_doubtful(min(judged, key=lambda one: one.cost)):
+    for further in (candidates_on_side, candidates_of_corners, candidates_downwards):
+        if further is not candidates_of_corners or _is_doubtful(min(judged, key=lambda one: one.cost)):
             for candidate in sorted(further(columns, wishes), key=lambda one: one.prior):
                 if candidate.prior + _LOWEST_UNIT_COST > lowest + WEAK_LEAD:
                     break
@@ -503,7 +574,7 @@ def _reading(judged: _Judged, columns: BoxColumns, wishes: Wishes, units: _Units
         anchor=candidate.anchor,
         up=candidate.up,
         along=candidate.along,
-        sizes="placed" if candidate.rule in ("none", "pose") else "item",
+        sizes="placed" if candidate.rule in ("none", *POSES) else "item",
         rule=candidate.rule,
         origin=wishes.origin or judged.origin,
         cost=judged.cost,

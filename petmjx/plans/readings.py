@@ -38,9 +38,14 @@ ROTATION_RULES: Final = {
     "py3dbp from 1": "1 WHD, 2 HWD, 3 HDW, 4 DHW, 5 DWH, 6 WDH",
     "permutations": "0 XYZ, 1 XZY, 2 YXZ, 3 YZX, 4 ZXY, 5 ZYX",
     "permutations from 1": "1 XYZ, 2 XZY, 3 YXZ, 4 YZX, 5 ZXY, 6 ZYX",
-    "pose": "the matrix, quaternion or angles turn the box",
+    "pose": "poses give the points of turned boxes",
+    "pose about point": "poses turn boxes about these points",
 }
 """Rule of rotation → its description."""
+POSES: Final = ("pose", "pose about point")
+"""Rules of rotation in files with poses. With "pose", coordinates describe a point of the box as placed: the corner is
+that with the smallest x, y and z. With "pose about point", coordinates describe a point of the box before it is turned:
+the corner of a box that is turned by 180° becomes that with the largest x and y."""
 ORIGINS: Final = ("given", "middle", "floor")
 """Possible origins of a file: a corner of the deck, the middle of the deck, or a point below the deck; see
 ``Reading``."""
@@ -98,7 +103,7 @@ class Reading:
         units: unit of lengths. If sizes and coordinates have different units, ``units`` is, for example, "cm/mm".
         masses: unit of masses.
         anchor: the point of a box that coordinates describe.
-        up: the file's vertical axis, "x", "y" or "z".
+        up: the file's vertical axis, "x", "y" or "z"; "-y" or "-z": heights are counted downwards.
         along: names of the sizes that lie along the plan's x, y and z, before boxes are turned.
         sizes: "placed": sizes of boxes as placed; "item": sizes before boxes are turned.
         rule: how boxes are turned (``ROTATION_RULES``).
@@ -148,26 +153,40 @@ class Reading:
         are_cells = LAST_CELLS in self.columns
         return name and f"{name} and columns like it hold {'the last grid cells' if are_cells else 'the ends'} of boxes"
 
+    @property
+    def size_words(self) -> str:
+        """Which sizes the columns of sizes hold, in words."""
+        return "sizes as placed" if self.sizes == "placed" else f"sizes before turning ({ROTATION_RULES[self.rule]})"
+
+    @property
+    def pose_words(self) -> str:
+        """How poses turn boxes, in words; "" if there are no poses."""
+        return ROTATION_RULES[self.rule] if self.rule in POSES else ""
+
     def line(self) -> str:
         """The reading as one line of text."""
         sizes, places = self.length_units
         lengths = sizes if sizes == places else f"sizes in {sizes}, coordinates in {places}"
-        turned = {"placed": "sizes as placed", "item": f"sizes before turning ({ROTATION_RULES[self.rule]})"}[
-            self.sizes
-        ]
         parts = [
             self.form,
             f"{lengths}, {self.masses}",
             f"coordinates of {_ANCHOR_WORDS[self.anchor]}",
-            f"{self.up} upwards",
+            up_words(self.up),
             f"{', '.join(self.along)} along x, y, z",
-            turned,
+            self.size_words,
         ]
+        if self.rule == POSES[1]:
+            parts.append(self.pose_words)
         if self.origin != "given":
             parts.append(
                 {"middle": "origin in the middle of the carrier", "floor": "heights from below the deck"}[self.origin]
             )
         return f"read as {'; '.join([*filter(None, parts), *self.notes, *self.odd])}"
+
+
+def up_words(up: str) -> str:
+    """A vertical axis in words: "z" → "z upwards", "-z" → "z downwards"."""
+    return f"{up[1:]} downwards" if up.startswith("-") else f"{up} upwards"
 
 
 _ANCHOR_WORDS: Final = {
@@ -240,10 +259,6 @@ def _length_words(reading: Reading) -> str:
     return f"lengths in {sizes}" if sizes == places else f"sizes in {sizes}, coordinates in {places}"
 
 
-def _size_words(reading: Reading) -> str:
-    return "sizes as placed" if reading.sizes == "placed" else f"sizes before turning ({ROTATION_RULES[reading.rule]})"
-
-
 def _column_words(reading: Reading) -> str:
     return ", ".join(f"{role}={name}" for role, name in reading.columns.items())
 
@@ -251,9 +266,10 @@ def _column_words(reading: Reading) -> str:
 _DIFFERENCES: Final = (
     (("units",), "--units", _length_words),
     (("masses",), "--units", lambda reading: f"weights in {UNIT_WORDS.get(reading.masses, reading.masses)}"),
-    (("up",), "--up (x, y or z)", lambda reading: f"{reading.up} upwards"),
+    (("up",), "--up (x, y or z)", lambda reading: up_words(reading.up)),
     (("anchor",), "--anchor", lambda reading: f"coordinates of {_ANCHOR_WORDS[reading.anchor]}"),
-    (("sizes", "rule"), "--sizes", _size_words),
+    (("size_words",), "--sizes", lambda reading: reading.size_words),
+    (("pose_words",), "", lambda reading: reading.pose_words),
     (("far_words",), '--columns ("last cells=NAME", or "last cells=-")', lambda reading: reading.far_words),
 )
 """Fields of readings, with the option that decides between their values, and descriptions of the values."""
@@ -276,28 +292,39 @@ def differences(one: Reading, two: Reading) -> list[tuple[str, str, str]]:
             if any(getattr(one, name) != getattr(two, name) for name in names)
         ]
 
-    return parts_of(_DIFFERENCES) or parts_of(_OF_COLUMNS)
+    parts = parts_of(_DIFFERENCES) or parts_of(_OF_COLUMNS)
+    if "-" in one.up + two.up:
+        replaced = "x, y or z", "x, y, z; -z: z downwards"
+        parts = [(option.replace(*replaced), first, second) for option, first, second in parts]
+    return parts
 
 
 def tie_text(readings: Sequence[Reading], weak: bool) -> str:
-    """The line about a tie: the two readings, how they differ, and the options that decide."""
+    """The line about a tie: the two readings, how they differ, the vertical axes of other readings, and the options
+    that decide."""
     one, two = readings[0], readings[1]
     parts = differences(one, two)
     first, second = (", ".join(part[index] for part in parts) for index in (1, 2))
-    options = " or ".join(dict.fromkeys(part[0] for part in parts))
+    options = " or ".join(dict.fromkeys(part[0] for part in parts if part[0]))
     reason = "no reading is plausible; the best are" if weak else "can be read in two ways:"
     of_units = not weak and (one.units != two.units or one.masses != two.masses)
     evidence = [reading.evidence.of_units() if of_units else str(reading.evidence) for reading in (one, two)]
     ways = f"{first} ({evidence[0]}), or {second} ({evidence[1]})"
+    further = dict.fromkeys(other.up for other in readings[2:] if one.up != two.up and other.up not in (one.up, two.up))
+    ways += "".join(f"; {up_words(up)} is possible, too" for up in further)
     is_piled = weak and 2 * one.evidence.n_overlapping > one.evidence.n_boxes
-    return f"{reason} {ways}; {_SEVERAL if is_piled else ''}say which with {options}, or with --as FILE.toml"
+    advice = f"{options}, or with --as FILE.toml" if options else "--as FILE.toml"
+    return f"{reason} {ways}; {_SEVERAL if is_piled else ''}say which with {advice}"
 
 
-def overlap_text(reading: Reading) -> str:
-    """The line about a file in whose most plausible reading most boxes overlap."""
+def implausible_text(reading: Reading) -> str:
+    """The line about a file in whose most plausible reading most boxes overlap, or that contradicts names."""
+    options = f"if that is right, say --up {reading.up} --anchor {reading.anchor}"
+    if 2 * reading.evidence.n_overlapping > reading.evidence.n_boxes:
+        options = f"{_SEVERAL}if boxes really overlap, say --anchor {reading.anchor}"
     return (
-        f"no reading is plausible; the best has coordinates of {_ANCHOR_WORDS[reading.anchor]}, {reading.up} upwards "
-        f"({reading.evidence}); {_SEVERAL}if boxes really overlap, say --anchor {reading.anchor}"
+        f"no reading is plausible; the best is coordinates of {_ANCHOR_WORDS[reading.anchor]}, {up_words(reading.up)} "
+        f"({reading.evidence}); {options}"
     )
 
 
@@ -316,7 +343,7 @@ instead of a function, the file is refused without a question."""
 
 _TEXTS: Final = {
     "anchor": tuple(ANCHORS),
-    "up": ("z", "y", "x"),
+    "up": ("z", "y", "x", "-z", "-y"),
     "sizes": ("placed", "item"),
     "rule": tuple(ROTATION_RULES),
     "origin": ORIGINS,

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -101,7 +102,9 @@ def source_of_scene(text: str) -> BoxSource:
     if pallets:
         notes.append(f"{count_text(pallets, 'body', 'bodies')} named as a pallet or floor left out")
     table = RawTable(("name", "size_x", "size_y", "size_z", "matrix", "mass"), rows, places)
-    return BoxSource(BoxList(table), SCENE, tuple(notes))
+    axis = int(np.argmin(model.opt.gravity))  # gravity points downwards
+    up = "xyz"[axis] if model.opt.gravity[axis] < 0 else SCENE.up
+    return BoxSource(BoxList(table), replace(SCENE, up=up), tuple(notes))
 
 
 def is_three_js(value: Any) -> bool:

@@ -13,8 +13,17 @@ from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
 from petmjx.plans.column_extraction import HALF_EXTENTS, LAST_CELLS, SIZE_WORDS, XYZ, ColumnExtraction, role_of
-from petmjx.plans.column_names import BASE_WORDS, CENTRE_WORDS, LENGTH_UNITS, split_unit, word_set, words_of
+from petmjx.plans.column_names import (
+    BASE_WORDS,
+    CENTRE_WORDS,
+    HALF_WORDS,
+    LENGTH_UNITS,
+    split_unit,
+    word_set,
+    words_of,
+)
 from petmjx.plans.nested_fields import CORNER_NOISE
+from petmjx.plans.plausibility import density_cost, side_cost
 from petmjx.plans.turn_columns import Turns
 
 _ON_AXES: Final = {"0": "x", "1": "y", "2": "z", "length": "x", "width": "y", "height": "z", "depth": "z"}
@@ -62,7 +71,7 @@ class Geometry:
         placed: whether the sizes are known to be given for the box as placed.
         columns: role → name of its column.
         prior: how unlikely this choice of columns is, before any numbers are considered; 0: usual.
-        turn: (n, 3, 3) rotations of poses; None: no poses.
+        turn: (n, 3, 3) rotation matrices of poses, whose numbers are −1, 0 and 1; None: no poses.
         named_up: the vertical axis according to the names of places; "": none is given.
     """
 
@@ -81,13 +90,15 @@ class Geometry:
 
 class Sizes(NamedTuple):
     """The sizes of boxes, and their columns. The fields mean the same as in :class:`Geometry`, where
-    ``unit`` is called ``size_unit``."""
+    ``unit`` is called ``size_unit``. ``anchor`` is the point of a box that places describe according to the sizes: the
+    centre if sizes are half sizes; "": none is given."""
 
     size: FloatArray
     axes: tuple[str, str, str]
     unit: str
     placed: bool
     columns: dict[str, str]
+    anchor: str = ""
 
 
 class Places(NamedTuple):
@@ -115,8 +126,9 @@ def sizes_in(extraction: ColumnExtraction) -> Sizes | None:
         if meaning is not None and meaning.kind == "sizes" and not meaning.of_container:
             values, unit = extraction.triples(index)
             first, second, third = meaning.order if len(meaning.order) == 3 else ("0", "1", "2")
-            factor = 2.0 if meaning.half else 1.0
-            return Sizes(values * factor, (first, second, third), unit, meaning.placed, {"sizes": header[index]})
+            factor, anchor = (2.0, "centre") if meaning.half else (1.0, "")
+            names = {"sizes": header[index]}
+            return Sizes(values * factor, (first, second, third), unit, meaning.placed, names, anchor)
     return None
 
 
@@ -141,7 +153,7 @@ def _sizes_of(extraction: ColumnExtraction, columns: Sequence[int], axes: tuple[
     values, unit = extraction.joined(columns)
     is_half = any((meaning := extraction.meanings[index]) is not None and meaning.half for index in columns)
     names = {role_of(axis): extraction.table.header[index] for axis, index in zip(axes, columns, strict=True)}
-    return Sizes(values * (2.0 if is_half else 1.0), axes, unit, placed, names)
+    return Sizes(values * (2.0 if is_half else 1.0), axes, unit, placed, names, "centre" if is_half else "")
 
 
 def _columns_of_sizes(extraction: ColumnExtraction) -> Iterator[tuple[tuple[int, ...], tuple[str, str, str], bool]]:
@@ -254,11 +266,12 @@ def corners_in(extraction: ColumnExtraction) -> Geometry | None:
     header = extraction.table.header
     if (eight := _eight_corners(extraction)) is not None:
         return eight
-    low, plain, first, second, high = (
+    low, plain, high = (
         {axis: columns[0] for axis, columns in _on_axes(extraction.columns_of(kind)).items()}
-        for kind in ("low", "position", "edge1", "edge2", "high")
+        for kind in ("low", "position", "high")
     )
-    for begin, finish in ((low, high), (first, second), (low, first), (plain, high), (plain, second)):
+    high = high or _lists_beyond(extraction, low or plain)
+    for begin, finish in ((low, high), (plain, high)):
         if not all(axis in begin and axis in finish for axis in XYZ):
             continue
         lows, highs = [begin[axis] for axis in XYZ], [finish[axis] for axis in XYZ]
@@ -278,6 +291,28 @@ def corners_in(extraction: ColumnExtraction) -> Geometry | None:
             near = ["its near corner"] * 3
             return _between(extraction, both[:, :3], both[:, 3:], unit, [index] * 3, near, {"corners": header[index]})
     return None
+
+
+def _lists_beyond(extraction: ColumnExtraction, near: Mapping[str, int]) -> dict[str, int]:
+    """x, y and z → the columns of the only list of three numbers of an unknown meaning, if its numbers are beyond the
+    near corners of nearly all boxes; else empty.
+
+    Args:
+        near: x, y and z → the columns of the near corners.
+    """
+    stems: dict[str, dict[str, int]] = {}
+    for index, meaning in enumerate(extraction.meanings):
+        stem, _, number = extraction.table.header[index].rpartition("[")
+        if meaning is None and number in ("0]", "1]", "2]"):
+            stems.setdefault(stem, {})[XYZ[int(number[0])]] = index
+    lists = [columns for columns in stems.values() if len(columns) == 3]
+    if len(lists) != 1 or near.keys() < {*XYZ}:
+        return {}
+    begin, end = (
+        np.array([extraction.numbers_or_median(columns[axis]) for axis in XYZ]) for columns in (near, lists[0])
+    )
+    is_beyond = _mostly(np.asarray((end > begin).all(axis=0))) and np.ptp(end, axis=1).any()  # colours may be equal
+    return lists[0] if is_beyond else {}
 
 
 _CORNER_NAME: Final = re.compile(r"([xyz])(?:[\s_.-]?([1-8])|\[([0-7])\])", re.IGNORECASE)
@@ -351,7 +386,7 @@ def with_half_extents(geometry: Geometry) -> Geometry | None:
     known to be half extents), or if the places are corners."""
     names = [name for role, name in geometry.columns.items() if role not in (*XYZ, "position")]
     words = {word for name in names for word in words_of(name)}
-    if not words & _EXTENTS or "half" in words or geometry.anchor == "corner":
+    if not words & _EXTENTS or words & HALF_WORDS or geometry.anchor == "corner":
         return None
     columns = {**geometry.columns, HALF_EXTENTS: names[0]}
     return replace(geometry, size=2 * geometry.size, columns=columns, prior=geometry.prior + 0.8)
@@ -450,7 +485,8 @@ def array_extras(extraction: ColumnExtraction, geometries: Sequence[Geometry]) -
     column of weights, and whether the weights are densities.
 
     A column of whole numbers from 0 to 5, some of them 0, holds rotations. A column of numbers up to ``_DENSEST`` holds
-    densities relative to water. A column of larger numbers holds weights.
+    densities relative to water. A column of larger numbers holds weights; if densities in
+    kg/m³ are more plausible, it holds these.
     """
     header = extraction.table.header
     used = {header.index(name) for name in geometries[0].columns.values()} if geometries else set()
@@ -463,8 +499,29 @@ def array_extras(extraction: ColumnExtraction, geometries: Sequence[Geometry]) -
                 rules = ("swap", "py3dbp") if values.max() <= 1 else ("py3dbp",)
                 turns = Turns(header[index], rules, values.astype(np.int64))
         elif weight is None and _mostly(values > 0):
-            weight, is_density = index, bool(values.max() <= _DENSEST)
+            weight = index
+            is_density = bool(values.max() <= _DENSEST) or _are_densities(values, geometries[0])
     return turns, weight, is_density
+
+
+def _are_densities(values: FloatArray, geometry: Geometry) -> bool:
+    """Whether numbers are more plausible as densities of boxes in kg/m³ than as weights in kg or g."""
+    is_good = (geometry.size > 0).all(axis=1)
+    values, volume = values[is_good], geometry.size[is_good].prod(axis=1)
+    if not len(values):
+        return False
+    costs = [
+        side_cost(float(np.median(volume)) ** (1 / 3) * mm)
+        + density_cost(float(np.median(values / volume)) * kg / (mm / 1000) ** 3)
+        for mm in (1.0, 10.0, 1000.0)
+        for kg in (1.0, 0.001)
+    ]
+    side = min(side_cost(float(np.median(volume)) ** (1 / 3) * mm) for mm in (1.0, 10.0, 1000.0))
+    return side + density_cost(float(np.median(values))) + _OF_DENSITIES < min(costs)
+
+
+_OF_DENSITIES: Final = 1.5
+"""Cost of reading an array's column without a name as densities in kg/m³. Such columns mostly hold weights."""
 
 
 def _mostly(rows: NDArray[np.bool_]) -> bool:

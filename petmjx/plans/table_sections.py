@@ -105,12 +105,13 @@ def _table_below(
     if (filled >= 1 and count_known_names(rows[head]) < len(names)) or (filled > 1 and not has_places(names)):
         names = with_groups([*names, *_unnamed_below(rows, head, len(names))], group)
     first = head + 1
-    if first < end and any(rows[first]) and all(cell is None or is_unit_cell(cell) for cell in rows[first]):
+    below = next((index for index in range(first, end) if any(rows[index])), end)
+    if below < end and all(cell is None or is_unit_cell(cell) for cell in rows[below]):
         names = [
             f"{name} [{cell_text(cell).strip('[]() ')}]" if cell is not None and not names_unit(name) else name
-            for name, cell in zip(names, (*rows[first], *([None] * len(names))), strict=False)
+            for name, cell in zip(names, (*rows[below], *([None] * len(names))), strict=False)
         ]
-        first += 1
+        first = below + 1
     header = tuple(distinct_names(names))
     sections, lost, trailing = _sections(rows, first, end, begin, header, above, notes)
     if trailing and not more:

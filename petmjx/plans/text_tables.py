@@ -1,7 +1,7 @@
 """Reads tables from text (``tables_of_text``): encodings, separators, printed tables with frames or white space.
 
-Text may be UTF-8, UTF-16, UTF-32, Windows-1252 or Windows-1250. A table may have any usual separator. Excel's line
-``sep=;`` may stand above it.
+Text may be UTF-8, UTF-16, UTF-32, or in an encoding of ``_ENCODINGS``. A table may have any usual separator. Excel's
+line ``sep=;`` may stand above it.
 """
 
 from __future__ import annotations
@@ -26,11 +26,18 @@ _SPACES: Final = " "
 """A separator that stands for any white space between fields, as in printed tables."""
 
 
+_ENCODINGS: Final = {
+    "Windows-1252": "cp1252", "Windows-1250": "cp1250", "Windows-1254": "cp1254", "Windows-1251": "cp1251",
+    "GB18030": "gb18030", "Shift JIS": "cp932", "EUC-KR": "cp949", "Big5": "big5",
+}  # fmt: skip
+"""Encodings without a mark that tells them → their names in Python."""
+
+
 def decoded_text(data: bytes | bytearray) -> tuple[str, str]:
     """Decode bytes to text. The function also returns a note about the encoding ("" for UTF-8).
 
-    UTF-8, UTF-16 and UTF-32 are recognised with certainty. All other bytes are read as Windows-1252, or as Windows-1250
-    if that gives more known words in headers.
+    UTF-8, UTF-16 and UTF-32 are recognised with certainty. All other bytes are read as Windows-1252, or in another
+    encoding of ``_ENCODINGS`` if that gives more known words in headers.
     """
     raw = bytes(data)
     if raw.startswith(b"\xef\xbb\xbf"):
@@ -45,17 +52,14 @@ def decoded_text(data: bytes | bytearray) -> tuple[str, str]:
         return raw.decode("utf-8"), ""
     except UnicodeDecodeError:
         pass
-    texts = {
-        name: raw.decode(code, "replace") for name, code in (("Windows-1252", "cp1252"), ("Windows-1250", "cp1250"))
-    }
-    # if both have equally many known words, max returns the first: Windows-1252
-    best = max(texts, key=lambda name: _known_in_lines(texts[name]))
-    return texts[best], best
+    # if several have equally many known words, max returns the first: Windows-1252
+    best = max(_ENCODINGS, key=lambda name: _known_in_lines(raw[:20_000].decode(_ENCODINGS[name], "replace")))
+    return raw.decode(_ENCODINGS[best], "replace"), best
 
 
 def _known_in_lines(text: str) -> int:
     """Known names are counted in each of the first lines; the result is the largest count."""
-    lines = text[:20_000].splitlines()[:SEARCHED_ROWS]
+    lines = text.splitlines()[:SEARCHED_ROWS]
     return max((count_known_names(re.split(r"[,;\t|]", line)) for line in lines), default=0)
 
 

@@ -4,6 +4,7 @@ The module also reads XML, as the nested values that JSON has."""
 from __future__ import annotations
 
 import io
+import re
 import zipfile
 from collections import Counter
 from collections.abc import Iterator
@@ -200,6 +201,10 @@ def tables_of_page(text: str) -> list[RawTable]:
     return _tables_of_sheets({f"table {number}": rows for number, rows in enumerate(page.tables, start=1)})
 
 
+_DECLARED_ENCODING: Final = re.compile(r"""\A(\s*<\?xml\b[^>]*?)\s+encoding\s*=\s*(?:"[^"]*"|'[^']*')""")
+"""The encoding in the declaration of XML. A decoded text no longer has this encoding."""
+
+
 def value_of_xml(text: str) -> Any:
     """The elements of XML as nested dictionaries: attributes and children by name, a list for children with the same
     name, and the text of an element that has only text. If an element has text and also attributes or children, the
@@ -211,7 +216,7 @@ def value_of_xml(text: str) -> Any:
     if "<!ENTITY" in text:
         raise InputError("is XML with declarations that petmjx does not read")
     try:
-        root = ElementTree.fromstring(text)
+        root = ElementTree.fromstring(_DECLARED_ENCODING.sub(r"\1", text))
     except ElementTree.ParseError as error:
         line, column = error.position
         raise InputError(f"not XML at line {line}, column {column + 1}") from error

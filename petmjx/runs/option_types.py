@@ -276,7 +276,7 @@ class RunOptionsGiven(TypedDict, total=False):
     limit: int | None
     units: str | None
     anchor: AnchorName | None
-    up: Literal["x", "y", "z"] | None
+    up: Literal["x", "y", "z", "-y", "-z"] | None
     sizes: Literal["placed", "item"] | None
     columns: dict[str, str] | str | None
     density: float | None

@@ -3,25 +3,19 @@ odd in it."""
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from petmjx.common.errors import InputError, PlanWarning
-from petmjx.common.text import box_in_words, count_text, first_names, printable, printable_name, three_digits
+from petmjx.common.text import count_text, first_names, printable, printable_name, three_digits
 from petmjx.options.run_options import OF_ORDERS, RunOptions
-from petmjx.plans.bedbpp_orders import OF_PLAN
-from petmjx.plans.convention_checks import densities_kg_m3, find_conventions
+from petmjx.plans.convention_checks import find_conventions, odd_boxes
 from petmjx.plans.item_columns import TWO_WAYS
 from petmjx.plans.item_joins import has_named_places
 from petmjx.plans.item_units_and_quantities import OrderReading
-from petmjx.plans.masses_and_densities import HEAVIEST_BOX_KG_M3, LIGHTEST_BOX_KG_M3, USUAL_KG_M3
-from petmjx.plans.order_reader import read_orders
-from petmjx.plans.plan import Plan
+from petmjx.plans.order_reader import OF_PLAN, read_orders
 from petmjx.plans.plan_reader import REPEATED, load_plans
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.readings import Reading
@@ -97,7 +91,8 @@ def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
     odd = [layout for layout in plan_set.warnings if layout.source == source]
     lines = []
     if reading is None:
-        of_file = [line for line in plan_set.conventions if source in line]
+        of_boxes = odd_boxes(plan_set.plans)
+        of_file = [line for line in plan_set.conventions if source in line and line not in of_boxes]
         lines = [*of_file, *find_conventions(plans, odd, None)]
     record: dict[str, Any] = {
         "file": source,
@@ -110,7 +105,7 @@ def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
         "skipped": skipped_lines,
         "odd": [
             *lines,
-            *_lines_about_densities(plans),
+            *(line.removeprefix(f"{source}: ") for line in odd_boxes(plans)),
             *map(str, odd),
             *(() if reading is None else reading.odd),
         ],
@@ -137,25 +132,6 @@ def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
             ],
         }
     return record
-
-
-def _lines_about_densities(plans: Sequence[Plan]) -> list[str]:
-    """A list with one line about boxes with implausible densities, such as one of 5,000 kg among boxes of 5 kg. The
-    list is empty if there are no such boxes, or if most boxes have such densities, because other lines then say so."""
-    odd = []
-    for plan in plans:
-        density = densities_kg_m3(plan)
-        is_odd = (density < LIGHTEST_BOX_KG_M3) | (density > HEAVIEST_BOX_KG_M3)
-        odd += [(plan, box, float(density[box])) for box in np.flatnonzero(is_odd).tolist()]
-    if not odd or 2 * len(odd) > sum(plan.n_boxes for plan in plans):
-        return []
-    plan, box, density_kg_m3 = max(odd, key=lambda one: abs(math.log(one[2] / USUAL_KG_M3)))
-    weights = f"{three_digits(float(plan.mass_kg[box]))} kg, {three_digits(density_kg_m3)} kg/m³"
-    limits = f"not between {LIGHTEST_BOX_KG_M3:g} and {HEAVIEST_BOX_KG_M3:,g} kg/m³"
-    count = f"; {len(odd):,} such boxes in all" if len(odd) > 1 else ""
-    return [
-        f"plan {printable_name(plan.plan_id)}: {box_in_words(box, plan.articles[box])} has {weights}, {limits}{count}"
-    ]
 
 
 def _why_worse(reading: Reading, other: Reading) -> str:

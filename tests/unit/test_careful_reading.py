@@ -266,7 +266,7 @@ def test_info_names_unused_columns_and_why_the_next_best_lost(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("header", ["plan_id,sequence,article,", ""])
-def test_info_names_boxes_that_are_too_heavy_or_too_light(tmp_path: Path, header: str) -> None:
+def test_info_and_reading_name_boxes_that_are_too_heavy_or_too_light(tmp_path: Path, header: str) -> None:
     """In petmjx's own table, and in a table of another tool."""
     names = f"{header}length_mm,width_mm,height_mm,weight_kg,x_mm,y_mm,z_mm"
     for weights, line in (
@@ -284,7 +284,10 @@ def test_info_names_boxes_that_are_too_heavy_or_too_light(tmp_path: Path, header
         (tmp_path / "load.csv").write_text("\n".join([names, *rows]))
         (info,), _ = file_infos([tmp_path / "load.csv"], {"up": "z"})
         box = int(np.argmax(np.abs(np.log(np.array(weights) / 5))))
-        assert info["odd"] == ([f"plan load: {line.format(f' (a{box})' if header else '')}"] if line else [])
+        text = line and f"plan load: {line.format(f' (a{box})' if header else '')}"
+        assert info["odd"] == ([text] if text else [])
+        notes = load(tmp_path, "load.csv", "\n".join([names, *rows]), up=None if header else "z").conventions
+        assert [note.partition(": ")[2] for note in notes if "kg/m³" in note] == info["odd"]
 
 
 def test_a_file_whose_boxes_mostly_overlap_is_refused(tmp_path: Path) -> None:

@@ -101,6 +101,7 @@ FAULTS: dict[str, Callable[[dict[str, Any]], Any]] = {
 }
 
 
+@pytest.mark.filterwarnings("ignore:.*kg/m³:petmjx.PlanWarning")
 @pytest.mark.parametrize("name", FAULTS)
 def test_faults_and_rare_fields_are_the_same(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     _, decoded = same(changed(FAULTS[name]), tmp_path, monkeypatch)
