@@ -437,7 +437,7 @@ def densities_kg_m3(plan: Plan) -> FloatArray:
 
 def odd_boxes(plans: Sequence[Plan]) -> list[str]:
     """A list with one line about boxes with implausible densities, such as one of 5,000 kg among boxes of 5 kg. The
-    list is empty if there are no such boxes, or if most boxes have such densities: then other lines tell it."""
+    list is empty if there are no such boxes, or if most boxes have such densities, because other lines then say so."""
     if not plans:
         return []
     volume = np.concatenate([plan.size_mm for plan in plans]).prod(axis=1) / _MM3_PER_M3

@@ -184,7 +184,7 @@ def computed_row(table: RawTable, rows: Sequence[int]) -> str:
         rows: indices of the rows of one plan.
 
     The sizes, places and weights of the last row must all be sums, or all be means. At least two numbers of the row
-    must clearly be sums or means. A single sum or mean is not enough: a box on two smaller boxes may have the sum of
+    must clearly be sums or means. A single sum or mean is not enough. A box on two smaller boxes may have the sum of
     their lengths, and a box in the middle of a layer of equal boxes has their mean place. A single sum is enough if the
     row has no sizes and no places. If a table has petmjx's own
     column names and no places, its last row is never taken for a row of means: it is more likely a medium-sized box. If

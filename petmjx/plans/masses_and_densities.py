@@ -14,6 +14,7 @@ from petmjx.common.text import count_text, printable_name, three_digits
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.column_names import DENSITY_UNITS, LENGTH_UNITS, MASS_UNITS, limits_in
+from petmjx.plans.convention_checks import HEAVIEST_BOX_KG_M3, LIGHTEST_BOX_KG_M3
 from petmjx.plans.plan_fields import LARGEST_KG, SMALLEST_KG, positive_fault
 from petmjx.plans.readings import Wishes
 
@@ -32,9 +33,6 @@ _RELATIVE: Final = 1.5
 _LEAST_KG_M3: Final = 25.0
 """A column without a unit, and with a smaller median density, may be in another unit than kg/m³. Cartons of crisps have
 a density of 30 kg/m³ (1.9 lb/ft³), usual cartons 300 kg/m³ (19 lb/ft³)."""
-LIGHTEST_BOX_KG_M3, HEAVIEST_BOX_KG_M3 = 2.0, 5000.0
-"""Densities outside these limits, kg/m³, suggest wrong weights or lengths. The lower limit is below the density of
-foam, and the upper limit above the density of iron parts."""
 
 
 def assumed_density(columns: BoxColumns, wishes: Wishes) -> float | None:

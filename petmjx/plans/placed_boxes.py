@@ -14,9 +14,7 @@ from petmjx.common.text import count_text
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.column_extraction import LAST_CELLS, role_of
-from petmjx.plans.column_names import DENSITY_UNITS, LENGTH_UNITS, MASS_UNITS, UNIT_WORDS, names_deck
-from petmjx.plans.convention_checks import HEAVIEST_BOX_KG_M3, LIGHTEST_BOX_KG_M3
-from petmjx.plans.input_conventions import Limits
+from petmjx.plans.column_names import LENGTH_UNITS, limits_in, names_deck
 from petmjx.plans.nested_containers import FLAT
 from petmjx.plans.plan_fields import FARTHEST_MM, LARGEST_MM, SMALLEST_MM, coordinate_fault, positive_fault
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, shared_length
@@ -26,18 +24,6 @@ from petmjx.plans.reading_choice import container_of
 from petmjx.plans.readings import Reading, Wishes
 from petmjx.plans.size_and_place_columns import Geometry
 
-if TYPE_CHECKING:
-    from petmjx.plans.item_columns import ItemColumns
-
-USUAL_KG_M3: Final = 300.0
-"""Density of boxes if a file has no weights: that of cartons in BED-BPP's orders. Verdicts hardly depend on a density
-that is the same for all boxes."""
-_WATER_KG_M3: Final = 1000.0
-_RELATIVE: Final = 1.5
-"""If no density in a column without a unit exceeds this value, the densities are relative to the density of water."""
-_LEAST_KG_M3: Final = 25.0
-"""A column without a unit, and with a smaller median density, may be in another unit than kg/m³. Cartons of crisps have
-a density of 30 kg/m³ (1.9 lb/ft³), usual cartons 300 kg/m³ (19 lb/ft³)."""
 _OF_DECKS_MM: Final = ((380.0, 580.0), (1320.0, 1500.0))
 """Limits of the sides of a pallet, mm: the smallest short and long side, and the largest short and long side."""
 _HIGHEST_DECK_MM: Final = 250.0

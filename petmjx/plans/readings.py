@@ -323,7 +323,7 @@ def implausible_text(reading: Reading) -> str:
     if 2 * reading.evidence.n_overlapping > reading.evidence.n_boxes:
         options = f"{_SEVERAL}if boxes really overlap, say --anchor {reading.anchor}"
     return (
-        f"no reading is plausible; the best is coordinates of {_ANCHOR_WORDS[reading.anchor]}, {up_words(reading.up)} "
+        f"no reading is plausible; the best has coordinates of {_ANCHOR_WORDS[reading.anchor]}, {up_words(reading.up)} "
         f"({reading.evidence}); {options}"
     )
 

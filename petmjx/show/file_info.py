@@ -11,11 +11,12 @@ from typing import Any, Final
 from petmjx.common.errors import InputError, PlanWarning
 from petmjx.common.text import count_text, first_names, printable, printable_name, three_digits
 from petmjx.options.run_options import OF_ORDERS, RunOptions
+from petmjx.plans.bedbpp_orders import OF_PLAN
 from petmjx.plans.convention_checks import find_conventions, odd_boxes
 from petmjx.plans.item_columns import TWO_WAYS
 from petmjx.plans.item_joins import has_named_places
 from petmjx.plans.item_units_and_quantities import OrderReading
-from petmjx.plans.order_reader import OF_PLAN, read_orders
+from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan_reader import REPEATED, load_plans
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.readings import Reading
