@@ -157,12 +157,12 @@ class Work:
             value or one per plan, as for ``filmed``. Vertical accelerations do not count. Drives with random vibrations
             are not gentle.
         giving: number of compliant boxes of each plan; empty if no plan has compliant boxes.
-        sway_mm: how far a pile of each plan's compliant boxes sways, mm (petmjx.plans.plan_statics); empty if no plan
+        sway_mm: how far a pile of each plan's compliant boxes sways, mm (petmjx.plans.plan_workload); empty if no plan
             has compliant boxes.
         ties: for each plan, the mean number of supports that a box has in addition to its first support
-            (petmjx.plans.plan_statics); if ``ties`` is empty, ``TYPICAL_TIES`` is used.
+            (petmjx.plans.plan_workload); if ``ties`` is empty, ``TYPICAL_TIES`` is used.
         placed_share: for each plan, the share of its boxes that are placed before the first box that tips over at once
-            (petmjx.plans.plan_statics); 1 without such a box. If ``placed_share`` is empty, the share is unknown, and
+            (petmjx.plans.plan_workload); 1 without such a box. If ``placed_share`` is empty, the share is unknown, and
             no box is expected to tip over.
         driven_share: for each plan, the share of its drives' steps that are expected to be simulated, 0 to 1. Legs
             after the leg in which the pallet probably falls are not simulated. If ``driven_share`` is empty, all drives

@@ -17,6 +17,18 @@ import numpy as np
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
+from petmjx.plans.cell_numbers import (
+    CellNumber,
+    are_grouped,
+    cell_corners,
+    cell_number,
+    cell_text,
+    cell_triple,
+    has_groups_with_decimals,
+    is_number,
+    number_fault_of,
+    without_groups,
+)
 from petmjx.plans.column_names import (
     LENGTH_UNITS,
     MASS_UNITS,
@@ -30,18 +42,6 @@ from petmjx.plans.column_names import (
 )
 from petmjx.plans.known_forms import BED_BPP, PACKINGSOLVER, BoxSource
 from petmjx.plans.plan_fields import joined_names
-from petmjx.plans.raw_cells import (
-    CellNumber,
-    are_grouped,
-    cell_corners,
-    cell_number,
-    cell_text,
-    cell_triple,
-    has_groups_with_decimals,
-    is_number,
-    number_fault_of,
-    without_groups,
-)
 from petmjx.plans.turn_columns import letters_of
 
 XYZ: Final = ("x", "y", "z")

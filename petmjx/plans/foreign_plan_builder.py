@@ -15,6 +15,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import first_names, printable_name
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
+from petmjx.plans.cell_numbers import cell_number
 from petmjx.plans.column_extraction import HALF_EXTENTS, IGNORED, LAST_CELLS
 from petmjx.plans.known_forms import PACKINGSOLVER
 from petmjx.plans.masses_and_densities import assumed_density, density_lines, masses_kg
@@ -33,7 +34,6 @@ from petmjx.plans.placed_boxes import (
 from petmjx.plans.placement_table import RefusedPlan, Table, as_column
 from petmjx.plans.plan_rows import PalletSearch, packing_order, plan_names, repeated_number
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
-from petmjx.plans.raw_cells import cell_number
 from petmjx.plans.raw_tables import BoxList, names_with_lost_rows, row_number, rows_by_name
 from petmjx.plans.reading_candidates import Candidate
 from petmjx.plans.reading_choice import choose_reading

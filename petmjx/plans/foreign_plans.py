@@ -12,6 +12,7 @@ from typing import Final
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable, printable_name
 from petmjx.plans.box_columns import BoxColumns, box_columns
+from petmjx.plans.cell_numbers import GROUPED, cell_number
 from petmjx.plans.column_names import known_meanings
 from petmjx.plans.file_formats import NoBoxes, NoGeometry
 from petmjx.plans.foreign_plan_builder import ForeignPlans, PlanBuilder
@@ -20,7 +21,6 @@ from petmjx.plans.item_joins import with_items
 from petmjx.plans.known_forms import POSES, BoxSource, rows_of
 from petmjx.plans.placed_boxes import named_decks
 from petmjx.plans.plan_rows import plan_names
-from petmjx.plans.raw_cells import GROUPED, cell_number
 from petmjx.plans.raw_tables import rows_by_name
 from petmjx.plans.reading_choice import TIE
 from petmjx.plans.readings import Wishes

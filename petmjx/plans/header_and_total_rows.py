@@ -12,8 +12,8 @@ import numpy as np
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
+from petmjx.plans.cell_numbers import cell_number, cell_text, is_number
 from petmjx.plans.column_names import OWN_COLUMNS, column_meanings, is_unit, known_meanings, plain_text, split_unit
-from petmjx.plans.raw_cells import cell_number, cell_text, is_number
 from petmjx.plans.raw_tables import MOST_COLUMNS, RawTable
 
 SEARCHED_ROWS: Final = 60

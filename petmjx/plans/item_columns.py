@@ -19,12 +19,12 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import GROSS
+from petmjx.plans.cell_numbers import cell_number, cell_text, number_fault_of
 from petmjx.plans.column_extraction import IGNORED, ROLES, ColumnExtraction
 from petmjx.plans.column_names import MASS_UNITS, ColumnMeaning, Kind, is_content, split_unit, word_set, words_of
 from petmjx.plans.known_forms import BoxSource
 from petmjx.plans.order import MOST_ITEMS
 from petmjx.plans.plan_fields import sparse_fault
-from petmjx.plans.raw_cells import cell_number, cell_text, number_fault_of
 from petmjx.plans.raw_tables import BoxList
 from petmjx.plans.size_and_place_columns import sizes_in
 

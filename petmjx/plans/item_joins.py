@@ -14,11 +14,11 @@ import numpy as np
 from petmjx.common.checked_records import reason
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable
+from petmjx.plans.cell_numbers import cell_number, cell_text
 from petmjx.plans.column_names import column_meanings, known_meanings, word_set
 from petmjx.plans.foreign_formats import sources_of_bytes
 from petmjx.plans.json_reader import unpacked_bytes
 from petmjx.plans.known_forms import PACKINGSOLVER, BoxSource
-from petmjx.plans.raw_cells import cell_number, cell_text
 from petmjx.plans.raw_tables import RawTable
 
 _LEAST_MATCHED_SHARE: Final = 0.9

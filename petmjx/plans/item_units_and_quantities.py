@@ -20,6 +20,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable_name
 from petmjx.common.units import FloatArray
 from petmjx.options.run_options import RunOptions
+from petmjx.plans.cell_numbers import thousands_faults
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, OWN_COLUMNS, UNIT_WORDS, limits_in
 from petmjx.plans.item_columns import TWO_WAYS, ItemColumns
 from petmjx.plans.known_forms import KnownForm
@@ -29,7 +30,6 @@ from petmjx.plans.order_texts import LENGTHS, MPV, THPACK
 from petmjx.plans.placed_boxes import fault_of_rows
 from petmjx.plans.plan_fields import LARGEST_MM, LONGEST_NAME, SMALLEST_MM, positive_fault
 from petmjx.plans.plausibility import deck_cost, density_cost, side_cost
-from petmjx.plans.raw_cells import thousands_faults
 from petmjx.plans.raw_tables import names_with_lost_rows, rows_by_name
 from petmjx.plans.reading_choice import MASS_PRIOR, TIE
 from petmjx.plans.readings import Wishes, wishes_of

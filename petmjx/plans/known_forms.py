@@ -16,11 +16,11 @@ from typing import Any, Final
 import numpy as np
 
 from petmjx.common.text import count_text, printable_name
+from petmjx.plans.cell_numbers import cell_number, cell_text
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, PALLET_WORDS, plain_text, word_set, words_of
 from petmjx.plans.header_and_total_rows import computed_row
 from petmjx.plans.nested_fields import flattened
 from petmjx.plans.pose_cells import with_pose_column
-from petmjx.plans.raw_cells import cell_number, cell_text
 from petmjx.plans.raw_tables import BoxList, rows_by_name
 from petmjx.plans.turn_columns import is_matrix
 

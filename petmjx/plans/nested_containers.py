@@ -9,9 +9,9 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
+from petmjx.plans.cell_numbers import cell_number, cell_text
 from petmjx.plans.column_names import CONTAINER_WORDS, LENGTH_UNITS, known_meanings, names_deck, word_set, words_of
 from petmjx.plans.nested_fields import flattened
-from petmjx.plans.raw_cells import cell_number, cell_text
 
 LAYERS: Final = word_set("layer layers level levels tier tiers lage lagen schicht schichten row rows couches")
 """Words for lists, sheets and sections whose members are parts of one plan."""

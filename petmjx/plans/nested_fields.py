@@ -12,8 +12,8 @@ import numpy as np
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
+from petmjx.plans.cell_numbers import cell_number
 from petmjx.plans.column_names import known_meanings, word_set, words_of
-from petmjx.plans.raw_cells import cell_number
 
 _LISTED: Final = 16
 """A list with at most this number of members becomes separate fields. So the 16 numbers of a 4×4 matrix become separate

@@ -17,6 +17,7 @@ import numpy as np
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable_name
+from petmjx.plans.cell_numbers import cell_number, decimal_of
 from petmjx.plans.column_names import known_meanings, names_unplaced, word_set, words_of
 from petmjx.plans.header_and_total_rows import geometric_columns, geometric_names
 from petmjx.plans.json_reader import DuplicateFieldObject, any_integer, json_fault, json_object
@@ -32,7 +33,6 @@ from petmjx.plans.nested_containers import (
     plan_names_of,
 )
 from petmjx.plans.nested_fields import LEAST_NUMBERS, flattened, rows_by_column, rows_of_numbers
-from petmjx.plans.raw_cells import cell_number, decimal_of
 from petmjx.plans.raw_tables import MOST_ROWS, BoxList, RawTable, flags_unplaced, not_placed, united
 
 _DEEPEST: Final = 12

@@ -16,8 +16,8 @@ from typing import Any, Final
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
+from petmjx.plans.cell_numbers import cell_number
 from petmjx.plans.known_forms import BoxSource, KnownForm
-from petmjx.plans.raw_cells import cell_number
 from petmjx.plans.raw_tables import MOST_ROWS, BoxList, RawTable
 from petmjx.plans.text_tables import decoded_text
 

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from petmjx.common.text import count_text
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
+from petmjx.plans.cell_numbers import cell_number, thousands_faults
 from petmjx.plans.column_extraction import LAST_CELLS, role_of
 from petmjx.plans.column_names import LENGTH_UNITS, limits_in, names_deck
 from petmjx.plans.nested_containers import FLAT
 from petmjx.plans.plan_fields import FARTHEST_MM, LARGEST_MM, SMALLEST_MM, coordinate_fault, positive_fault
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, shared_length
-from petmjx.plans.raw_cells import cell_number, thousands_faults
 from petmjx.plans.reading_candidates import Candidate, axis_up, layout_of, level_axes
 from petmjx.plans.reading_choice import container_of
 from petmjx.plans.readings import Reading, Wishes

@@ -15,11 +15,11 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
+from petmjx.plans.cell_numbers import cell_text
 from petmjx.plans.column_extraction import IGNORED
 from petmjx.plans.column_names import PALLET_WORDS, may_count, words_of
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, gaps_mm
 from petmjx.plans.plausibility import n_before_support
-from petmjx.plans.raw_cells import cell_text
 from petmjx.plans.raw_tables import rows_by_name
 from petmjx.plans.reading_candidates import Candidate
 from petmjx.plans.reading_choice import choose_reading

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
-from petmjx.plans.raw_cells import cell_number
+from petmjx.plans.cell_numbers import cell_number
 from petmjx.plans.raw_tables import BoxList, RawTable
 from petmjx.plans.turn_columns import rotations_of_angles
 

@@ -9,10 +9,10 @@ from typing import Final
 import numpy as np
 
 from petmjx.common.units import FloatArray
+from petmjx.plans.cell_numbers import number_fault_of
 from petmjx.plans.column_extraction import XYZ, ColumnExtraction
 from petmjx.plans.column_names import LENGTH_UNITS, words_of
 from petmjx.plans.known_forms import GLTF, THREE_JS
-from petmjx.plans.raw_cells import number_fault_of
 from petmjx.plans.size_and_place_columns import Geometry, Sizes, places_in, sizes_in
 from petmjx.plans.turn_columns import (
     angles_of,

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.text import count_text
+from petmjx.plans.cell_numbers import NO_WORDS, YES_WORDS, cell_text
 from petmjx.plans.column_names import ColumnMeaning, column_meanings, known_meanings
-from petmjx.plans.raw_cells import NO_WORDS, YES_WORDS, cell_text
 
 MOST_ROWS: Final = 1_000_000
 """Largest number of rows of a table, the same as in a sheet. As Python values, a table of a million boxes takes a

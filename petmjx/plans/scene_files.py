@@ -18,9 +18,9 @@ import numpy as np
 from petmjx.common.errors import InputError
 from petmjx.common.text import blanked, count_text, first_names
 from petmjx.common.units import FloatArray
+from petmjx.plans.cell_numbers import cell_number
 from petmjx.plans.known_forms import GLTF, SCENE, THREE_JS, BoxSource
 from petmjx.plans.nested_fields import flattened
-from petmjx.plans.raw_cells import cell_number
 from petmjx.plans.raw_tables import MOST_ROWS, BoxList, RawTable
 from petmjx.plans.turn_columns import bad_member, matrix_of, rotations_of_quaternions
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
+from petmjx.plans.cell_numbers import cell_text, decimal_of, is_number
 from petmjx.plans.column_names import TITLE_WORDS, names_unplaced, plain_text, word_set, words_of
 from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.header_and_total_rows import (
@@ -30,7 +31,6 @@ from petmjx.plans.header_and_total_rows import (
     with_groups,
 )
 from petmjx.plans.nested_containers import LAYERS, STACKS
-from petmjx.plans.raw_cells import cell_text, decimal_of, is_number
 from petmjx.plans.raw_tables import RawTable, not_placed
 
 

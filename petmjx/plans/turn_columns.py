@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
-from petmjx.plans.raw_cells import NO_WORDS, YES_WORDS, cell_number, cell_text
+from petmjx.plans.cell_numbers import NO_WORDS, YES_WORDS, cell_number, cell_text
 
 
 @dataclass(frozen=True, eq=False)

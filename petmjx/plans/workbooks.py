@@ -16,8 +16,8 @@ from xml.etree import ElementTree
 from petmjx.common.errors import InputError
 from petmjx.common.safe_read import allowed_bytes
 from petmjx.common.text import printable_name
+from petmjx.plans.cell_numbers import cell_number
 from petmjx.plans.file_formats import NoBoxes
-from petmjx.plans.raw_cells import cell_number
 from petmjx.plans.raw_tables import MOST_COLUMNS, MOST_ROWS, RawTable
 from petmjx.plans.table_sections import tables_of_rows
 from petmjx.plans.text_tables import tables_of_text

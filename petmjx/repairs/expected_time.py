@@ -14,7 +14,7 @@ from petmjx.engines.expected_work import Work
 from petmjx.engines.machine_speed import costs_here
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
-from petmjx.plans.plan_statics import statics_of
+from petmjx.plans.plan_workload import statics_of
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.world.supports import deck_mm
 
@@ -30,7 +30,7 @@ PROPOSALS_S: Final = 1.0
 
 def size_of(plans: Sequence[Plan], sim: Simulation, options: RepairOptions, engine: str, threads: int) -> str:
     """One line with the number of plans, the expected number of steps, and the expected time. Plans with a loose box
-    (``petmjx.plans.plan_statics``) are expected to fall; if no plan has a loose box, the largest plan is expected to
+    (``petmjx.plans.plan_workload``) are expected to fall; if no plan has a loose box, the largest plan is expected to
     fall. With a profile, the line has only the number of plans.
 
     Args:

@@ -26,7 +26,7 @@ from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import Skipped
-from petmjx.plans.plan_statics import statics_of
+from petmjx.plans.plan_workload import statics_of
 from petmjx.results.recording import Recording
 from petmjx.results.resume import CompletedWorlds
 from petmjx.results.run_writer import RunWriter

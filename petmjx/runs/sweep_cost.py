@@ -15,7 +15,7 @@ from petmjx.engines.expected_work import STEADY_G, Work, rest_steps
 from petmjx.engines.job_stream import JobBounds
 from petmjx.options.placing import Way
 from petmjx.options.simulation import Check, Schedule
-from petmjx.plans.plan_statics import MOST_LOOKED_AT, statics_of, tipping_g
+from petmjx.plans.plan_workload import MOST_LOOKED_AT, statics_of, tipping_g
 from petmjx.runs.sweep_worlds import PlacementGroup, SweepPlan
 from petmjx.world.carrier_boards import has_walls
 from petmjx.world.profiles.profile import Profile

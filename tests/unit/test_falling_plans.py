@@ -33,8 +33,8 @@ from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Check, Simulation
 from petmjx.packers.sample_plans import generate_one
 from petmjx.plans.plan import Plan
-from petmjx.plans.plan_statics import MOST_LOOKED_AT, loose_and_ties, mean_sink_mm, statics_of, tipping_g
 from petmjx.plans.plan_validation import parse_plan
+from petmjx.plans.plan_workload import MOST_LOOKED_AT, loose_and_ties, mean_sink_mm, statics_of, tipping_g
 from petmjx.results.recording import Recording
 from petmjx.results.resume import CompletedWorlds
 from petmjx.runs.ready_sweeps import find_sweep
@@ -174,7 +174,7 @@ def test_of_many_plans_some_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> No
         seen.append(plan.plan_id)
         return 0, 1
 
-    monkeypatch.setattr("petmjx.plans.plan_statics.loose_and_ties", look)
+    monkeypatch.setattr("petmjx.plans.plan_workload.loose_and_ties", look)
     plans = [boxes((0, 0, 0), (0, 0, 200))] * (3 * MOST_LOOKED_AT)
     statics = statics_of(plans)
     assert statics.placed_share.tolist() == statics.ties.tolist() == [0.5] * len(plans)
