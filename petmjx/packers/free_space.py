@@ -24,8 +24,8 @@ LARGE: Final = ((11, 4), (4, 11)), ((12, 8), (8, 12))
 200 and 400 × 300 mm, large ones 550 × 200 and 600 × 400 mm."""
 
 AIR: Final = 0.5
-"""Cost of a millimetre of air under a carton, as millimetres of additional height. The height of the air is its mean
-over the carton's base."""
+"""Cost of a millimetre of air under a carton, as millimetres of additional height. The height of the air is the mean
+height over the carton's base."""
 
 LEVEL_MM: Final = 15.0
 """A place counts as level if the mean height of the air under a carton's base is at most this length, mm."""
@@ -41,10 +41,10 @@ def free_space(surface: HeightMap, low: FloatArray, high: FloatArray) -> dict[st
         low, high: (c, 3) lowest and highest corners of each candidate's box on the pile, mm.
 
     Returns:
-        A dict: name in ``NAMES`` → (c,) values. ``room_small`` and ``room_large`` measure how low the next carton could
-        stand: the height of a carton's lowest place plus the cost of the air below the carton, m, as the mean over
-        small or large cartons. ``level_small`` and ``level_large`` are the share of places that are level, as the mean
-        over small or large cartons.
+        A dict: name in ``NAMES`` → (c,) values. ``room_small`` and ``room_large`` measure how low the next small or
+        large carton could stand. They are the mean, over cartons, of the height of a carton's lowest place plus the
+        cost of the air below the carton, m. ``level_small`` and ``level_large`` are the share of places that are level,
+        as the mean over small or large cartons.
     """
     lines = np.concatenate([surface.lines(low), surface.lines(high)], axis=1)[:, :, None]
     x, y = (np.arange(n) for n in surface.height.shape)

@@ -37,8 +37,8 @@ NAMES: Final = (
 """Names of the features, in order. docs/packers.md explains them."""
 
 NEAR_MM: Final = 8.0
-"""Largest gap between two sides that count as touching, and largest difference of the heights of two tops that count as
-level, mm."""
+"""Tolerance, mm: two sides with at most this gap count as touching, and two tops whose heights differ by at most this
+length count as level."""
 
 SLIVER_MM: Final = 100.0
 """Width below which a gap is too narrow for most cartons, mm."""
@@ -46,7 +46,8 @@ SLIVER_MM: Final = 100.0
 MOST_GAP_MM: Final = 400.0
 
 _RING: Final = 3
-"""Width of the ring around a base whose heights are compared with the box's top, in cells of the height map."""
+"""Width, in cells of the height map, of the ring around a base. The heights in this ring are compared with the box's
+top."""
 
 _LEVEL_MM: Final = 500.0
 """Length, mm, by which heights and lengths are divided to get a feature."""
@@ -100,7 +101,7 @@ def _off_centre(
     low: FloatArray, high: FloatArray, volume: FloatArray, middle: FloatArray, extent: FloatArray
 ) -> FloatArray:
     """(c,) how far the centre of volume of all boxes, with the candidate's box, is off the target's middle: 4 × the sum
-    of its distances along x and y, each divided by the target's extent.
+    of the distances between the two along x and y, each divided by the target's extent.
 
     Args:
         low, high: (n, 3) lowest and highest corners of the placed boxes, mm.

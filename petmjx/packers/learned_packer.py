@@ -29,7 +29,7 @@ from petmjx.packers.packing_state import NextCandidate
 from petmjx.packers.pile_balance import TOUCH_MM, Balance, Rest
 from petmjx.packers.policy_network import Network, likely
 from petmjx.packers.stability_features import PlacementState, placement_state, stability_features
-from petmjx.plans.order_generator import Item
+from petmjx.plans.order import Item
 from petmjx.plans.plan import Plan
 
 LEARNED: Final = "learned"
@@ -42,7 +42,7 @@ CLEARANCE_MM: Final = 4.0
 MOST_PLACES: Final = 32
 LEAST_PLACES: Final = 6
 """For each kind of box that the packer sees, only the lowest candidates are rated. The number of rated candidates per
-kind is ``MOST_PLACES`` divided by the number of kinds that the packer sees, or ``LEAST_PLACES`` if that is larger."""
+kind is ``MOST_PLACES`` divided by the number of kinds that the packer sees, but at least ``LEAST_PLACES``."""
 
 SURE: Final = 0.98
 """A probability to stand that is high enough. The packer takes the best candidate whose probability is ``SURE`` or

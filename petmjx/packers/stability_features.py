@@ -65,7 +65,7 @@ def placement_state(
     Args:
         pile: static balance of the pile.
         low, high, masses, corner_mm, size_mm, mass_kg: as in ``PlacementState``.
-        rest: effect of the box on the balance; None if it is not known.
+        rest: effect of the box on the balance; None if this effect was not computed before.
     """
     (x, y, z), (length, width, _) = corner_mm.tolist(), size_mm.tolist()
     margins = pile.margins_m((x, y, z), (length, width), mass_kg, rest)

@@ -16,11 +16,11 @@ import numpy as np
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
+from petmjx.plans.cell_numbers import cell_number, cell_text
 from petmjx.plans.column_extraction import HALF_EXTENTS, IGNORED, LAST_CELLS, ColumnExtraction
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, may_count, word_set, words_of
 from petmjx.plans.known_forms import BoxSource
 from petmjx.plans.pose_columns import pose_choices
-from petmjx.plans.raw_cells import cell_number, cell_text
 from petmjx.plans.raw_tables import rows_by_name
 from petmjx.plans.size_and_place_columns import (
     Geometry,
@@ -94,7 +94,8 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str], units: str, masses
 
     Args:
         chosen: role (``ROLES``) → name of the column that has it, or "-".
-        units, masses: unit of all lengths and of all masses that an option sets; "": no option.
+        units: the unit that an option sets for all lengths; "" if no such option is given. masses: the same for all
+            masses.
 
     Raises:
         InputError: a chosen column does not exist, or cannot have the role. If places or sizes are missing,

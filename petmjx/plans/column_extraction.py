@@ -17,6 +17,18 @@ import numpy as np
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
+from petmjx.plans.cell_numbers import (
+    CellNumber,
+    are_grouped,
+    cell_corners,
+    cell_number,
+    cell_text,
+    cell_triple,
+    has_groups_with_decimals,
+    is_number,
+    number_fault_of,
+    without_groups,
+)
 from petmjx.plans.column_names import (
     LENGTH_UNITS,
     MASS_UNITS,
@@ -30,18 +42,6 @@ from petmjx.plans.column_names import (
 )
 from petmjx.plans.known_forms import BED_BPP, PACKINGSOLVER, BoxSource
 from petmjx.plans.plan_fields import joined_names
-from petmjx.plans.raw_cells import (
-    CellNumber,
-    are_grouped,
-    cell_corners,
-    cell_number,
-    cell_text,
-    cell_triple,
-    has_groups_with_decimals,
-    is_number,
-    number_fault_of,
-    without_groups,
-)
 from petmjx.plans.turn_columns import letters_of
 
 XYZ: Final = ("x", "y", "z")
@@ -49,8 +49,8 @@ SIZE_WORDS: Final = ("length", "width", "height", "depth")
 HALF_EXTENTS: Final = "half extents"
 """Role of a column of sizes, in addition to its own role, if sizes are half extents."""
 LAST_CELLS: Final = "last cells"
-"""Role of a column of far corners, in addition to its own role, if boxes stand on a grid and each far corner is the
-last cell of its box: a box from 1 to 40 is 40 cells long."""
+"""An additional role of a column of far corners, if boxes stand on a grid and each far corner is the last cell of its
+box. For example, a box from 1 to 40 is 40 cells long."""
 ROLES: Final = (
     "length", "width", "height", "depth", "x size", "y size", "z size", "x", "y", "z", "sizes", "position", "weight",
     "rotation", "plan", "sequence", "article", "item_id", HALF_EXTENTS, LAST_CELLS,
@@ -287,7 +287,7 @@ class ColumnExtraction:
 
         A number without a unit gets the unit that the column's name, an option or the form gives. If neither the
         column's name nor an option nor the form gives a unit, but other cells of the column have units, the number is
-        bad, since the unit of one cell does not imply the unit of another cell. Zero needs no unit.
+        bad. The unit of one cell does not imply the unit of another cell. Zero needs no unit.
         """
         values = np.full((len(rows), width), np.nan)
         is_mass = "kg" in units

@@ -11,6 +11,7 @@ from typing import Any, Final
 from petmjx.common.errors import InputError
 from petmjx.common.text import blanked
 from petmjx.common.unreadable_files import foreign_kind, program_kind
+from petmjx.plans.cell_numbers import cell_number
 from petmjx.plans.column_names import words_of
 from petmjx.plans.file_formats import NoBoxes, NoGeometry, nul_fault
 from petmjx.plans.header_and_total_rows import geometric_names
@@ -20,7 +21,6 @@ from petmjx.plans.nested_json import box_lists, decoded_json
 from petmjx.plans.numpy_arrays import loaded_array, loaded_arrays, sources_of_arrays
 from petmjx.plans.printed_values import printed_values, values_of_blocks, values_of_lines
 from petmjx.plans.python_objects_and_py3dbp import is_printed_object, python_values, source_of_printed
-from petmjx.plans.raw_cells import cell_number
 from petmjx.plans.raw_tables import BoxList, RawTable, not_placed, rows_with_boxes, united, with_names_of, with_titles
 from petmjx.plans.scene_files import is_gltf, is_three_js, source_of_gltf, source_of_scene, source_of_three_js
 from petmjx.plans.table_sections import are_unplaced

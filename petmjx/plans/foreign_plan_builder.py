@@ -15,18 +15,17 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import first_names, printable_name
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
+from petmjx.plans.cell_numbers import cell_number
 from petmjx.plans.column_extraction import HALF_EXTENTS, IGNORED, LAST_CELLS
 from petmjx.plans.known_forms import PACKINGSOLVER
+from petmjx.plans.masses_and_densities import assumed_density, density_lines, masses_kg
 from petmjx.plans.placed_boxes import (
-    assumed_density,
-    density_lines,
     edge_faults,
     empty_rows,
     far_cells,
     fault_of_rows,
     first_bad_row,
     height_fault,
-    masses_kg,
     pallet_rows,
     placed_boxes,
     range_faults,
@@ -35,7 +34,6 @@ from petmjx.plans.placed_boxes import (
 from petmjx.plans.placement_table import RefusedPlan, Table, as_column
 from petmjx.plans.plan_rows import PalletSearch, packing_order, plan_names, repeated_number
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
-from petmjx.plans.raw_cells import cell_number
 from petmjx.plans.raw_tables import BoxList, names_with_lost_rows, row_number, rows_by_name
 from petmjx.plans.reading_candidates import Candidate
 from petmjx.plans.reading_choice import choose_reading
@@ -77,7 +75,8 @@ class PlanBuilder:
             self.notes.append(f"{printable_name(reading.columns[HALF_EXTENTS])} and columns like it hold half sizes")
         if LAST_CELLS in reading.columns:
             self.notes.append(
-                f"{printable_name(reading.columns[LAST_CELLS])} and columns like it hold last cells of boxes"
+                f"{printable_name(reading.columns[LAST_CELLS])} and columns like it hold the last grid cell of each "
+                "box (the box ends one cell further)"
             )
         self._note_quantities()
         size, low = placed_boxes(self.columns, reading, candidate, plans, self.wishes, self.notes)

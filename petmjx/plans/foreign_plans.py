@@ -12,6 +12,7 @@ from typing import Final
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable, printable_name
 from petmjx.plans.box_columns import BoxColumns, box_columns
+from petmjx.plans.cell_numbers import GROUPED, cell_number
 from petmjx.plans.column_names import known_meanings
 from petmjx.plans.file_formats import NoBoxes, NoGeometry
 from petmjx.plans.foreign_plan_builder import ForeignPlans, PlanBuilder
@@ -20,7 +21,6 @@ from petmjx.plans.item_joins import with_items
 from petmjx.plans.known_forms import POSES, BoxSource, rows_of
 from petmjx.plans.placed_boxes import named_decks
 from petmjx.plans.plan_rows import plan_names
-from petmjx.plans.raw_cells import GROUPED, cell_number
 from petmjx.plans.raw_tables import rows_by_name
 from petmjx.plans.reading_choice import TIE
 from petmjx.plans.readings import Wishes
@@ -62,9 +62,9 @@ def plans_of_sources(
 
 def _other_plans(sources: Sequence[BoxSource]) -> list[str]:
     """Lines about lists of boxes that are not read. Only the first list is read. A line is made for each other list
-    that has a header and columns for sizes and places, and, if the first list has no header, for each other list that
-    has no header but as many columns. Lists whose objects contain the boxes of the first list, such as lists of layers,
-    get no line."""
+    that has a header and columns for sizes and places. If the first list has no header, a line is also made for each
+    other list that has no header but as many columns. Lists whose objects contain the boxes of the first list, such as
+    lists of layers, get no line."""
     lines = []
     first = sources[0].boxes
     for other in sources[1:]:

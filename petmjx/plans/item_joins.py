@@ -14,11 +14,11 @@ import numpy as np
 from petmjx.common.checked_records import reason
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable
+from petmjx.plans.cell_numbers import cell_number, cell_text
 from petmjx.plans.column_names import column_meanings, known_meanings, word_set
 from petmjx.plans.foreign_formats import sources_of_bytes
 from petmjx.plans.json_reader import unpacked_bytes
 from petmjx.plans.known_forms import PACKINGSOLVER, BoxSource
-from petmjx.plans.raw_cells import cell_number, cell_text
 from petmjx.plans.raw_tables import RawTable
 
 _LEAST_MATCHED_SHARE: Final = 0.9
@@ -220,8 +220,8 @@ def _naming_columns(table: RawTable) -> list[int]:
 
 
 def _rows_by_name(table: RawTable, other: RawTable) -> list[int | None] | None:
-    """For each box, the row of its item: the row that has the same value as the box in a column of names. Of all pairs
-    of a column of boxes and a column of items, the pair whose values agree most often is used."""
+    """For each box, the row of its item. An item belongs to a box if both have the same value in a column of names. Of
+    all pairs of a column of boxes and a column of items, the pair whose values agree most often is used."""
     best, most = None, _LEAST_MATCHED_SHARE * max(len(table.rows), 1)
     box_columns = _naming_columns(table)
     for item_column in _naming_columns(other):

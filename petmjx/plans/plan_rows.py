@@ -15,11 +15,11 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
+from petmjx.plans.cell_numbers import cell_text
 from petmjx.plans.column_extraction import IGNORED
 from petmjx.plans.column_names import PALLET_WORDS, may_count, words_of
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, gaps_mm
 from petmjx.plans.plausibility import n_before_support
-from petmjx.plans.raw_cells import cell_text
 from petmjx.plans.raw_tables import rows_by_name
 from petmjx.plans.reading_candidates import Candidate
 from petmjx.plans.reading_choice import choose_reading
@@ -136,8 +136,8 @@ class PalletSearch:
 
 def plan_names(columns: BoxColumns, source: str, notes: list[str]) -> list[str]:
     """(n,) the name of the plan of each row. If the names are numbers of containers, the file's name comes before
-    them, so that plans of different files have different names. Numbers are those of containers if a column has them
-    (its name has a word for containers), or if they count without gaps from 0 or 1. Other numbers are ids.
+    them, so that plans of different files have different names. Numbers are the numbers of containers if a column has
+    them (its name has a word for containers), or if they count without gaps from 0 or 1. Other numbers are ids.
     """
     parts, column = columns.source.boxes.parts, columns.plan
     if column is not None and len(set(column)) * 2 > columns.n_boxes + 2 and len(set(column)) > 1:

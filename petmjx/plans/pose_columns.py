@@ -9,10 +9,10 @@ from typing import Final
 import numpy as np
 
 from petmjx.common.units import FloatArray
+from petmjx.plans.cell_numbers import number_fault_of
 from petmjx.plans.column_extraction import XYZ, ColumnExtraction
 from petmjx.plans.column_names import LENGTH_UNITS, words_of
 from petmjx.plans.known_forms import GLTF, THREE_JS
-from petmjx.plans.raw_cells import number_fault_of
 from petmjx.plans.size_and_place_columns import Geometry, Sizes, places_in, sizes_in
 from petmjx.plans.turn_columns import (
     angles_of,
@@ -202,7 +202,8 @@ def _turned(extraction: ColumnExtraction, geometry: Geometry, rotation: FloatArr
 
 
 def _roles(role: str, names: Sequence[str]) -> dict[str, str]:
-    """Entries for columns that together have one role, such as a rotation: a numbered role (``rotation``,
-    ``rotation (2)``, …) → name of a column. Columns that are members of one list count as one column."""
+    """Several columns may have one role together, such as a rotation. The result maps a numbered role (``rotation``,
+    ``rotation (2)``, …) to the name of each of these columns. Columns that are members of one list count as one
+    column."""
     names = list(dict.fromkeys(name.rpartition("[")[0] or name for name in names))
     return {role if number == 1 else f"{role} ({number})": name for number, name in enumerate(names, start=1)}

@@ -17,12 +17,12 @@ import numpy as np
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
+from petmjx.plans.cell_numbers import decimal_of
 from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.header_and_total_rows import distinct_names
 from petmjx.plans.known_forms import PY3DBP, BoxSource, with_known_form
 from petmjx.plans.nested_json import JsonLines, box_lists
 from petmjx.plans.numpy_arrays import sources_of_arrays
-from petmjx.plans.raw_cells import decimal_of
 from petmjx.plans.raw_tables import BoxList, RawTable, not_placed
 
 _MOST_PRINTED: Final = 8 << 20

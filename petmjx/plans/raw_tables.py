@@ -1,5 +1,5 @@
-"""Raw tables (``RawTable``): rows of text files and sheets with their column names, before anything is interpreted; and
-lists of boxes (``BoxList``): raw tables with information from the objects around them in the file."""
+"""Raw tables (``RawTable``): rows of text files and sheets with their column names, before anything is interpreted.
+Lists of boxes (``BoxList``): raw tables with information from the objects around them in the file."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.text import count_text
+from petmjx.plans.cell_numbers import NO_WORDS, YES_WORDS, cell_text
 from petmjx.plans.column_names import ColumnMeaning, column_meanings, known_meanings
-from petmjx.plans.raw_cells import NO_WORDS, YES_WORDS, cell_text
 
 MOST_ROWS: Final = 1_000_000
 """Largest number of rows of a table, the same as in a sheet. As Python values, a table of a million boxes takes a

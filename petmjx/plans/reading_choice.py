@@ -408,9 +408,9 @@ def _may_be_turned(best: _Judged, other: _Judged) -> bool:
 
 
 def _is_doubtful(best: _Judged) -> bool:
-    """Whether another axis may be the vertical, or coordinates may be those of another corner. This may be
-    so if, in the most plausible reading, boxes overlap, float, are outside or are listed from one side to the other, or
-    if the sizes do not lie along the axes that name them."""
+    """Whether another axis may be the vertical, or coordinates may describe another corner. This may be so if, in the
+    most plausible reading, boxes overlap, float, are outside or are listed from one side to the other. It may also be
+    so if the sizes do not lie along the axes that name them."""
     is_exchanged = best.candidate.geometry.axes == XYZ and best.candidate.pair != (0, 1, 2)
     return best.evidence.n_odd > 0 or is_exchanged or best.begin_cost + best.order_cost > 0
 
@@ -476,8 +476,9 @@ def _within_reach(judged: _Judged) -> bool:
 def _likely_units(best: _Judged, wishes: Wishes) -> list[_Units]:
     """The units of a reading. If two units are a tie, both are returned.
 
-    Two units of lengths are a tie if boxes and load fit a carrier equally well in both, whatever the masses, or if the
-    costs of the units are almost equal. Units of masses are never a tie, because they do not change verdicts.
+    Two units of lengths are a tie in two cases. Boxes and load fit a carrier equally well in both units, whatever the
+    masses; or the costs of the units are almost equal. Units of masses are never a tie, because they do not change
+    verdicts.
     """
     first, *others = best.units
     rivals = [choice for choice in others if choice.length != first.length and choice.cost < first.cost + TIE]

@@ -18,9 +18,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
-from petmjx.common.checked_records import read_toml, reason, shown_value
+from petmjx.common.checked_records import reason, shown_value
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable, printable_name, three_digits
+from petmjx.common.toml_files import read_toml
 from petmjx.common.units import LENGTHS_MM, MASSES_KG
 from petmjx.options.run_options import RunOptions
 from petmjx.plans.column_extraction import LAST_CELLS, ROLES
@@ -150,7 +151,7 @@ class Reading:
         """What the columns of far corners hold, in words; "" if there are none."""
         name = next((self.columns[role] for role in ("x (far)", "corners") if role in self.columns), "")
         are_cells = LAST_CELLS in self.columns
-        return name and f"{name} and columns like it hold {'the last cells' if are_cells else 'the ends'} of boxes"
+        return name and f"{name} and columns like it hold {'the last grid cells' if are_cells else 'the ends'} of boxes"
 
     @property
     def size_words(self) -> str:
@@ -322,7 +323,7 @@ def implausible_text(reading: Reading) -> str:
     if 2 * reading.evidence.n_overlapping > reading.evidence.n_boxes:
         options = f"{_SEVERAL}if boxes really overlap, say --anchor {reading.anchor}"
     return (
-        f"no reading is plausible; the best is coordinates of {_ANCHOR_WORDS[reading.anchor]}, {up_words(reading.up)} "
+        f"no reading is plausible; the best has coordinates of {_ANCHOR_WORDS[reading.anchor]}, {up_words(reading.up)} "
         f"({reading.evidence}); {options}"
     )
 

@@ -18,9 +18,9 @@ import numpy as np
 from petmjx.common.errors import InputError
 from petmjx.common.text import blanked, count_text, first_names
 from petmjx.common.units import FloatArray
+from petmjx.plans.cell_numbers import cell_number
 from petmjx.plans.known_forms import GLTF, SCENE, THREE_JS, BoxSource
 from petmjx.plans.nested_fields import flattened
-from petmjx.plans.raw_cells import cell_number
 from petmjx.plans.raw_tables import MOST_ROWS, BoxList, RawTable
 from petmjx.plans.turn_columns import bad_member, matrix_of, rotations_of_quaternions
 
@@ -50,7 +50,7 @@ def source_of_scene(text: str) -> BoxSource:
     import mujoco  # MuJoCo itself interprets all of MJCF: defaults, angles, densities
 
     plain = _COMMENT.sub(lambda comment: blanked(comment[0]), text)
-    if (bad := _NO_NUMBER.search(plain)) is not None:  # MuJoCo reads such a mass as one that is not given
+    if (bad := _NO_NUMBER.search(plain)) is not None:  # MuJoCo treats such a mass as if it were not given
         fault = "must be finite, got nan" if bad[2] else "is missing"
         raise InputError(f"line {1 + text.count(chr(10), 0, bad.start(1))}: {bad[1]} {fault}")
     try:
@@ -234,8 +234,8 @@ def _instances(node: Mapping[str, Any], place: str) -> list[FloatArray]:
 
 
 def source_of_gltf(value: Mapping[str, Any]) -> BoxSource:
-    """The boxes of a glTF scene: nodes with a mesh. The extents of a mesh are those of its positions, as its accessor
-    gives them; if the accessor gives none, the mesh is a unit cube.
+    """The boxes of a glTF scene: nodes with a mesh. The extents of a mesh are the extents of its positions, as its
+    accessor gives them; if the accessor gives none, the mesh is a unit cube.
 
     Raises:
         InputError: the pose of a node is damaged, or no node has a mesh.

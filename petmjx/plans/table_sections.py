@@ -15,6 +15,7 @@ import numpy as np
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
+from petmjx.plans.cell_numbers import cell_text, decimal_of, is_number
 from petmjx.plans.column_names import TITLE_WORDS, names_unplaced, plain_text, word_set, words_of
 from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.header_and_total_rows import (
@@ -30,7 +31,6 @@ from petmjx.plans.header_and_total_rows import (
     with_groups,
 )
 from petmjx.plans.nested_containers import LAYERS, STACKS
-from petmjx.plans.raw_cells import cell_text, decimal_of, is_number
 from petmjx.plans.raw_tables import RawTable, not_placed
 
 
@@ -320,8 +320,8 @@ _BOXES_OF_TITLES: Final = word_set(
     "cajas articulo articulos scatola scatole articolo articoli pudelko pudelka artykul artykuly list of the not "
     "placed packed"
 )
-"""Words that may stand in the title of a section of boxes that are not placed, in addition to the words that say that
-the boxes are not placed."""
+"""Words for boxes, and further words that may stand in the title of a section of boxes that are not placed. Other words
+of the title say that the boxes are not placed."""
 
 
 def _n_numbers(row: Sequence[Any], geometric: Sequence[int]) -> int:

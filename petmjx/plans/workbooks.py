@@ -16,8 +16,8 @@ from xml.etree import ElementTree
 from petmjx.common.errors import InputError
 from petmjx.common.safe_read import allowed_bytes
 from petmjx.common.text import printable_name
+from petmjx.plans.cell_numbers import cell_number
 from petmjx.plans.file_formats import NoBoxes
-from petmjx.plans.raw_cells import cell_number
 from petmjx.plans.raw_tables import MOST_COLUMNS, MOST_ROWS, RawTable
 from petmjx.plans.table_sections import tables_of_rows
 from petmjx.plans.text_tables import tables_of_text
@@ -167,7 +167,7 @@ class _PageRows(HTMLParser):
 
     def _copy_from_above(self, row: list[Any]) -> None:
         """Add the cells of rows above that extend over the next columns of a row. Numbers are left out: a weight beside
-        several boxes may be that of all of them."""
+        several boxes may be the weight of all these boxes."""
         while (span := self.spans.pop(len(row), None)) is not None and self.n_copies < MOST_ROWS:
             above, n_more = span
             if n_more > 1:

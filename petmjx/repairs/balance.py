@@ -2,9 +2,9 @@
 the edge of their supports, and measures how harmful these loads are. The load of a box is its weight and all forces on
 its top.
 
-The computation of a draft's balance takes a fifth of a millisecond, a simulation a tenth of a second and more. So the
-balance tells which of many changes are worth a simulation. The balance never decides whether a plan stands: a box whose
-load is beyond an edge may lean on a neighbour, and stand.
+The computation of a draft's balance takes a fifth of a millisecond, and a simulation takes a tenth of a second or more.
+So the balance tells which of many changes are worth a simulation. The balance never decides whether a plan stands: a
+box whose load is beyond an edge may lean on a neighbour, and stand.
 """
 
 from __future__ import annotations
@@ -18,9 +18,11 @@ import numpy as np
 from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.options.simulation import Simulation
 from petmjx.repairs.drafts import TOLERANCE_MM, BoolArray, Draft, IntArray
-from petmjx.world.edge_distances import ROUNDING_M, bearing_in_order, building_loads_of, depends_on_sharing
+from petmjx.world.balanced_loads import ROUNDING_M
+from petmjx.world.bearings import Bearing
+from petmjx.world.building_edges import bearing_in_order, building_loads_of, depends_on_sharing
 from petmjx.world.scene import build_scenes, has_plain_scene
-from petmjx.world.supports import Bearing, find_bearings, find_plain_bearings
+from petmjx.world.supports import find_bearings, find_plain_bearings
 
 AT_ONCE: Final = 128
 """Number of drafts whose balances are computed at once."""
@@ -38,8 +40,7 @@ ROOM_MM: Final = 8.0
 """A box that is lowered between two neighbours has enough room if the gap between the neighbours is larger than the box
 by at least this length. The errors of the places and sizes of two boxes together have a standard deviation of 3 mm. If
 the gap is too narrow, the box lands on top of a neighbour. Of 24 generated plans that stand without errors, 8 fall in
-some worlds with errors. In 7 of the 8 plans that fall with errors, and in none of the others, a box has at most 4 mm of
-room."""
+some worlds with errors. In 7 of these 8 plans, and in none of the 16 other plans, a box has at most 4 mm of room."""
 
 PERHAPS: Final = 0.5
 """Factor on the weight of a load in ``Balance.trouble`` if it is uncertain whether the load is beyond an edge, because
@@ -62,8 +63,8 @@ class Balance(NamedTuple):
             box that is lowered between two other boxes adds 1 to the risk if it has no room, and less with more room: 0
             with ``ROOM_MM`` of room.
         order: numbers of the boxes in packing order.
-        loads: the loads of all boxes, if they were asked for. ``balances_with_last`` computes from ``loads`` the loads
-            of a draft with one more box.
+        loads: the loads of all boxes; None if ``balances`` was called without ``with_loads``. ``balances_with_last``
+            computes from ``loads`` the loads of a draft with one more box.
         missing_room: (n,) part of ``weakness`` that each box contributes because it is lowered between two other boxes.
     """
 
@@ -98,7 +99,7 @@ def balances(
 
     Args:
         spare_mm: a load that is inside an edge, but nearer to the edge than this distance, mm, also counts as beyond
-            it.
+            the edge.
         with_loads: whether the results have the loads of all boxes (``Balance.loads``).
     """
     results: list[Balance] = []

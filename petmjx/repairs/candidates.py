@@ -18,7 +18,8 @@ from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.repairs.balance import SAFE_MM, Balance, balances
 from petmjx.repairs.changes import Change, Kind, applied, cost_of, with_change
-from petmjx.repairs.drafts import Draft, Rules, key_of
+from petmjx.repairs.draft_rules import Rules
+from petmjx.repairs.drafts import Draft, key_of
 from petmjx.repairs.proposals import MOST_TARGETS, Proposal, Target, proposals, targets
 from petmjx.repairs.rebuilds import Failure, rebuilds
 from petmjx.repairs.repair_options import RepairOptions
@@ -205,8 +206,8 @@ PER_REPETITION: Final = 0.5
 another amount. For comparison: a load that is surely beyond an edge of its supports adds 1 to 2 to the rank."""
 
 HELD: Final = 0.15
-"""Share of its weight that a load beyond an edge has in the ranking, if simulations have shown that the box with this
-load does not fall: the box leans on something."""
+"""In the ranking, the weight of a load beyond an edge is multiplied by this number if simulations have shown that the
+box with this load does not fall, because it leans on something."""
 
 MOST_RANKED: Final = 168
 """Of the allowed changes of a plan, at most this number are kept: the most promising ones."""
@@ -327,9 +328,9 @@ class Candidates:
 
     def _unsolved(self, after: Balance, failing: Mapping[int, float], culprit: int | None) -> float:
         """How much of a failure remains after a change, from 0 to 2. The plan fails because loads are beyond an edge of
-        their supports. For each of these loads, a part of its distance beyond the edge may remain after the change, as
-        a share of the distance before. The result is the mean of these shares plus the share for the load of the box
-        that fell first.
+        their supports. The share of such a load is its distance beyond the edge after the change, divided by its
+        distance before the change, at most 1. The result is the mean of the shares of all these loads, plus the share
+        of the load of the box that fell first.
 
         Args:
             failing: box → distance of its load beyond the edge before the change, mm.
@@ -414,7 +415,8 @@ class Candidates:
 
     def _spend(self, count: int) -> None:
         """Count simulations before they are requested. Raises ``TrialsSpent`` if there would be too many. Parts of a
-        search that run side by side must request few enough simulations that they do not raise it."""
+        search that run side by side must together request so few simulations that none of them raises
+        ``TrialsSpent``."""
         if count > self._n_left:
             raise TrialsSpent
         self.n_trials += count

@@ -1,6 +1,7 @@
 """Changes of a plan: their effect on a draft, their cost, and their words.
 
-Boxes have the numbers of the plan, counted from 0 in its packing order. Left is −x, right +x, front −y and back +y.
+The number of a box is its position in the packing order of the unchanged plan, from 0. Left is −x, right +x, front −y
+and back +y.
 """
 
 from __future__ import annotations
@@ -40,8 +41,8 @@ COST: Final = {
     Kind.FILM: 1.0,
     Kind.LEAVE_OUT: 20.0,
 }
-"""Cost of a change of each kind: an assumption about the work that it causes. A change of the order costs least. A box
-that is left out costs most, because it has to be shipped on another pallet."""
+"""Cost of a change of each kind: an assumption about the work that the change causes. A change of the order costs
+least. A box that is left out costs most, because it has to be shipped on another pallet."""
 
 COST_PER_MM: Final = 0.002
 """Cost of a millimetre of a box's move, so that shorter moves are preferred: 100 mm count as a fifth of a change."""
@@ -313,8 +314,9 @@ def applied(draft: Draft, changes: Sequence[Change]) -> Draft | None:
 
 
 def with_turns_told(draft: Draft, changes: Sequence[Change]) -> tuple[Change, ...]:
-    """The changes of a draft, in which each change says which boxes it turns. The search may drop an earlier change
-    that turned a box (``with_change``), so that a later change of this box turns it now."""
+    """The changes of a draft, in which each change says which boxes it turns. A change may turn other boxes than when
+    it was proposed, because the search may have dropped an earlier change that turned the same box
+    (``with_change``)."""
     told: list[Change] = []
     for change in changes:
         if isinstance(change, Place):
@@ -330,8 +332,8 @@ def with_turns_told(draft: Draft, changes: Sequence[Change]) -> tuple[Change, ..
 def with_change(changes: Sequence[Change], change: Change) -> tuple[Change, ...]:
     """A list of changes with one more change. A move becomes part of an earlier change of the same boxes. Of two
     changes of a box's order, only the second one is kept. If a box is put elsewhere or left out, its earlier changes
-    are dropped. The draft may differ from a draft to which all changes were applied in turn, because a later change of
-    other boxes may depend on a dropped change."""
+    are dropped. The returned changes may give another draft than all changes in turn, because a later change of other
+    boxes may depend on a dropped change."""
     for at in reversed(range(len(changes))):
         earlier = changes[at]
         if isinstance(change, Order) and isinstance(earlier, Order) and earlier.box == change.box:

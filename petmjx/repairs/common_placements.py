@@ -2,8 +2,8 @@
 
 Changed plans often begin with the same placements, up to the first box that differs. The placement of the common first
 boxes is simulated once. The simulation of the common first boxes pauses before the first different box is placed, and
-all worlds with the same first boxes start from its state. The outcomes of the worlds are the same to the last bit as if
-each world had been simulated from its beginning.
+all worlds with the same first boxes start from the state of the paused simulation. The outcomes of the worlds are the
+same to the last bit as if each world had been simulated from its beginning.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from petmjx.engines.verdict import Outcome
 from petmjx.world.job import EngineState, Job
 
 LEAST_SAVED: Final = 40
-"""A common placement is simulated in a job of its own only if it saves the placements of at least this many boxes.
-A pause takes as long as the placements of some boxes."""
+"""A common placement is simulated in a job of its own only if it saves the placements of at least this many boxes,
+because a pause takes as long as the placements of some boxes."""
 
 MOST_KEPT_BYTES: Final = 64 << 20
 """Largest memory for the states of common placements that are kept for further worlds. The states of worlds with errors

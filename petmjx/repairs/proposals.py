@@ -19,7 +19,8 @@ import numpy as np
 from petmjx.common.units import FloatArray
 from petmjx.repairs.balance import ROOM_MM, Balance
 from petmjx.repairs.changes import Change, Exchange, Kind, LeaveOut, Move, Order, Place, Sheet, Turn
-from petmjx.repairs.drafts import TOLERANCE_MM, BoolArray, Draft, IntArray, Places, Rules
+from petmjx.repairs.draft_rules import Places, Rules
+from petmjx.repairs.drafts import TOLERANCE_MM, BoolArray, Draft, IntArray
 from petmjx.repairs.repair_options import RepairOptions
 
 Proposal = tuple[Change, ...]
@@ -31,8 +32,9 @@ MOST_NEAR: Final = 8
 """Largest number of boxes that are moved, turned and exchanged because of one cause."""
 
 SPARE_MM: Final = (2.0, 6.0, 12.0, 25.0)
-"""Distances inside the edge, mm, to which a load that is beyond the edge is moved, each by a proposal of its own. When
-a robot places a box, the error has a standard deviation of 2 mm (docs/confidence.md)."""
+"""A load that is beyond an edge is moved inside the edge, to each of these distances from the edge, mm. Each distance
+gives a proposal of its own. When a robot places a box, the error has a standard deviation of 2 mm
+(docs/confidence.md)."""
 
 STEPS_MM: Final = (10.0, 20.0, 30.0, 45.0, 60.0, 80.0, 100.0, 130.0, 160.0, 200.0)
 """Lengths, mm, of those proposed moves of a box that do not depend on how far a load is beyond an edge."""
@@ -80,8 +82,8 @@ def targets(
     if no load is a cause. The culprit and its supports are less likely causes.
 
     Args:
-        culprit: number of the first box over a limit; None: unknown.
-        fallen: numbers of all boxes over a limit.
+        culprit: number of the box that first crossed a limit; None if no box crossed one.
+        fallen: numbers of all boxes that crossed a limit.
         n_placed: number of boxes that were placed in the simulation.
     """
     losers = [*([] if culprit is None else [culprit]), *(box for box in fallen if box != culprit)]
@@ -521,15 +523,14 @@ def _rests(
 
     Args:
         x, y: where the corner may be, mm.
-        low, high: (n, 3) corners of the boxes that may be under it.
+        low, high: (n, 3) corners of the boxes that may be under the placed box.
         fits: which heights are allowed.
     """
     shared = [
         np.minimum(begin[:, None] + length, high[:, axis]) - np.maximum(begin[:, None], low[:, axis])
         for axis, (begin, length) in enumerate(((x, size[0]), (y, size[1])))
     ]
-    # The height at each point: the highest top of a box that reaches under the placed box, or 0, the top of the
-    # carrier.
+    # At each point, the placed box lies as high as the highest top below it: the top of a box, or of the carrier (0).
     from_top = np.argsort(-high[:, 2])
     under_x, under_y = (np.ones((len(some), len(high) + 1), bool) for some in shared)
     under_x[:, :-1], under_y[:, :-1] = (some[:, from_top] > TOLERANCE_MM for some in shared)

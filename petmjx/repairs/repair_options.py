@@ -14,7 +14,7 @@ from petmjx.repairs.changes import Kind
 
 LEAST_WORLDS: Final = 4
 MOST_WORLDS: Final = 100_000
-"""Smallest and largest number of worlds with errors, the same as in ``petmjx.options.run_options.Confidence``."""
+"""Smallest and largest number of worlds with errors, the same as in ``petmjx.options.confidence.Confidence``."""
 
 KINDS: Final = ", ".join(Kind)
 
@@ -60,7 +60,7 @@ class RepairOptions(CheckedRecord):
     trials: Annotated[int, within(1, 1_000_000), CliFlag("--trials", "N")] = Field(
         600,
         description="largest number of simulations of changed plans, for each plan; with a profile, a sixth of this "
-        "number, but at least one; if boxes must be left out, half as many again",
+        "number, but at least one; if boxes must be left out, half of this number is added",
     )
     seconds: Annotated[float | None, within(0.1, 10_000_000), CliFlag("--seconds", "S", default="no limit")] = Field(
         None,

@@ -24,8 +24,8 @@ class Asked(NamedTuple):
             ``trials.JUDGED_TILT_DEG``. If False, the draft is scored.
         world: number of the world with random errors in which the draft is judged, from 1 to ``ERROR_WORLDS``. If 0,
             the draft is simulated without errors.
-        judged: the trial from an earlier judgement of this draft, which is now scored; None if the draft was not judged
-            before.
+        judged: for a draft that was judged before and is now scored, the trial of that judgement; None if the draft was
+            not judged before.
     """
 
     draft: Draft
@@ -42,7 +42,8 @@ class Trial(NamedTuple):
         culprit: number of the box that first crossed a limit; None if no box crossed one.
         fallen: numbers of all boxes that crossed a threshold.
         n_placed: number of boxes that were placed before the world ended.
-        n_held: number of boxes that were placed before the first box crossed a limit, as far as that is known.
+        n_held: number of boxes that were placed before the first box crossed a limit; ``n_placed`` if no box crossed
+            one, or if the draft was scored.
         margin: as in the table ``worlds``; NaN: no margin.
         is_score: whether a score on the same engine would give this trial, so that the draft need not be simulated
             again. A judged trial counts as a score if the draft stands, and its boxes were at rest whenever a wait was

@@ -46,17 +46,17 @@ BEAM: Final = 4
 """Number of changed plans that are changed further at once."""
 
 PER_WAY: Final = 2
-"""Largest number of plans that are changed further, of all plans in which the same boxes are changed in the same ways
-and the same box falls."""
+"""Of all plans in which the same boxes are changed in the same ways and the same box falls, at most this number are
+changed further."""
 
 FIRST_AT_ONCE: Final = 4
 """Number of changed plans that are judged first. If one change is enough, statics usually ranks it among the best."""
 
 WIDE_AT_ONCE: Final = (8, 16, 24, 48)
-"""Number of changed plans that are judged at once on a GPU in the first four rounds of a search, and then in each round
-as in the fourth. During the last searches, a GPU has little to do, since the other searches have ended. So a search on
-a GPU goes on in fewer rounds with more plans each: the first four rounds use up the share ``ALONE`` of the trials.
-These numbers of plans do not depend on other searches, and neither do the results."""
+"""Number of changed plans that are judged at once on a GPU, for each of the first four rounds of a search. The last
+number also holds for all later rounds. During the last searches, a GPU has little to do, since the other searches have
+ended. So a search on a GPU goes on in fewer rounds with more plans each: the first four rounds use up the share
+``ALONE`` of the trials. These numbers of plans do not depend on other searches, and neither do the results."""
 
 MOST_LIFTED: Final = 3
 """The boxes of at most this many faults are taken off one after the other. For each of these faults, the search waits
@@ -72,7 +72,7 @@ MANY_FAULTS: Final = 6.0
 built anew, too, and their repairs would have more changes."""
 
 ALONE_IF_MANY: Final = 0.04
-"""As ``ALONE``, for plans with many faults: on a GPU, two rounds."""
+"""As ``ALONE``, for plans with many faults. On a GPU, these trials are two rounds."""
 
 LATE_AT_ONCE: Final = 2 * AT_ONCE
 """Number of changed plans that are judged at once after single changes alone (``ALONE``) were in vain."""
@@ -82,8 +82,8 @@ BUILT_ANEW: Final = 0.2
 
 ROUNDS_ANEW: Final = 6
 """Largest number of rounds in which plans are built anew. Almost always, the first or second round finds a plan that
-stands. Each round takes a second of statics, even if few of its plans are worth judging, so the few plans without such
-a repair would keep all others waiting."""
+stands. Each round takes a second of statics, even if few of its plans are worth judging, so the few plans for which
+these two rounds find no repair would keep all others waiting."""
 
 PAIR: Final = 2
 """Once a repair with ``PAIR`` + 1 changes is known, the search for a repair with ``PAIR`` changes is wide: it judges
@@ -131,8 +131,8 @@ MOST_LOST: Final = 3
 worlds."""
 
 WIDE: Final = 2
-"""A GPU judges many plans as fast as a few. So a search on a GPU judges this many times as many plans at once, and goes
-on in fewer rounds (single changes: ``WIDE_AT_ONCE``)."""
+"""A GPU judges many plans as fast as a few. So on a GPU, the number of plans that a search judges at once is multiplied
+by this factor, and the search has fewer rounds. (For single changes, ``WIDE_AT_ONCE`` holds instead.)"""
 
 STRENGTHENED: Final = 0.33
 """Share of all trials in which a repair is changed further, so that it stands in more worlds with errors."""
@@ -154,17 +154,19 @@ class Search(Candidates):
 
     Attributes:
         plan: the plan.
-        judged: the trial of the unchanged plan, when only judged; None if not known before the search begins.
-        before: the score of the unchanged plan, which may be known before the search begins; None before its simulation
-            has ended.
+        judged: the trial of the unchanged plan when it is only judged; None if this trial is not known before the
+            search begins.
+        before: the score of the unchanged plan; None until the plan has been scored. The plan may be scored before the
+            search begins.
         repairs: the repairs, the best first. The best repair may have additional changes for worlds with errors; the
             others have the fewest changes with which the plan stands. Empty: there is no repair. Each change of a
             repair is needed: without it, the plan falls, is not allowed, or stands in too few worlds with errors.
         n_trials: number of simulations of changed plans.
         complete: whether the search has ended. Before the search ends, repairs may have needless changes.
-        trials_spent: whether the trials were spent before a repair with all boxes was found, although further changes
-            could be tried, or before the search had tested which changes are needed, or had compared repairs in worlds
-            with errors. False if only the search for shorter repairs ended early: it has only a share of the trials.
+        trials_spent: whether the trials were spent too early: before a repair with all boxes was found, although
+            further changes could be tried; before the search had tested which changes are needed; or before it had
+            compared repairs in worlds with errors. False if only the search for shorter repairs ended early: it has
+            only a share of the trials.
         built_falls: whether boxes that stand already (``built``) fall before others are placed. If built boxes fall, no
             repair is sought.
     """
@@ -320,7 +322,7 @@ class Search(Candidates):
         doubtful: list[State] = []  # states that may fall when scored (``_is_doubtful``)
         is_late = is_widened = False
         n_anew, may_rebuild = 0, Kind.PLACE in kinds and options.profile is None
-        # to leave out boxes is the last resort, after many rounds without it, which are counted here
+        # if boxes may be left out, many rounds without this last resort have been in vain, and are counted here
         n_rounds = len(WIDE_AT_ONCE) if Kind.LEAVE_OUT in kinds else 0
         queues: list[list[Candidate]] = []
         while self.n_trials < last and not self._stands:
@@ -348,7 +350,7 @@ class Search(Candidates):
                 last = self.n_trials  # as if the trials were spent: other ways to build plans anew may remain
                 break
             queues = self._queues(useful, kinds, anew=is_late)
-            # one trial is kept: a repair is scored
+            # one trial is kept, with which a repair is scored
             batch = batch_of(queues, min(at_once, last - self.n_trials, self._n_left - 1))
             n_rounds += 1
             if not batch:  # no queue is left, or fewer trials are left than there are queues
@@ -395,16 +397,16 @@ class Search(Candidates):
         return standing, [Node(node.state, node.faults) for node in nodes[:BEAM]]
 
     def _has_many_faults(self, start: Node, kinds: frozenset[Kind]) -> bool:
-        """Whether a plan has so many faults that single changes hardly help it. False if boxes may be left out, which
-        is the last resort; and with a drive, because faults are then not counted one by one."""
+        """Whether a plan has so many faults that single changes hardly help it. The result is False if boxes may be
+        left out, because this is the last resort. It is also False with a drive, because faults are then not counted
+        one by one."""
         is_asked = self.options.profile is None and Kind.LEAVE_OUT not in kinds
         return is_asked and MANY_FAULTS <= start.n_expected < math.inf
 
     def _rivals(self, queues: Sequence[list[Candidate]], states: Sequence[State], count: int) -> list[Candidate]:
-        """Remove from the queues at most ``count`` candidates, and return them. The search may choose one of them
-        instead of the plans that stand. If worlds with errors are simulated, it may choose any candidate. If no worlds
-        with errors are simulated, it may choose only a candidate that statics prefers to all standing plans with the
-        fewest changes."""
+        """Take at most ``count`` candidates off the queues, and return them: candidates that the search may choose
+        instead of the plans that stand. If worlds with errors are simulated, the search may choose any candidate.
+        Otherwise, it may choose only a candidate that statics prefers to all standing plans with the fewest changes."""
         if not self.options.worlds:
             standing = shortest([state for state in states if state.trial.stands])
             fewest, best = len(standing[0].changes), min(self._risks(standing))
@@ -463,8 +465,8 @@ class Search(Candidates):
         return shortest([state for state in scored if state.trial.stands])
 
     def _queues(self, nodes: Sequence[Node], kinds: frozenset[Kind], *, anew: bool) -> list[list[Candidate]]:
-        """For each of the best nodes, its ranked changes that were not judged yet. With ``anew``, instead the ways to
-        build the plans of nodes anew, if there are nodes whose plans were not built anew before."""
+        """For each of the best nodes, its ranked changes that were not judged yet. With ``anew``, the queues instead
+        have ways to build plans anew, if there are nodes whose plans were not built anew before."""
         if anew and Kind.PLACE in kinds:
             chosen = [node for node in nodes if not node.is_anew][:MOST_ANEW]
             for node in chosen:

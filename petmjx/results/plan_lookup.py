@@ -19,11 +19,11 @@ from petmjx.plans.bundled import bundled_path
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet, Skipped
 from petmjx.plans.plan_sources import PlanSource, gather_plans
-from petmjx.results.placements_table import kept_plans
 from petmjx.results.plan_digests import PlanRecord, plan_digest
 from petmjx.results.run_folder import RUN_FILE
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import RunResults, load_run
+from petmjx.results.stored_plans import kept_plans
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class PlanLookup:
     """Which plans of a run were found, which are missing, and which have changed since the run.
 
     Attributes:
-        plans: plan id → plan, for the plans that were found and equal those that the run simulated.
+        plans: plan id → plan, for the plans that were found and are equal to the simulated plans.
         missing: ids of the plans that were not found, sorted.
         changed: ids of the plans that exist but differ from the simulated plan, sorted.
         gone: files from which the run read plans, but which no longer exist.
@@ -84,8 +84,8 @@ def find_plans(
 
 
 def plans_in_place(plans: PlanSource | None, strict: bool = False) -> PlanSource | None:
-    """The argument ``plans``, in which folders of runs are replaced by plans: if it is a run's folder, or a list of
-    such folders, the result is the plans that these runs simulated. Any other source is returned unchanged.
+    """The argument ``plans``, in which folders of runs are replaced by plans: if ``plans`` is a run's folder, or a list
+    of such folders, the result is the plans that these runs simulated. Any other source is returned unchanged.
 
     Raises:
         InputError: a run cannot be read, or none of its plans can be found in its tables or in a file. With ``strict``,

@@ -16,7 +16,6 @@ import pandas as pd
 
 from petmjx.engines.metrics import DIMENSIONLESS
 from petmjx.engines.verdict import Verdict
-from petmjx.results.plan_order import rows_in_order
 from petmjx.results.run_writer import RunWriter
 from petmjx.results.schema import data_frame, summary_table
 from petmjx.results.share_statistics import (
@@ -27,6 +26,7 @@ from petmjx.results.share_statistics import (
     paired_outcomes,
     wilson_interval,
 )
+from petmjx.results.world_ranks import rows_in_order
 from petmjx.runs.chain_legs import AS_IS, PLACING
 from petmjx.runs.sweep_worlds import SweepPlan
 
@@ -52,7 +52,7 @@ _DESCRIPTIONS: Final = {
     "low": "lower end of the share's Wilson 95 % interval; null if nothing is drawn at random",
     "high": "upper end of the share's Wilson 95 % interval; null if nothing is drawn at random",
     "weakest_leg": "for the whole journey: the leg in which most worlds failed; empty if no world failed",
-    "box": "number of the box that failed first most often in the weakest leg; null if the row is about all plans",
+    "box": "number of the box that most often failed first in the weakest leg; null if the row is about all plans",
     "only_with": "for the whole journey with a remedy: number of draws of random numbers with which the pallet arrives "
     "only with the remedy",
     "only_without": "for the whole journey with a remedy: number of draws with which the pallet arrives only without "

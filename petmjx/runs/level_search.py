@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
-from petmjx.options.simulation import Thresholds
+from petmjx.options.thresholds import Thresholds
 
 DEFAULT_TILT_DEG = float(Thresholds().tilt_deg)
 
@@ -105,7 +105,7 @@ class Bisection:
     """Finds the largest level survived for many items together. An item is one combination of a placement, a profile
     and a direction.
 
-    All items share one grid of levels. So the answer for an item is wrong by one step of the grid or less, and the
+    All items share one grid of levels. So the answer for an item is wrong by at most one step of the grid, and the
     tested levels do not depend on the order in which simulations end. In each round, up to ``sections`` levels of an
     item are tested at the same time, evenly spread between the largest survived and the smallest failed level. The
     rounds of one item do not wait for the rounds of other items.

@@ -16,16 +16,17 @@ import numpy as np
 from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, duration, rounded_text
-from petmjx.engines.cost_model import MEASURED, Work
+from petmjx.engines.cost_model import MEASURED
+from petmjx.engines.expected_work import Work
 from petmjx.engines.protocol import Engine, Progress
 from petmjx.engines.simulation_loop import score_worlds
 from petmjx.engines.verdict import Attempt, Outcome
 from petmjx.engines.world_results import World
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
-from petmjx.plans.loose_boxes import statics_of
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import Skipped
+from petmjx.plans.plan_workload import statics_of
 from petmjx.results.recording import Recording
 from petmjx.results.resume import CompletedWorlds
 from petmjx.results.run_writer import RunWriter
@@ -103,7 +104,7 @@ class Study(ABC):
         has_errors: whether positions or sizes have errors in some worlds.
         identity: settings on which worlds depend, besides the plans and ``sim``.
         config: entries of ``run.json`` about the study, in addition to the options.
-        edge_risks: plan id → ``EdgeRisk`` of the plan, as far as it is known before the run begins.
+        edge_risks: plan id → ``EdgeRisk`` of the plan, for the plans for which it was computed before the run begins.
     """
 
     sim: Simulation
@@ -223,7 +224,7 @@ class Nominal(Study):
         total_s, done_s = sum(expected_s[plan.plan_id] for plan in missing), 0.0
         for scored_world in score_worlds(worlds, self.sim, engine, progress=progress):
             world = scored_world.world
-            # long worlds come first, so the share of finished worlds would be smaller than the share of the work
+            # the share of the work, not of worlds: long worlds come first, so the share of worlds would be too small
             done_s += expected_s[world.plan.plan_id]
             progress.work_share = done_s / total_s
             yield FinishedWorld(world.plan, NOMINAL, world.job.scene, scored_world.outcome, scored_world.attempts)

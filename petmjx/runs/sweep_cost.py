@@ -11,11 +11,11 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from petmjx.common.units import FloatArray, seconds_to_steps
-from petmjx.engines.cost_model import STEADY_G, Work, rest_steps
+from petmjx.engines.expected_work import STEADY_G, Work, rest_steps
 from petmjx.engines.job_stream import JobBounds
 from petmjx.options.placing import Way
 from petmjx.options.simulation import Check, Schedule
-from petmjx.plans.loose_boxes import MOST_LOOKED_AT, statics_of, tipping_g
+from petmjx.plans.plan_workload import MOST_LOOKED_AT, statics_of, tipping_g
 from petmjx.runs.sweep_worlds import PlacementGroup, SweepPlan
 from petmjx.world.carrier_boards import has_walls
 from petmjx.world.profiles.profile import Profile
@@ -24,12 +24,13 @@ from petmjx.world.variants import LegSpec
 
 _HELD_BY_OTHERS: Final = 2.0
 """In a load, boxes beside one another hold each other up, so the load falls at about this multiple of ``tipping_g``. In
-EUMOS's profile, loads of 20 to 60 boxes with a ``tipping_g`` of 0.3 to 0.12 g fell from 0.6 to 0.25 g on."""
+EUMOS's profile, loads of 20 to 60 boxes with a ``tipping_g`` of 0.12 g began to fall at 0.25 g, and loads with a
+``tipping_g`` of 0.3 g at 0.6 g."""
 
 _FALL_STEPS: Final = 250
-"""Steps of a drive from the acceleration at which a load begins to fall until a box is lost. With EUMOS's profile of
-0.1 to 1.6 g, drives took 270 to 320 steps on average, and with EN 12195-1's profile, drives of two plans of about 50
-boxes took 400 steps."""
+"""Number of steps of a drive between the moment at which a load begins to fall and the moment at which a box is lost.
+With EUMOS's profile of 0.1 to 1.6 g, drives took 270 to 320 steps on average, and with EN 12195-1's profile, drives of
+two plans of about 50 boxes took 400 steps."""
 
 _GENTLE_IN_SEARCHES: Final = 0.5
 """Expected share of the tested levels of a search that are below the largest level that a pallet survives."""
@@ -37,14 +38,14 @@ _GENTLE_IN_SEARCHES: Final = 0.5
 _CREEPING_BOXES, _MOST_CREEPING = 40, 3.0
 """A search tests levels near the largest level that a pallet survives. At these levels, boxes may creep for a long
 time, and the more boxes there are, the more often one of them creeps. So in a search, a drive of n boxes is expected to
-take 1 + n / ``_CREEPING_BOXES`` times as many steps as a drive after which the pallet is soon quiet, at most
-``_MOST_CREEPING`` times. In searches of EUMOS's levels, this factor was 1.1 for plans of 10 boxes, 1.7 to 3.3 for sets
+take 1 + n / ``_CREEPING_BOXES`` times as many steps as a drive after which the pallet is soon quiet. The factor is at
+most ``_MOST_CREEPING``. In searches of EUMOS's levels, this factor was 1.1 for plans of 10 boxes, 1.7 to 3.3 for sets
 of plans of about 40 boxes, and 3.4 for a plan of 238 boxes."""
 
 _FALLING_POWER: Final = 8
-"""If a leg of a chain has n times the acceleration ``tipping_g`` of a plan, n > 1, the pallet is expected to stand
-after the leg with the chance 1 / n to this power. Four plans of 21 to 54 boxes stood in 5 of 48 worlds of two chains
-after a leg with a conveyor of up to 0.3 g; 11 of these worlds are expected to stand."""
+"""If a leg of a chain has n times the acceleration ``tipping_g`` of a plan (n > 1), the pallet is expected to stand
+after the leg with the probability (1 / n) to this power. After a leg with a conveyor of up to 0.3 g, four plans of 21
+to 54 boxes stood in 5 of 48 worlds of two chains; with this power, 11 of these worlds are expected to stand."""
 
 
 def work_of(worlds: SweepPlan) -> Work:
@@ -139,7 +140,7 @@ class _ShakenLeg(NamedTuple):
     Attributes:
         peak_g: the largest horizontal acceleration that the leg may have, in units of 9.81 m/s². Random profiles are
             left out.
-        is_gentle: whether this acceleration is at most ``STEADY_G``. Vibrations are never gentle.
+        is_gentle: whether ``peak_g`` is at most ``STEADY_G``. Vibrations are never gentle.
     """
 
     steps: int
@@ -164,7 +165,8 @@ class _LegShares(NamedTuple):
 
     Attributes:
         simulated: (n,) share of the steps of all legs that are simulated.
-        filmed, gentle: (n,) share of the simulated steps in film, and of those of gentle legs (``_ShakenLeg``).
+        filmed, gentle: (n,) share of the simulated steps in film, and share of the simulated steps of gentle legs
+            (``_ShakenLeg``).
     """
 
     simulated: FloatArray
@@ -193,7 +195,7 @@ def _leg_shares(worlds: SweepPlan) -> _LegShares:
 
 
 def _gentle_share(worlds: SweepPlan) -> float:
-    """The expected share of the drives of a sweep without legs whose acceleration is at most ``STEADY_G``. A search
+    """For a sweep without legs, the expected share of the drives whose acceleration is at most ``STEADY_G``. A search
     tests levels on both sides of the largest level that a pallet survives."""
     sweep = worlds.sweep
     if sweep.search is not None:

@@ -11,11 +11,12 @@ from typing import Any, Final
 from petmjx.common.errors import InputError, PlanWarning
 from petmjx.common.text import count_text, first_names, printable, printable_name, three_digits
 from petmjx.options.run_options import OF_ORDERS, RunOptions
+from petmjx.plans.bedbpp_orders import OF_PLAN
 from petmjx.plans.convention_checks import find_conventions, odd_boxes
 from petmjx.plans.item_columns import TWO_WAYS
 from petmjx.plans.item_joins import has_named_places
 from petmjx.plans.item_units_and_quantities import OrderReading
-from petmjx.plans.order_reader import OF_PLAN, read_orders
+from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan_reader import REPEATED, load_plans
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.readings import Reading
@@ -72,7 +73,9 @@ def _orders_line(path: Path, options: Mapping[str, Any]) -> tuple[str, str]:
         line = str(error).removeprefix(f"{printable(str(path))}: ")
         return line if line.startswith(TWO_WAYS) and not has_named_places(path) else "", ""
     if not sizes or has_named_places(path):
-        of_plans = not errors or OF_PLAN in str(errors[0])  # then the record has an error of the reader of plans
+        # No error is returned if the orders' reader reported none, or reported that the file holds plans. In both
+        # cases, the record already has the error of the plans' reader.
+        of_plans = not errors or OF_PLAN in str(errors[0])
         return "", "" if sizes or of_plans else str(errors[0])
     plain = f"read as BED-BPP's orders; {count_text(len(sizes), 'order')}, {count_text(sum(sizes), 'box', 'boxes')}"
     line = str(notes[0].message).removeprefix(f"{printable(str(path))}: ") if notes else plain

@@ -22,11 +22,11 @@ import pytest
 
 import petmjx
 from petmjx.common.units import FloatArray
+from petmjx.plans.cell_numbers import cell_number
 from petmjx.plans.column_names import split_unit
 from petmjx.plans.input_conventions import ANCHORS
 from petmjx.plans.order_reader import read_orders
 from petmjx.plans.printed_values import printed_values
-from petmjx.plans.raw_cells import cell_number
 from petmjx.plans.readings import reading_toml
 
 pytestmark = pytest.mark.filterwarnings("ignore::petmjx.PlanWarning")

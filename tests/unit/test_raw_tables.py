@@ -9,8 +9,8 @@ import openpyxl
 import pytest
 
 from petmjx.common.errors import InputError
+from petmjx.plans.cell_numbers import cell_number, cell_triple
 from petmjx.plans.column_names import column_meanings
-from petmjx.plans.raw_cells import cell_number, cell_triple
 from petmjx.plans.workbooks import read_raw_tables
 
 HEADERS = {
