@@ -24,7 +24,7 @@ from petmjx.engines.mjx.host_to_device import GRANULE, Batch, is_out_of_memory, 
 from petmjx.engines.mjx.jax_setup import set_up_jax
 from petmjx.engines.mjx.outcomes import outcomes
 from petmjx.engines.mjx.readback import readbacks_of
-from petmjx.engines.mjx.rollout import CHUNK_STEPS, BatchRollout, Program
+from petmjx.engines.mjx.rollout import CHUNK_PASSES, BatchRollout, Program
 from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.timetable import build_timetable
 from petmjx.engines.mjx.world_constants import device_array, padded_rows
@@ -141,10 +141,10 @@ class MjxJaxEngine(Engine):
         """The compiled programs that runs of this engine have used, by key."""
         self._running = RunLock(self.name)
 
-    def make_model(self, capacity: int, boards: int, sim: Simulation, *, held: bool) -> PaddedModel:
+    def make_model(self, capacity: int, boards: int, sim: Simulation, *, held: bool, pausing: bool) -> PaddedModel:
         """A model for worlds of up to ``capacity`` boxes and ``boards`` boards of the carrier. ``held``: whether the
-        carrier is clamped."""
-        return PaddedModel(capacity, boards, sim, held=held)
+        carrier is clamped; ``pausing``: whether worlds may pause."""
+        return PaddedModel(capacity, boards, sim, held=held, pausing=pausing)
 
     def paths(self, bodies: FreeBodies, sim: Simulation) -> FloatArray:
         """See ``Engine.paths``. At most ``lanes`` worlds are simulated at a time."""
@@ -236,17 +236,17 @@ class MjxJaxEngine(Engine):
         more, and the phase of the drive ends when no world is in its drive any more."""
         worlds, capacity, _ = batch.worlds.half.shape
         for program, drive, profiles in phases:
-            forces = program.model.no_forces(worlds)
+            memory = program.model.blank_memory(worlds)
             going = (Status.RUNNING,) if drive is None else (Status.RUNNING, Status.SETTLED)
             label = f"{'place' if drive is None else 'drive'} capacity {capacity}"
             begin = time.perf_counter()
             while not stop.is_set() and (running := int(np.isin(np.asarray(batch.table.status), going).sum())):
                 progress.message = f"{label}: {running} worlds running"
-                batch.table, forces, trail = program.chunk(batch.table, forces, batch.worlds, profiles)
+                batch.table, memory, trail = program.chunk(batch.table, memory, batch.worlds, profiles)
                 if not batch.recorder.idle:
                     batch.recorder.add_trail(trail)
                 with self._counting:
-                    progress.world_steps += running * CHUNK_STEPS
+                    progress.world_steps += running * CHUNK_PASSES
             spent = f"{label} seconds"
             with self._counting:
                 progress.extra[spent] = progress.extra.get(spent, 0) + time.perf_counter() - begin
@@ -265,9 +265,9 @@ class MjxJaxEngine(Engine):
         if key not in self.programs:
             progress.message = f"compiling for {worlds} worlds of up to {capacity} boxes"
             begin = time.perf_counter()
-            model = self.make_model(capacity, batch.boards, sim, held=drive == ACCELERATION)
+            model = self.make_model(capacity, batch.boards, sim, held=drive == ACCELERATION, pausing=worlds > 1)
             rules = Rules(sim, build_timetable(sim, capacity), capacity, drive is not None, carries)
-            arguments = batch.table, model.no_forces(worlds), batch.worlds, profiles
+            arguments = batch.table, model.blank_memory(worlds), batch.worlds, profiles
             chunk = BatchRollout(rules, model, gives, wraps).jitted().lower(*arguments).compile()
             self.programs[key] = _kept[type(self), key] = Program(model, chunk)
             for oldest in list(_kept)[:-MOST_KEPT]:

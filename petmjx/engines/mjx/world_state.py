@@ -177,6 +177,13 @@ def put_resized(table: State, rows: Int[Array, " row"], values: State) -> State:
     return written
 
 
+def select_rows(chosen: Bool[Array, " row"], one: Record, other: Record) -> Record:
+    """The rows of ``one`` where ``chosen`` is True, and the rows of ``other`` elsewhere."""
+    select = jax.vmap(lambda first, a, b: jax.tree.map(partial(jnp.where, first), a, b))
+    selected: Record = select(chosen, one, other)
+    return selected
+
+
 def take_rows(record: Record, rows: Int[Array, " row"]) -> Record:
     """Rows of a record, in the order of ``rows``. For an out-of-range row, the result is some valid row."""
     selected: Record = jax.tree.map(lambda a: jnp.take(a, rows, axis=0, mode="clip"), record)
