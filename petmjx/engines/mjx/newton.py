@@ -27,7 +27,7 @@ from jax.scipy.linalg import cho_factor, cho_solve
 from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import NDArray
 
-from petmjx.engines.mjx.body_dynamics import TINY, ContactRows, Links, Rows, Velocities, einsum
+from petmjx.engines.mjx.body_dynamics import TINY, ContactRows, Links, Rows, Velocities
 
 ENOUGH_SLOPE: Final = 0.1
 """The line search ends where the cost's derivative is at most this share of its initial value, as on mjx-warp
@@ -252,8 +252,8 @@ class BlockSolver:
         accelerations."""
         cones = Cones.of(problem, now.residual)
         force = cones.force(problem)
-        push = einsum("prv,pr->pv", problem.jacobian, force.reshape(len(self.links.sides), -1))
-        push = einsum("bs,sv->bv", self._sums, push.reshape(-1, 2, 6).swapaxes(0, 1).reshape(-1, 6))
+        push = jnp.einsum("prv,pr->pv", problem.jacobian, force.reshape(len(self.links.sides), -1))
+        push = jnp.einsum("bs,sv->bv", self._sums, push.reshape(-1, 2, 6).swapaxes(0, 1).reshape(-1, 6))
         cost = cones.cost(problem) + 0.5 * now.inertial @ (now.qacc - problem.smooth)
         return now._replace(force=force, gradient=now.inertial - push.reshape(-1), cost=cost, cost_before=now.cost)
 
@@ -330,10 +330,10 @@ class BlockSolver:
         """M + Jᵀ·s″·J."""
         pairs, n = len(self.links.sides), self.links.bodies
         rows = problem.jacobian.reshape(-1, 3, 12)
-        bent = einsum("crs,csv->crv", curvature, rows).reshape(problem.jacobian.shape)
-        blocks = einsum("prv,prw->pvw", problem.jacobian, bent).reshape(pairs, 2, 6, 2, 6)
+        bent = jnp.einsum("crs,csv->crv", curvature, rows).reshape(problem.jacobian.shape)
+        blocks = jnp.einsum("prv,prw->pvw", problem.jacobian, bent).reshape(pairs, 2, 6, 2, 6)
         of_sides = jnp.stack([blocks[:, 0, :, 0], blocks[:, 1, :, 1]]).reshape(-1, 36)
-        diagonal = einsum("bs,sv->bv", self._sums, of_sides)
+        diagonal = jnp.einsum("bs,sv->bv", self._sums, of_sides)
         coupling = jnp.pad(blocks[:, 0, :, 1], ((0, 1), (0, 0), (0, 0)))[self._couplings].sum(1)
         parts = [diagonal.reshape(n, 6, 6), coupling, coupling.swapaxes(1, 2), jnp.zeros((1, 6, 6))]
         full = jnp.concatenate(parts)[self._layout].swapaxes(1, 2).reshape(6 * n, 6 * n)

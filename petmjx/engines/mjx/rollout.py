@@ -81,7 +81,9 @@ class BatchRollout:
             )
             return (after, memory), passed
 
-        (state, memory), trail = jax.lax.scan(body, (state, memory), None, length=CHUNK_PASSES)
+        # by default, GPUs round the factors of matrix products to 10 bits
+        with jax.default_matmul_precision("highest"):
+            (state, memory), trail = jax.lax.scan(body, (state, memory), None, length=CHUNK_PASSES)
         return state, memory, trail
 
     def _advance(

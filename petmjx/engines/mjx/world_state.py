@@ -179,8 +179,11 @@ def put_resized(table: State, rows: Int[Array, " row"], values: State) -> State:
 
 def select_rows(chosen: Bool[Array, " row"], one: Record, other: Record) -> Record:
     """The rows of ``one`` where ``chosen`` is True, and the rows of ``other`` elsewhere."""
-    select = jax.vmap(lambda first, a, b: jax.tree.map(partial(jnp.where, first), a, b))
-    selected: Record = select(chosen, one, other)
+
+    def select(a: Array, b: Array) -> Array:
+        return jnp.where(chosen.reshape(-1, *[1] * (a.ndim - 1)), a, b)
+
+    selected: Record = jax.tree.map(select, one, other)
     return selected
 
 
