@@ -132,7 +132,7 @@ def test_too_large_batches_are_halved_until_they_fit_and_the_next_run_begins_wit
     healthy: list[Outcome],
 ) -> None:
     engine = SmallDevice(16, 64)
-    for holds, tried in ((16, [64, 32, 16, 16, 16]), (64, [64])):
+    for holds, tried in ((16, [64, 32, 16]), (64, [64])):
         engine.holds = holds
         engine.tried.clear()
         outcomes = run_all(engine, JOBS, SHORT)
