@@ -133,8 +133,8 @@ class OneContact(BlockSolver):
     def ends(self, problem: Problem, now: Iterate) -> jax.Array:
         return now.iterations > 0
 
-    def improved(self, problem: Problem, now: Iterate) -> Iterate:
-        return now._replace(iterations=jnp.int32(1))
+    def improved(self, problem: Problem, begin: Iterate, most: int | None = None) -> Iterate:
+        return begin._replace(iterations=jnp.int32(1))
 
 
 class HalfWay(OneContact):

@@ -124,7 +124,7 @@ class PaddedModel:
         contact, height, bodies, problem, pull, landing = jax.vmap(self._ready)(fields, inputs, faces, landing)
         start = inputs["qacc_warmstart"]
         solution = self._slip.begin(problem, pull, start, memory.solution)
-        solve = self._slip.further if self._pausing else self._slip.solve
+        solve = self._slip.solve_in_part if self._pausing else self._slip.solve
         solution = solve(problem, pull, solution)
         qacc, force = solution.now.qacc, solution.now.force
         lost = ~jnp.isfinite(qacc).all(-1, keepdims=True)

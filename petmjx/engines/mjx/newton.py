@@ -36,9 +36,6 @@ ENOUGH_SLOPE: Final = 0.1
 ROUNDING: Final = 8 * float(np.finfo(np.float32).eps)
 """A derivative counts as zero if it is at most this share of the sum of its terms' magnitudes."""
 
-BATCH_ITERATIONS: Final = 4
-"""In a batch: largest number of iterations in a call of ``BlockSolver.improved``."""
-
 BATCH_STEPS: Final = 16
 """In a batch: number of steps that the line search evaluates at once. The line search does so twice. On problems of
 worlds that collapse, the solver then takes 3 % more iterations than with up to 30 single evaluations."""
@@ -227,12 +224,12 @@ class BlockSolver:
         better = now.cost_before - now.cost >= problem.least
         return ~((now.iterations < problem.iterations) & better & steep)
 
-    def improved(self, problem: Problem, now: Iterate) -> Iterate:
-        """The state after further iterations: in a batch after at most ``BATCH_ITERATIONS``, else after all."""
-        most = now.iterations + BATCH_ITERATIONS if self._batch else problem.iterations
+    def improved(self, problem: Problem, begin: Iterate, most: int | None = None) -> Iterate:
+        """The state after further iterations: at most ``most``, or all if ``most`` is None."""
 
         def goes_on(now: Iterate) -> Bool[Array, ""]:
-            return ~self.ends(problem, now) & (now.iterations < most)
+            stops = False if most is None else now.iterations >= begin.iterations + most
+            return ~(self.ends(problem, now) | stops)
 
         def improve(now: Iterate) -> Iterate:
             curvature = Cones.of(problem, now.residual).curvature(problem)
@@ -241,7 +238,7 @@ class BlockSolver:
             # between stiff contacts, the Hessian may have no Cholesky factor in float32; then the iterations end
             return self._moved(problem, now, jnp.where(jnp.isfinite(direction).all(), direction, 0.0))
 
-        return jax.lax.while_loop(goes_on, improve, now)
+        return jax.lax.while_loop(goes_on, improve, begin)
 
     def _at(self, problem: Problem, pull: Rows, qacc: Velocities) -> Iterate:
         state = Iterate.unvalued(qacc, self.links.along(problem.jacobian, qacc) - pull)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,9 +11,15 @@ from jaxtyping import Array, Bool, Float, Int
 
 from petmjx.engines.mjx.body_dynamics import ContactRows, Rows, Velocities
 from petmjx.engines.mjx.newton import BlockSolver, Iterate, Problem
-from petmjx.engines.mjx.world_state import select_rows
+from petmjx.engines.mjx.world_state import put_rows, select_rows, take_rows
 from petmjx.options.physics import Physics
 from petmjx.world.contact_laws import ENOUGH_M_S2, MOST_ROUNDS, RELAXATION, STICKS_M_S, kinetic_share, slack_m_s2
+
+FEW_WORLDS: Final = 64
+FEW_ITERATIONS: Final = 8
+"""In each pass of a batch, the solver makes one iteration in all worlds, which is enough for worlds at rest, and up to
+``FEW_ITERATIONS`` further iterations in up to ``FEW_WORLDS`` worlds: few of the worlds of a batch collapse, and in such
+a world a step takes 12 iterations on average."""
 
 
 class Solution(NamedTuple):
@@ -69,14 +75,28 @@ class SlipLaw:
 
     def solve(self, problem: Problem, pull: Float[Array, "world contact 3"], solution: Solution) -> Solution:
         """Finished solutions."""
-        further = partial(self.further, problem, pull)
+        further = partial(self._further, problem, pull)
         finished: Solution = jax.lax.while_loop(lambda solution: ~solution.done.all(), further, solution)
         return finished
 
-    def further(self, problem: Problem, pull: Float[Array, "world contact 3"], solution: Solution) -> Solution:
-        """Solutions after a call of ``BlockSolver.improved``, which completes a round or, in a batch, a part of a
-        round. A finished solution stays the same, so that it does not depend on the other worlds."""
-        further: Solution = jax.vmap(self._further)(problem, pull, solution)
+    def solve_in_part(self, problem: Problem, pull: Float[Array, "world contact 3"], solution: Solution) -> Solution:
+        """Solutions after a pass of a batch: after one iteration of the solver in all worlds, and up to
+        ``FEW_ITERATIONS`` further iterations in up to ``FEW_WORLDS`` worlds."""
+        solution = self._further(problem, pull, solution, 1)
+        rows = jnp.argsort(solution.done)[:FEW_WORLDS]  # unfinished solutions come first
+        few = self._further(*take_rows((problem, pull, solution), rows), FEW_ITERATIONS)
+        return put_rows(solution, rows, few)
+
+    def _further(
+        self,
+        problem: Problem,
+        pull: Float[Array, "world contact 3"],
+        solution: Solution,
+        most: int | None = None,
+    ) -> Solution:
+        """Solutions after a round, or after the part of a round that takes at most ``most`` iterations. A finished
+        solution stays the same, so that it does not depend on the other worlds."""
+        further: Solution = jax.vmap(partial(self._of_world, most=most))(problem, pull, solution)
         return further
 
     def with_friction(self, rows: ContactRows, velocity: Velocities) -> ContactRows:
@@ -87,12 +107,12 @@ class SlipLaw:
         share = 1.0 - (1.0 - self._kinetic) * jnp.clip(slip / STICKS_M_S - 1.0, 0.0, 1.0)
         return rows._replace(sliding=rows.sliding * share[:, None])
 
-    def _further(self, problem: Problem, pull: Rows, solution: Solution) -> Solution:
+    def _of_world(self, problem: Problem, pull: Rows, solution: Solution, most: int | None) -> Solution:
         friction, excess = problem.sliding[:, 0], solution.excess
         begin = self._solver.begin(problem, pull.at[:, 0].add(-friction * excess), solution.now.qacc)
         stays = solution.in_round | solution.done
         now = jax.tree.map(lambda kept, new: jnp.where(stays, kept, new), solution.now, begin)
-        now = self._solver.improved(problem, now)
+        now = self._solver.improved(problem, now, most)
         completes = self._solver.ends(problem, now) & ~solution.done
         rounds = solution.rounds + completes
         slides = _tangent(pull) > self._slack
