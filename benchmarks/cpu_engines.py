@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from benchmarks.result_fields import environment
-from petmjx.engines.engine_choice import make_engine
+from petmjx.engines.engine_registry import make_engine
 from petmjx.engines.protocol import Progress
 from petmjx.engines.verdict import Outcome
 from petmjx.options.simulation import Simulation

@@ -50,8 +50,8 @@ def _introduction(results: CriteriaResults, run: RunResults, both: pd.DataFrame)
     return (
         f"**{count_text(len(both), 'plan')}** with {results.info['n_boxes']:,} boxes; engine `{engine}` of petmjx "
         f"{info['versions']['petmjx']}. {stands:,} stand, {len(both) - stands:,} fall.\n"
-        f"The friction coefficient is {options['friction']:g} ({options['side_friction']:g} at sides), and the "
-        f"tolerance {options['tolerance_mm']:g} mm."
+        f"The friction coefficient is {options['friction']:g} ({options['side_friction']:g} at the sides of boxes), "
+        f"and the tolerance {options['tolerance_mm']:g} mm."
     )
 
 

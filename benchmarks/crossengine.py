@@ -91,7 +91,7 @@ class Judged:
 
     @property
     def edge_mm(self) -> float:
-        """The distance, by statics (petmjx.world.supports), of a load from an edge of its supports, mm: of all loads,
+        """The distance, by statics (petmjx.world.bearings), of a load from an edge of its supports, mm: of all loads,
         the distance nearest to 0. The distance is negative beyond the edge. If boxes are placed one by one, the
         distances after each placement count. The result is NaN if no load has an edge."""
         count, bearing = self.scene.n_boxes, bearing_of(self.scene)

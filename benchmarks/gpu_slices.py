@@ -10,7 +10,7 @@ import argparse
 import time
 from typing import Any
 
-from petmjx.engines.engine_choice import make_engine
+from petmjx.engines.engine_registry import make_engine
 from petmjx.engines.mjx.world_state import Status
 from petmjx.engines.protocol import Progress
 from petmjx.engines.simulation_loop import score_worlds

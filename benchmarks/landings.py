@@ -15,7 +15,7 @@ import numpy as np
 import petmjx
 from petmjx.common.units import STANDARD_GRAVITY, FloatArray
 from petmjx.options.physics import LANDING_S, RESTITUTION
-from petmjx.options.simulation import Quiet
+from petmjx.options.quiet import Quiet
 
 HEIGHTS_MM = (10.0, 50.0, 100.0, 300.0)
 MOST_DEPTH_MM = (1.0, 3.0, 5.0, 9.0)

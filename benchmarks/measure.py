@@ -23,7 +23,7 @@ from benchmarks.plain_python_loop import fixed_steps, plain_loop
 from benchmarks.result_fields import Clock, Result, environment, peak_device_bytes, timed
 from petmjx.common.errors import InputError
 from petmjx.common.machine import device_name
-from petmjx.engines.engine_choice import make_engine
+from petmjx.engines.engine_registry import make_engine
 from petmjx.engines.protocol import Engine, Progress
 from petmjx.engines.verdict import Verdict
 from petmjx.options.simulation import SOFT_START_STEPS, Schedule

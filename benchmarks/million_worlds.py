@@ -24,7 +24,7 @@ from benchmarks.instant_engine import IN_WORKERS, Instant, answering_in_workers
 from benchmarks.result_fields import Result, timed
 from petmjx.common.errors import InputError
 from petmjx.common.processes import process_pool
-from petmjx.engines.engine_choice import check_options, options_of
+from petmjx.engines.engine_registry import check_options, options_of
 from petmjx.options.run_options import AUTO, RunOptions
 from petmjx.packers.sample_plans import generate_one
 from petmjx.plans.plan import Plan

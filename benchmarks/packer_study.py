@@ -32,11 +32,11 @@ from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.packers.learned_packer import Policy
 from petmjx.packers.packer_registry import BALANCED
 from petmjx.packers.sample_plans import as_placements
-from petmjx.plans.order_generator import TARGET_EXTENT_MM, Order
+from petmjx.plans.order import TARGET_EXTENT_MM, Order
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_validation import parse_plan
 from petmjx.results.share_statistics import PairedCounts, mcnemar_p
-from petmjx.runs.sweep_file import find_sweep
+from petmjx.runs.ready_sweeps import find_sweep
 
 LEVELS_G: Final = (0.3, 0.5)
 DIRECTIONS: Final = ("+x", "+y")

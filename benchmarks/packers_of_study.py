@@ -21,7 +21,7 @@ from petmjx.packers.learned_packer import Policy, pack_learned
 from petmjx.packers.pack import pack_each
 from petmjx.packers.packer_registry import BALANCED, BASELINE, packer_named
 from petmjx.packers.packing_state import Packing
-from petmjx.plans.order_generator import TARGET_EXTENT_MM, Item, Order
+from petmjx.plans.order import TARGET_EXTENT_MM, Item, Order
 
 CLEARANCE_MM: Final = 6.0
 LOOK_AHEAD: Final = 5

@@ -25,7 +25,8 @@ import numpy as np
 from petmjx.packers.baseline_packer import MAX_HEIGHT_MM, PlacedBox
 from petmjx.packers.sample_plans import as_placements
 from petmjx.plans.bedbpp_writer import write_plans
-from petmjx.plans.order_generator import TARGET_EXTENT_MM, Order, draw_order
+from petmjx.plans.order import TARGET_EXTENT_MM, Order
+from petmjx.plans.order_generator import draw_order
 
 CELL_MM: Final = 10
 BOXES_SEEN, LEAVES = 80, 50

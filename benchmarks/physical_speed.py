@@ -7,9 +7,10 @@ from typing import Any
 
 from benchmarks.result_fields import Result, timed
 from petmjx.packers.finalists import finalists
-from petmjx.packers.pack import Packed, pack_each
-from petmjx.packers.pack_options import PhysicalOptions
-from petmjx.plans.order_generator import Order
+from petmjx.packers.pack import pack_each
+from petmjx.packers.packed_orders import Packed
+from petmjx.packers.physical_packer_options import PhysicalOptions
+from petmjx.plans.order import Order
 
 Numbered = tuple[str, Order]
 

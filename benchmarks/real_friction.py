@@ -12,8 +12,8 @@ import numpy as np
 
 from benchmarks.reality import ALL_ENGINES, Row, percent
 from petmjx.common.units import MM_PER_M, STANDARD_GRAVITY, FloatArray
-from petmjx.engines.engine_choice import make_engine
-from petmjx.loop.free_motion import release
+from petmjx.engines.engine_registry import make_engine
+from petmjx.loop.released_boxes import release
 from petmjx.options.physics import Physics
 from petmjx.options.simulation import Check, Simulation
 from petmjx.world.body_shapes import Body

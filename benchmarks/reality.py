@@ -16,9 +16,9 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+from benchmarks.cube_toss_study import MUJOCO_OWN, calibration, compared, friction, spread
+from benchmarks.cube_tosses import RESTITUTION, read_tosses
 from benchmarks.result_fields import environment
-from benchmarks.toss_study import MUJOCO_OWN, calibration, compared, friction, spread
-from benchmarks.tosses import RESTITUTION, read_tosses
 from petmjx.results.share_statistics import wilson_interval
 
 BEGIN: Final = "<!-- measured: begin (made by python -m benchmarks reality) -->"

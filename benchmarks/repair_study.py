@@ -20,7 +20,8 @@ from petmjx.common.text import count_text
 from petmjx.packers.sample_plans import MOST_SAMPLES, generate
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_validation import parse_plan
-from petmjx.repairs.drafts import Draft, Rules
+from petmjx.repairs.draft_rules import Rules
+from petmjx.repairs.drafts import Draft
 from petmjx.repairs.repair import Repaired
 
 TRIES: Final = 40

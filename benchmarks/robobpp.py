@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from petmjx.loop.episode_orders import Orders
-from petmjx.plans.order_generator import Item, Order
+from petmjx.plans.order import Item, Order
 
 TARGET = "euro-pallet"
 BOXES = range(12, 161)

@@ -22,7 +22,7 @@ import pandas as pd
 import petmjx
 from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Flag
-from petmjx.options.simulation import Thresholds
+from petmjx.options.thresholds import Thresholds
 from petmjx.plans.plan import Plan
 from petmjx.runs.option_types import EngineName
 

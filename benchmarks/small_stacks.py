@@ -20,7 +20,7 @@ import pandas as pd
 import petmjx
 from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Flag
-from petmjx.options.simulation import Thresholds
+from petmjx.options.thresholds import Thresholds
 from petmjx.plans.plan import Plan
 
 LEAST_EDGE_MM = 0.5

@@ -12,8 +12,9 @@ from typing import Any, Final
 import numpy as np
 
 from benchmarks.result_fields import environment, timed
-from petmjx.common.checked_records import read_toml
-from petmjx.engines.cost_model import MEASURED, Work
+from petmjx.common.toml_files import read_toml
+from petmjx.engines.cost_model import MEASURED
+from petmjx.engines.expected_work import Work
 from petmjx.engines.machine_speed import REFERENCE_S, block_s
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
@@ -22,9 +23,10 @@ from petmjx.plans.order_generator import draw_order
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_validation import parse_plan
 from petmjx.runs.confidence import confidence_sweep
+from petmjx.runs.ready_sweeps import find_sweep
 from petmjx.runs.simulate import simulate
 from petmjx.runs.study import Nominal, Study
-from petmjx.runs.sweep_file import find_sweep, sweep_of_tables
+from petmjx.runs.sweep_file import sweep_of_tables
 from petmjx.runs.sweep_study import SweepStudy
 
 SEED: Final = 21

@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from benchmarks.result_fields import Result
 from petmjx.packers.baseline_packer import PlacedBox
 from petmjx.packers.sample_plans import as_placements
-from petmjx.plans.order_generator import Item, draw_order
+from petmjx.plans.order import Item
+from petmjx.plans.order_generator import draw_order
 
 RECIPE: Final = Path(__file__).resolve().parent.parent / "examples" / "train_in_jax.py"
 

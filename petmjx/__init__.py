@@ -20,16 +20,19 @@ if TYPE_CHECKING:
     from petmjx.analysis.story import Story
     from petmjx.api import score, sweep
     from petmjx.common.errors import EngineUnavailable, InputError, PetmjxError, PlanWarning
-    from petmjx.loop.free_motion import Trajectories, release
     from petmjx.loop.pallets import Pallets
     from petmjx.loop.placement_results import PlacementResults
+    from petmjx.loop.released_boxes import Trajectories, release
     from petmjx.loop.scorer import Scored, Scorer
     from petmjx.options.carriers import Carrier
     from petmjx.options.physics import PHYSICS, Cone, Physics
+    from petmjx.options.quiet import Quiet
     from petmjx.options.run_options import RunOptions
-    from petmjx.options.simulation import Check, Quiet, Schedule, Simulation, Solver, Thresholds
+    from petmjx.options.simulation import Check, Schedule, Simulation, Solver
+    from petmjx.options.thresholds import Thresholds
     from petmjx.packers.learned_packer import placement_stability
-    from petmjx.packers.pack import Packed, pack
+    from petmjx.packers.pack import pack
+    from petmjx.packers.packed_orders import Packed
     from petmjx.plans.plan import Plan
     from petmjx.plans.plan_reader import load_plans
     from petmjx.plans.plan_set import PlanSet
@@ -83,10 +86,10 @@ _HOME = {
     "kpis": "petmjx.analysis.kpis",
     "leaderboard": "petmjx.show.leaderboard.leaderboard",
     "PlacementResults": "petmjx.loop.placement_results",
-    "Trajectories": "petmjx.loop.free_motion",
-    "release": "petmjx.loop.free_motion",
+    "Trajectories": "petmjx.loop.released_boxes",
+    "release": "petmjx.loop.released_boxes",
     "loads": "petmjx.analysis.box_loads",
-    "Packed": "petmjx.packers.pack",
+    "Packed": "petmjx.packers.packed_orders",
     "pack": "petmjx.packers.pack",
     "merge_runs": "petmjx.runs.merge",
     "repair": "petmjx.repairs.repair",

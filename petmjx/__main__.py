@@ -36,7 +36,8 @@ def command() -> NoReturn:
     with ``atexit`` are still called. The garbage collector searches for cycles only rarely.
     """
     try:
-        from petmjx.common.processes import claim_process, collect_rarely
+        from petmjx.common.garbage_collection import collect_rarely
+        from petmjx.common.processes import claim_process
 
         claim_process()
         collect_rarely()

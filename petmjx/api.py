@@ -7,20 +7,22 @@ of sweeps, in which each plan has many variants.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar, Unpack
 
-from petmjx.common.argument_checks import flag_of, instance_of, path_of
-from petmjx.common.checked_records import CheckedRecord, shown_value
+from petmjx.common.argument_checks import instance_of, path_of
+from petmjx.common.checked_records import CheckedRecord
 from petmjx.common.errors import InputError
-from petmjx.options.run_options import Confidence, RunOptions, Transport, sorted_options
+from petmjx.options.confidence import Confidence
+from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
+from petmjx.options.sorted_options import sorted_options
+from petmjx.options.transport import Transport
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_sources import PathArgument, PlanSource
 from petmjx.results.run_reader import RunResults
-from petmjx.runs.notebook_progress import ScriptLines, notebook_bar
+from petmjx.runs.notebook_progress import watching
 from petmjx.runs.option_types import ScoreOptions, SweepOptions
 from petmjx.runs.simulate import RunStart, Watcher, simulate
 from petmjx.runs.study import Nominal, Study
@@ -53,29 +55,6 @@ def _takes_options(*records: type[CheckedRecord]) -> Callable[[Function], Functi
     return decorate
 
 
-@contextmanager
-def _watching(watcher: Watcher | None, progress: bool) -> Iterator[Watcher | None]:
-    """Yield the watcher of a run: the object that is told about the run's progress. A watcher from the caller is used
-    unchanged. Without a watcher from the caller, the watcher shows a progress bar in a notebook, and prints lines on
-    standard error in a script with ``progress``; in other scripts, the watcher is None.
-
-    Raises:
-        InputError: the given watcher lacks a method that watchers must have.
-    """
-    flag_of(progress, "progress")
-    if watcher is not None and not all(callable(getattr(watcher, name, None)) for name in ("begin", "world_done")):
-        raise InputError(f"watcher must have the methods begin and world_done, {shown_value(watcher)}")
-    bar = watcher if watcher is not None else notebook_bar()
-    if bar is not None or not progress:
-        yield bar
-        return
-    lines = ScriptLines()
-    try:
-        yield lines
-    finally:
-        lines.end()
-
-
 def _run(
     ask: Callable[[Sequence[Plan], RunOptions], Study],
     sim: Simulation,
@@ -84,7 +63,7 @@ def _run(
     watcher: Watcher | None,
     progress: bool,
 ) -> RunResults:
-    """Run the study that ``ask`` makes, with the caller's watcher, or with the watcher that ``_watching`` chooses.
+    """Run the study that ``ask`` makes, with the caller's watcher, or with the watcher that ``watching`` chooses.
 
     Raises:
         InputError: the input is unusable, or intervals of forces are requested and SciPy is missing.
@@ -95,7 +74,7 @@ def _run(
 
         need_scipy()
         intervals = intervals_at_rest
-    with _watching(watcher, progress) as follows:
+    with watching(watcher, progress) as follows:
         return simulate(ask, sim, plans, options, follows, intervals)
 
 
@@ -115,9 +94,9 @@ def score(
     ``petmjx.score("plans.json", schedule="fixed", thresholds={"shift_m": 0.03}, out="results")``
 
     Args:
-        plans: a file, a folder, the folder of a run (whose plans are simulated again), a list of files and folders, a
-            data frame with one row per box, a plan, a list of plans or a ``PlanSet``. If ``plans`` is None, the bundled
-            sample plans are simulated.
+        plans: files or folders, or a list of both; the folder of a run (its plans are simulated again); a data frame
+            with one row per box; a plan, a list of plans or a ``PlanSet``. If ``plans`` is None, the bundled sample
+            plans are simulated.
         watcher: an object whose methods are called as the run proceeds. Without a watcher, notebooks show a progress
             bar.
         progress: in a script, print the progress of the run on standard error every few seconds.
@@ -186,7 +165,8 @@ def sweep(
         EngineUnavailable: the chosen engine cannot run on this machine.
     """
     from petmjx.runs.forked_worlds import Batching
-    from petmjx.runs.sweep_file import find_sweep, load_sweep
+    from petmjx.runs.ready_sweeps import find_sweep
+    from petmjx.runs.sweep_file import load_sweep
     from petmjx.runs.sweep_study import SweepStudy
 
     if batching is not None:

@@ -125,9 +125,9 @@ def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> 
 
 LONGEST_FIRST = (
     "test_option_types",
-    "test_warp_company",
+    "test_warp_batch_independence",
     "test_doc_examples",
-    "test_recipes",
+    "test_extending_recipes",
     "test_worker_pool",
     "test_traces",
     "test_resume",

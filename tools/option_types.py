@@ -16,13 +16,17 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from petmjx.common.checked_records import CheckedRecord
-from petmjx.engines.engine_choice import ENGINES
+from petmjx.engines.engine_registry import ENGINES
 from petmjx.options.carriers import Board, OwnCarrier
+from petmjx.options.confidence import Confidence
 from petmjx.options.materials import FrictionPair, LandingPair
 from petmjx.options.physics import CUSTOM, PHYSICS, Physics
 from petmjx.options.placing import Placing
-from petmjx.options.run_options import AUTO, Anchor, Confidence, RunOptions, Transport
-from petmjx.options.simulation import Quiet, Simulation, Thresholds
+from petmjx.options.quiet import Quiet
+from petmjx.options.run_options import AUTO, Anchor, RunOptions
+from petmjx.options.simulation import Simulation
+from petmjx.options.thresholds import Thresholds
+from petmjx.options.transport import Transport
 from petmjx.options.walls import Walls
 from petmjx.options.wrap import Wrap
 

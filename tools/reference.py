@@ -9,10 +9,13 @@ import typer
 
 from petmjx.cli.main import WIDTH, application
 from petmjx.common.checked_records import CheckedRecord, CliFlag
+from petmjx.options.confidence import Confidence
 from petmjx.options.physics import Physics
 from petmjx.options.placing import Placing
-from petmjx.options.run_options import Confidence, RunOptions
-from petmjx.options.simulation import Quiet, Simulation, Thresholds
+from petmjx.options.quiet import Quiet
+from petmjx.options.run_options import RunOptions
+from petmjx.options.simulation import Simulation
+from petmjx.options.thresholds import Thresholds
 from petmjx.options.walls import Walls
 from petmjx.options.wrap import Wrap
 

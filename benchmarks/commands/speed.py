@@ -91,7 +91,7 @@ def loop(
     memory."""
     from benchmarks.pallets_speed import CASES, Loop, measured
     from benchmarks.result_fields import append_line, environment
-    from petmjx.engines.engine_choice import make_engine
+    from petmjx.engines.engine_registry import make_engine
     from petmjx.options.run_options import RunOptions
 
     chosen = known(names or list(CASES), CASES, "case")

@@ -279,7 +279,7 @@ def reality(
     from benchmarks.reality import BEGIN, END, PARTS, TOSSES, gallery, present, table
     from benchmarks.result_fields import append_line
     from benchmarks.result_tables import write_between_markers
-    from petmjx.engines.engine_choice import check_options
+    from petmjx.engines.engine_registry import check_options
 
     engines = engine or ["mujoco"]
     for name in engines:

@@ -11,10 +11,11 @@ import numpy as np
 
 from benchmarks.referees.referee import RefereeWorld
 from petmjx.common.units import FloatArray, seconds_to_steps
+from petmjx.engines.margin import margin_of
 from petmjx.engines.metrics import BoxMetrics
 from petmjx.engines.mujoco.rest import QuietRule
 from petmjx.engines.mujoco.running_metrics import OracleMetrics
-from petmjx.engines.verdict import Flag, Reason, Verdict, judge, margin_of
+from petmjx.engines.verdict import Flag, Reason, Verdict, judge
 from petmjx.options.simulation import Check, Simulation
 from petmjx.world.scene import Scene
 

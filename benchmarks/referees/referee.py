@@ -95,7 +95,8 @@ def top_forces(
     if bodies:
         geom, normal = np.array(bodies), np.array(normal_z)
         centre_z = np.concatenate(([-np.inf, -1e-3], pose[:, 2]))  # floor and carrier are below all boxes
-        box, sign, counts = pressed_box(geom - FIRST_BOX, centre_z[geom], normal)
+        upwards = np.where(centre_z[geom[:, 0]] < centre_z[geom[:, 1]], np.abs(normal), -np.abs(normal))
+        box, sign, counts = pressed_box(geom - FIRST_BOX, upwards)
         np.add.at(total, box[counts], (sign * np.array(force_z))[counts])
     return total
 

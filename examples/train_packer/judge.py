@@ -7,7 +7,8 @@ from typing import Any
 import petmjx
 from petmjx.packers.learned_packer import Policy, pack_learned
 from petmjx.packers.sample_plans import as_placements
-from petmjx.plans.order_generator import TARGET_EXTENT_MM, draw_order
+from petmjx.plans.order import TARGET_EXTENT_MM
+from petmjx.plans.order_generator import draw_order
 from petmjx.plans.plan_validation import parse_plan
 
 CATALOGUE = 4_000_000

@@ -20,7 +20,8 @@ from petmjx.packers.learned_candidates import FourSidedStream, lowest_first
 from petmjx.packers.learned_packer import CLEARANCE_MM, Policy, placing_of
 from petmjx.packers.packing_state import NextCandidate
 from petmjx.packers.stability_features import stability_features
-from petmjx.plans.order_generator import TARGET_EXTENT_MM, draw_order, stream
+from petmjx.plans.order import TARGET_EXTENT_MM
+from petmjx.plans.order_generator import draw_order, stream
 
 TARGET = "euro-pallet"
 

@@ -10,7 +10,8 @@ from labels import Array
 
 from petmjx.packers.learned_candidates import FourSidedStream
 from petmjx.packers.learned_packer import CLEARANCE_MM, Policy
-from petmjx.plans.order_generator import TARGET_EXTENT_MM, Order, draw_order, stream
+from petmjx.plans.order import TARGET_EXTENT_MM, Order
+from petmjx.plans.order_generator import draw_order, stream
 
 STREAM = 103
 CATALOGUES, VALIDATION = 1_000_000, 2_000_000

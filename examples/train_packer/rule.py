@@ -12,7 +12,8 @@ from petmjx.packers.learned_candidates import FourSidedStream
 from petmjx.packers.learned_features import NAMES
 from petmjx.packers.learned_packer import CLEARANCE_MM, Policy
 from petmjx.packers.policy_network import Network
-from petmjx.plans.order_generator import TARGET_EXTENT_MM, stream
+from petmjx.plans.order import TARGET_EXTENT_MM
+from petmjx.plans.order_generator import stream
 
 RULE = {
     "z": -1000.0,

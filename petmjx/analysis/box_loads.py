@@ -28,7 +28,7 @@ from petmjx.common.argument_checks import path_of
 from petmjx.common.atomic_write import write_errors
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable, printable_name
-from petmjx.options.stacking import Stacking
+from petmjx.options.strength_losses import Stacking
 from petmjx.plans.articles import Articles, read_articles
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_sources import PathArgument, PlanSource
@@ -51,12 +51,12 @@ _BOX_UNITS: Final = {
     SUSTAINED: ("N", "largest force on top of the box at rest after any leg of a chain; null without a leg"),
     "max_top_force_n": ("N", "largest force on top of the box in any step, also while it is placed or shaken"),
     "press_strength_n": ("N", "strength of the box between the plates of a press; null if unknown"),
-    "wall_factor": ("1", "factor of the strength for the share of the box's walls on which walls of boxes above stand"),
-    "overhang_factor": ("1", "factor of the strength for the share of the box's walls without support below"),
-    "deck_factor": ("1", "factor of the strength for gaps and bending of the deck on which the box stands"),
-    "humidity_factor": ("1", "factor of the strength for moist air"),
+    "wall_factor": ("1", "factor on the strength; smaller if walls of boxes above do not stand on the box's walls"),
+    "overhang_factor": ("1", "factor on the strength; smaller if the box's walls hang over nothing"),
+    "deck_factor": ("1", "factor on the strength; smaller if the deck on which the box stands has gaps or bends"),
+    "humidity_factor": ("1", "factor on the strength; smaller in moist air"),
     "strength_n": ("N", "strength of the box as stacked: press_strength_n times the four factors; null if unknown"),
-    "time_factor": ("1", "factor of the strength for days under load; applies only to forces at rest"),
+    "time_factor": ("1", "factor on the strength; smaller after days under load; applies only to forces at rest"),
     "load_share": ("1", "rest_top_force_n / (strength_n * time_factor)"),
     "peak_share": ("1", "max_top_force_n / strength_n"),
     "load_share_low": ("1", "rest_top_force_low_n / (strength_n * time_factor)"),
@@ -103,7 +103,7 @@ that did not compute intervals of possible forces lack the columns with the smal
 _OVER: Final = dict(
     zip(("overloaded", "surely_overloaded", "possibly_overloaded", "overloaded_at_peak"), _SHARES.values(), strict=True)
 )
-"""Name of a column of the table ``plans`` → name of the column of the table ``boxes`` from which it is computed: a
+"""Name of a column of the table ``plans`` → name of the column of the table ``boxes`` from which it is computed. A
 world is overloaded if the share of at least one of its boxes is above 1."""
 
 
@@ -121,9 +121,9 @@ class Loads:
         notes: warnings, one per line: about an unfinished run, about articles without a known strength, and about
             forces at rest in stacks that were wrapped in film and then shaken.
         stacking: the options with which these results were computed: how much strength boxes lose by stacking.
-        ways: for the run of a transport chain, one row for each plan and remedy (a change to the chain or the load):
-            the share of worlds that arrive, and the share that arrive without crushed boxes. ``ways`` is None if the
-            run did not simulate a transport chain.
+        ways: only for the run of a transport chain: one row for each plan and remedy (a change to the chain or the
+            load). A row has the share of worlds that arrive, and the share that arrive without crushed boxes. ``ways``
+            is None if the run did not simulate a transport chain.
     """
 
     run: Path
@@ -182,8 +182,8 @@ def loads(
             made. If ``articles`` is None, only the plan and the run's table are used.
         plans: the plans of the run, which give the sizes, places and product groups of boxes. If ``plans`` is None,
             plans are read from the files that the run names.
-        stacking: how much strength boxes lose by stacking, as a ``petmjx.options.stacking.Stacking`` or as a mapping
-            that sets some of its fields.
+        stacking: how much strength boxes lose by stacking, as a ``petmjx.options.strength_losses.Stacking`` or as a
+            mapping that sets some of its fields.
 
     Raises:
         InputError: there is no run in the folder, the table of articles or an option is unusable, no box has a known

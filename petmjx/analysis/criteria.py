@@ -90,8 +90,8 @@ NOT_ASKED: Final = -1
 
 _ROUNDING: Final = {"mm": ON_EDGE_MM, "1": -NO_SLACK}
 """Unit of a slack → rounding error of the slack, in this unit. A negative slack that differs from 0 by less than this
-error counts as 0. For slacks without a unit ("1"), the error is that of the criterion force balance. (Slacks that are
-shares of an area have no unit either, but a smaller rounding error, 1e-16.)"""
+error counts as 0. For slacks without a unit ("1"), the error is the same as for the criterion force balance. (Slacks
+that are shares of an area have no unit either, but a smaller rounding error, 1e-16.)"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +206,7 @@ def corner_and_area_slack(share: FloatArray, corners: IntArray, least: tuple[flo
 
 SUPPORT_CRITERIA: Final = {f"support_{100 * share:.0f}": share for share in (1.0, 0.9, 0.8, 0.75, 0.7, 0.6, 0.5)}
 """Name of a criterion → share of a box's base that must lie on boxes or the carrier. The share 1 is the whole base; the
-other shares are those in Bortfeldt & Wäscher's survey and in the ADAMS study."""
+other shares are as in Bortfeldt & Wäscher's survey and in the ADAMS study."""
 
 LEAST_CORNERS: Final = 3
 
@@ -224,8 +224,8 @@ def tolerable_acceleration_g(contacts: PlanContacts, hulls: Hulls, friction: flo
     far, begins to slide or tip.
 
     The box and the load count as rigid bodies. A body slides when the acceleration in g reaches the coefficient of
-    friction. A body tips when the acceleration in g reaches a / h. a is the horizontal distance between the body's
-    centre of mass and the edge over which the body tips, and h is the height of the centre above this edge. Both
+    friction. A body tips when the acceleration in g reaches a / h. Here, a is the horizontal distance between the
+    body's centre of mass and the edge over which the body tips, and h is the height of the centre above this edge. Both
     conditions follow from statics; EN 12195-1 has the same conditions.
     """
     half_mm = contacts.centre_mm[:, 2] - contacts.corner_mm[:, 2]
@@ -294,7 +294,7 @@ def load_points(contacts: PlanContacts) -> dict[str, float]:
         ]
     )
     middle = edges.mean(axis=0) if on_carrier.any() else np.full(2, np.inf)
-    # (n, 2) the share of each box's base whose x, or whose y, is smaller than that of the footprint's middle
+    # (n, 2) the share of each box's base that is on the lower side of the footprint's middle, along x and along y
     left = np.clip((middle - low[:, :2]) / contacts.size_mm[:, :2], 0.0, 1.0)
     quadrants = [contacts.mass_kg @ (x * y) for x in (left[:, 0], 1 - left[:, 0]) for y in (left[:, 1], 1 - left[:, 1])]
     above = ~np.isin(np.arange(contacts.n_boxes), contacts.upper[on_carrier])
@@ -418,7 +418,7 @@ CRITERIA: Final = (
     ),
     Criterion(
         "stacking_tree",
-        "weight and load, passed down by the lever rule, act inside the contact hull of the box and of all boxes below",
+        "for the box and each box below: weight and load act inside the contact hull; loads pass down by lever rule",
         "smallest distance of a resultant inside its hull's edge",
         _MM,
         "Zhao et al. 2022, arXiv 2108.13680",
@@ -427,7 +427,7 @@ CRITERIA: Final = (
     ),
     Criterion(
         "equilibrium",
-        "weight and load, passed down in balance, act inside the contact hull of the box and of all boxes below",
+        "for the box and each box below: weight and load act inside the contact hull; loads pass down in balance",
         "smallest distance of a resultant inside its hull's edge",
         _MM,
         "Ramos et al. 2016",
@@ -460,7 +460,7 @@ CRITERIA: Final = (
         "down in balance",
         "1 - load / strength: the smallest value of these boxes; 1 without a known strength",
         DIMENSIONLESS,
-        "McKee, Gander, Wachuta 1963, or strengths of the user's",
+        "McKee, Gander, Wachuta 1963, or the user's own strengths",
         lambda inputs: strength_slack(inputs.contacts, inputs.strength_n, even_bedding),
         usual=False,  # if no strengths are known, this criterion accepts all plans, so it is evaluated only on request
     ),
@@ -479,7 +479,7 @@ CRITERIA: Final = (
     ),
     Criterion(
         "load_points",
-        f"the load has at least {LEAST_POINTS:g} of {sum(MOST_POINTS.values()):g} points by five rules of a seller",
+        f"the load has at least {LEAST_POINTS:g} of {sum(MOST_POINTS.values()):g} points by a seller's five rules",
         f"points - {LEAST_POINTS:g} for the last box; {sum(MOST_POINTS.values()) - LEAST_POINTS:g} for all other boxes",
         DIMENSIONLESS,
         "a seller's rule of thumb, with formulas of petmjx's own",
@@ -524,20 +524,20 @@ class CriteriaOptions(CheckedRecord):
     )
     carrier: Annotated[
         AnyCarrier,
-        CliFlag("--carrier", "NAME|FILE", default="that of the run; else footprint, the plan's bounding box"),
+        CliFlag("--carrier", "NAME|FILE", default="the run's carrier; else footprint, the plan's bounding box"),
     ] = Field(
         Carrier.FOOTPRINT,
         description="carrier on which the boxes stand, as for petmjx score; gaps between boards bear nothing; a "
         "carrier without boards is taken to reach under all boxes",
     )
-    walls: Walls = Field(Walls(), description="walls around the carrier's top, by default those of the run")
+    walls: Walls = Field(Walls(), description="walls around the carrier's top, by default the run's walls")
     only: tuple[str, ...] | None = Field(None, description="names of criteria; by default all")
     processes: Annotated[int, within(1, 1024)] = Field(
         1, description="number of processes among which the plans are divided"
     )
     p_arrives: Annotated[float, within(0, 1), CliFlag("--p-arrives", "P")] = Field(
         0.5,
-        description="share of a plan's worlds that must arrive so that the plan counts as standing, if the run is that "
+        description="share of a plan's worlds that must arrive so that the plan counts as standing, if the run is "
         "of a chain",
     )
     seed: Annotated[int, within(0, 2**63 - 1), CliFlag("--seed", "SEED")] = Field(

@@ -32,7 +32,7 @@ from petmjx.plans.plan_sources import PlanSource, gather_plans, without_narrow_w
 from petmjx.results.documented_tables import Described, check_tables_free, has_keys, write_documented_tables
 from petmjx.results.input_files import input_files
 from petmjx.results.plan_lookup import how_read, plans_in_place, plans_of
-from petmjx.results.run_folder import text
+from petmjx.results.result_files import text
 from petmjx.results.run_reader import RunResults, is_chain, load_run
 from petmjx.results.to_json import to_json
 from petmjx.runs.chain_summary import arrivals
@@ -178,7 +178,7 @@ def documented_thresholds() -> Described:
         | {
             "mcc_published": (
                 DIMENSIONLESS,
-                "MCC of the criterion's own threshold on the plans on which the threshold is judged",
+                "MCC of the published threshold, on the half of the plans on which thresholds are tested",
             )
         }
     )
@@ -414,9 +414,9 @@ def _ask(plans: Sequence[Plan], options: CriteriaOptions) -> list[Answers]:
 
 def _judging_worlds(run: RunResults, plans: Sequence[Plan], p_arrives: float) -> pd.DataFrame:
     """One row for each plan of the run, about its nominal world (the simulation without errors). In the run of a
-    transport chain, the row is about all simulations of the plan: ``verdict`` says whether at least the share
-    ``p_arrives`` of the simulations reach the end of the chain, ``reason`` is the leg (stage of the transport) in which
-    most of the simulations fail, and ``margin`` is the share of simulations that reach the end, minus ``p_arrives``.
+    transport chain, the row is about all simulations of the plan. ``verdict`` says whether at least the share
+    ``p_arrives`` of these simulations reach the end of the chain. ``reason`` is the leg (stage of the transport) in
+    which most of the simulations fail. ``margin`` is the share of simulations that reach the end, minus ``p_arrives``.
 
     Raises:
         InputError: the run has none of these plans, or a plan has a different number of boxes in the run.

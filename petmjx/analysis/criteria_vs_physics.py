@@ -47,10 +47,9 @@ def judge(plans: pd.DataFrame, worlds: pd.DataFrame, criteria: Sequence[Criterio
     Returns:
         One row per criterion: ``criterion``, ``n_plans``, the counts named in ``CELLS``, and the scores named in
         ``SCORES``. Each score has two more columns, ``_low`` and ``_high``, with the bounds of its 95 % bootstrap
-        interval over plans. ``same_first_box`` is the number of plans that the criterion refuses, that fall in the
-        simulation, and for which criterion and simulation name the same box as the first that fails. If ``worlds`` has
-        the column ``share`` (the share of simulations that reach the end of a transport chain), each row also has the
-        columns ``ARRIVES``.
+        interval over plans. ``same_first_box`` counts the plans that the criterion refuses and that fall in the
+        simulation, if criterion and simulation name the same first box. If ``worlds`` has the column ``share`` (the
+        share of simulations that reach the end of a transport chain), each row also has the columns ``ARRIVES``.
     """
     judged = with_physics(plans, worlds)
     stands = judged["stands"].to_numpy(dtype=bool)
@@ -131,9 +130,9 @@ def best_thresholds(
     The half to which a plan belongs depends only on the plan's id and the seed.
 
     Returns:
-        One row per criterion: ``criterion``, ``number``, ``unit``, ``threshold`` (a lower limit), ``published`` (the
-        published threshold), and ``n_found_on`` and ``mcc_found_on`` (the number of plans, and the MCC, on the half on
-        which the threshold is fitted). The row also has the columns of ``judge`` and ``mcc_published`` (the MCC of the
+        One row per criterion: ``criterion``, ``number``, ``unit``, ``threshold`` (a lower limit) and ``published`` (the
+        published threshold). ``n_found_on`` and ``mcc_found_on`` are the number of plans, and the MCC, on the half on
+        which the threshold is fitted. The row also has the columns of ``judge`` and ``mcc_published`` (the MCC of the
         published threshold), computed on the half on which the threshold is tested.
     """
     joined_plans = with_physics(plans, worlds)
@@ -158,8 +157,8 @@ def best_thresholds(
 
 
 def in_first_half(plan_ids: Sequence[str], seed: int) -> NDArray[np.bool_]:
-    """(n,) whether each plan belongs to the first half. The half of a plan follows from a hash of its id and the seed,
-    which acts like a fair coin."""
+    """(n,) whether each plan belongs to the first half. A hash of a plan's id and the seed acts like a fair coin, and
+    decides to which half the plan belongs."""
     key = seed.to_bytes(8, "little")
     coins = [hashlib.blake2b(name.encode(), digest_size=1, key=key).digest()[0] & 1 for name in plan_ids]
     return np.array(coins, dtype=bool)

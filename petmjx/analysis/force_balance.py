@@ -88,8 +88,8 @@ class Entries(NamedTuple):
 
 
 def even_share(contacts: PlanContacts, weight: FloatArray) -> FloatArray:
-    """(c,) for each of c contact areas, the force that each of its four corners must carry at a slack of 1: the weight
-    of the upper box, divided by the number of corners of all contact areas under this box."""
+    """(c,) for each of c contact areas, the force at each of its four corners at a slack of 1: the weight of the upper
+    box, divided by the number of corners of all contact areas under this box."""
     share: FloatArray = weight[contacts.upper] / (4 * contacts.n_supports[contacts.upper])
     return share
 

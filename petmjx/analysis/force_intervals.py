@@ -18,7 +18,8 @@ from typing import Final
 import numpy as np
 
 from petmjx.analysis.force_balance import WRENCH, least_and_most, wrenches
-from petmjx.analysis.plan_contacts import IntArray, TouchPoints, find_touch_points
+from petmjx.analysis.plan_contacts import IntArray
+from petmjx.analysis.touch_points import TouchPoints, find_touch_points
 from petmjx.common.errors import InputError, PetmjxError
 from petmjx.common.units import FloatArray
 from petmjx.engines.metrics import BoxMetrics
@@ -81,7 +82,8 @@ def _without_programme(touching: TouchPoints, weight: FloatArray) -> FloatArray:
     for box in range(n_boxes):
         box_contacts = (ends == box).any(axis=0)
         on_top = touching.pressed[box_contacts] == box
-        # the number of the group of each box, and of the carrier, if this box did not exist
+        # a group number for each box, and for the carrier: the groups that contacts would connect if this box did not
+        # exist
         group = _groups(ends[:, ~box_contacts], n_boxes + 1)
         other = group[ends[:, box_contacts].sum(axis=0) - box]
         above = np.unique(other[on_top])

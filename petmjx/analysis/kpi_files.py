@@ -17,7 +17,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.overwrite_guard import IsOurs
 from petmjx.common.text import printable
 from petmjx.results.documented_tables import check_tables_free, has_keys
-from petmjx.results.run_folder import csv, parquet, text, write_together
+from petmjx.results.result_files import csv, parquet, text, write_together
 
 _CREATOR: Final = "petmjx"
 """Name that petmjx writes as the creator into the properties of Excel workbooks. petmjx recognises its own workbooks by
@@ -108,7 +108,7 @@ def _workbook(kpis: Kpis) -> bytes:
     add(orderwise, table.column_names)
     for row in zip(*(column.to_pylist() for column in table.columns), strict=True):
         add(orderwise, row)
-    content = io.BytesIO()  # in memory, because openpyxl prints an error if it cannot save to a path
+    content = io.BytesIO()  # a file in memory, because openpyxl prints an error if it cannot save to a path
     workbook.save(content)
     return content.getvalue()
 

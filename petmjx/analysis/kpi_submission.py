@@ -2,8 +2,8 @@
 submission's file.
 
 The file has a name of the form ``{DATE}_{SURNAME}_{ALGORITHM}_{TASK}.json``. The leaderboard's page
-(floriankagerer.github.io/leaderboard) defines the tasks: either all items are known (offline), or items arrive one
-after the other (O3DBP), or p items are known and the packer chooses one of the next s (O3DBP-p-s).
+(floriankagerer.github.io/leaderboard) defines three tasks. All items are known (offline); or items arrive one after the
+other (O3DBP); or p items are known, and the packer chooses one of the next s (O3DBP-p-s).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any, Final
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable, printable_name
 from petmjx.plans.bedbpp_writer import Placement, write_plans
-from petmjx.plans.order_generator import Item, Order, target_extent_mm
+from petmjx.plans.order import Item, Order, target_extent_mm
 from petmjx.plans.order_matching import match
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_writer import as_placements
@@ -178,8 +178,8 @@ def _faults(plan: Plan, placements: Sequence[Placement], order: Order, choice: i
 
 
 def _name(plan: Plan, placements: Sequence[Placement], order: Order) -> None:
-    """Fill in the missing names: a box that has neither id nor article gets those of an ordered item with the same size
-    and mass."""
+    """Fill in the missing names: a box that has neither id nor article gets id and article of an ordered item with the
+    same size and mass."""
     unnamed = [box for box, names in enumerate(zip(plan.item_ids, plan.articles, strict=True)) if not any(names)]
     if not unnamed:
         return

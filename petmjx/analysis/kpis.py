@@ -1,7 +1,7 @@
 """Computes the KPIs (key performance indicators) of BED-BPP, a public benchmark for packing, and the rating on its
 leaderboard: ``petmjx.kpis``.
 
-The definitions of the KPIs, and the rule of ``direct_support``, are those of bed-bpp-env (e7459bf):
+The definitions of the KPIs, and the rule of ``direct_support``, come from bed-bpp-env (e7459bf):
 ``evaluation/packing_plan_evaluator.py``, ``environment/space_3d.py`` and ``environment/cuboid.py``. docs/kpis.md lists
 the KPIs and the columns that petmjx adds, and explains the rule. ``COLUMNS`` lists the columns of the table.
 """
@@ -28,8 +28,9 @@ from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
 from petmjx.plans.convention_checks import warn
-from petmjx.plans.order_generator import Order, target_extent_mm
-from petmjx.plans.order_matching import Matching, OddBoxes, counts_of, match, on_target
+from petmjx.plans.order import Order, target_extent_mm
+from petmjx.plans.order_checks import OddBoxes, counts_of
+from petmjx.plans.order_matching import Matching, match, on_target
 from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_sources import PlanSource, gather_plans
@@ -76,7 +77,12 @@ COLUMNS: Final = (
         "1",
         "among the boxes that lie on boxes, share of boxes that tie the pile together; null if no box lies on a box",
     ),
-    KpiColumn("kpi_6", "Int64", "1", "1: no box moved by more than 0.01 m along z in the static check; null: unknown"),
+    KpiColumn(
+        "kpi_6",
+        "Int64",
+        "1",
+        "1: no box moved by more than 0.01 m along z in the static check; 0: a box did; null: unknown",
+    ),
     KpiColumn(
         "eval_score_pal_ratio", "Float64", "1", "kpi_6 × share of the ordered boxes that begin at or below 2.0 m"
     ),
@@ -93,7 +99,7 @@ COLUMNS: Final = (
         "n_pal_items",
         "int64",
         "1",
-        "number of boxes on the target that are as ordered, each ordered box counted once, and begin at or below 2.0 m",
+        "number of boxes on the target that are as ordered and begin at or below 2.0 m; each ordered box counts once",
     ),
     KpiColumn("height_below_2m_m", "float64", "m", "greatest height of boxes that end at or below 2.0 m"),
     KpiColumn("volume_m3", "float64", "m^3", "volume of the boxes"),
@@ -305,9 +311,9 @@ def kpis_of(plan: Plan, order: Order, matching: Matching | None = None) -> dict[
 
 
 def _interlocked_share(plan: Plan, n_below: np.ndarray[Any, np.dtype[np.int64]]) -> float | None:
-    """Among the boxes that lie on other boxes, the share that holds the pile together: boxes that lie on several boxes,
-    and boxes that lie on one box and are turned differently from the plan's first box. The share is None if all boxes
-    stand on the target."""
+    """The share of boxes that hold the pile together, among the boxes that lie on other boxes. A box holds the pile
+    together if it lies on several boxes, or if it lies on one box and is turned differently from the plan's first box.
+    The share is None if all boxes stand on the target."""
     turned = plan.turned != plan.turned[0]
     n_above = int(np.count_nonzero(n_below))
     interlocked = (n_below > 1) | ((n_below == 1) & turned)
@@ -375,8 +381,8 @@ def _notes(plans: Mapping[str, Plan], orders: Mapping[str, Order]) -> list[str]:
 def _odd_boxes(
     plans: Mapping[str, Plan], orders: Mapping[str, Order], matchings: Mapping[str, Matching]
 ) -> Iterator[str]:
-    """Yield up to two lines for the user: one about boxes that were not ordered, with the first plan that has such
-    boxes, and one about boxes that were matched with ordered items by size alone."""
+    """Yield up to two lines for the user. One is about boxes that were not ordered, and names the first plan that has
+    such boxes. The other is about boxes that were matched with ordered items by size alone."""
     odd = OddBoxes()
     for name, matching in matchings.items():
         odd.add(plans[name], orders[name], matching)
@@ -384,8 +390,7 @@ def _odd_boxes(
 
 
 def _unknown(frame: pd.DataFrame, stability: Stability) -> list[str]:
-    """Lines for the user about plans for which no run tells whether they stand, although the runs tell it for other
-    plans."""
+    """Lines for the user about plans of which no run tells whether they stand, if runs tell it of other plans."""
     notes = []
     for column, known in (("kpi_6", stability.their_rule), ("stable", stability.stable)):
         missing = frame.loc[frame[column].isna(), "plan_id"].tolist()

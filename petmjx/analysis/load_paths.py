@@ -28,9 +28,9 @@ import numpy as np
 
 from petmjx.analysis.plan_contacts import Hulls, IntArray, PlanContacts
 from petmjx.common.units import MM_PER_M, STANDARD_GRAVITY, FloatArray
-from petmjx.world.edge_distances import BuildingLoads, balanced_after, building_loads_of, depends_on_sharing
+from petmjx.world.bearings import Bearing, Boxes
+from petmjx.world.building_edges import BuildingLoads, balanced_after, building_loads_of, depends_on_sharing
 from petmjx.world.history import CARRIER
-from petmjx.world.supports import Bearing, Boxes
 
 Sharing = Callable[[PlanContacts], FloatArray]
 """Function that computes a matrix (3, 3) for each of c contacts, as an array (c, 3, 3). The matrix turns the load of
@@ -73,8 +73,8 @@ def equilibrium_slack(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
 def load_slack(
     contacts: PlanContacts, hulls: Hulls, sharing: Sharing, pushed: BuildingLoads | None = None
 ) -> FloatArray:
-    """(n,) for each box, the smallest distance of a load from the edge of the hull of its contact areas just after the
-    box has been placed, mm: positive inside the hull, negative outside.
+    """(n,) the smallest distance (mm) of a load from the edge of the hull of its contact areas, just after each box has
+    been placed: positive inside the hull, negative outside.
 
     A load is the resultant of a box's own weight and of the loads on the box. The distance is computed for the placed
     box and for all boxes that bear a part of its weight. The value is NaN if one of these boxes has no support or is
@@ -101,8 +101,8 @@ def load_slack(
 
 
 def strength_slack(contacts: PlanContacts, strength_n: FloatArray | None, sharing: Sharing) -> FloatArray:
-    """(n,) for each box, the smallest value of 1 − load / strength just after the box has been placed, among this box
-    and all boxes that bear a part of its weight; NaN if the placed box lies on nothing.
+    """(n,) the smallest value of 1 − load / strength just after each box has been placed, among this box and all boxes
+    that bear a part of its weight. The value is NaN if the placed box lies on nothing.
 
     Args:
         strength_n: (n,) largest force that the top of each box can bear, N; NaN if unknown. If ``strength_n`` is None,
@@ -125,14 +125,14 @@ def strength_slack(contacts: PlanContacts, strength_n: FloatArray | None, sharin
 
 
 def _loads_on_boxes(contacts: PlanContacts, sharing: Sharing) -> FloatArray:
-    """(n, n, 3) for boxes j (first index) and m (second index), the part of the weight of m that j bears, as a vector
-    (mass, mass × x, mass × y) in kg and kg·mm. A box also bears its own weight."""
+    """(n, n, 3) the part of the weight of box m (second index) that box j (first index) bears, as a vector (mass, mass
+    × x, mass × y) in kg and kg·mm. A box also bears its own weight."""
     n = contacts.n_boxes
     on_box = np.zeros((n, n, 3))
     weights = contacts.mass_kg[:, None] * np.c_[np.ones(n), contacts.centre_mm[:, :2]]
     on_box[np.arange(n), np.arange(n)] = weights
     share = sharing(contacts)
-    # The loop runs from the last contact to the first: contacts are sorted by their upper box, and each box is placed
+    # The loop runs from the last contact to the first. Contacts are sorted by their upper box, and each box is placed
     # after its supports, so the load of a box is complete before the loop passes it down.
     for contact in range(len(contacts.upper) - 1, -1, -1):
         lower = contacts.lower[contact]

@@ -115,18 +115,18 @@ class PackerComparison:
         runs: name of each packer → folder of its run.
         confidence: confidence of all intervals.
         packers: one row for each packer and size class of orders; the class ``all``, of all orders, comes first.
-            Columns: ``size``; ``packer``; the number ``n`` of compared orders; the number ``n_stable`` of compared
-            orders whose plan stands; ``share`` (n_stable / n) with its Wilson interval ``low``, ``high``; the means of
-            ``MEASURES`` over the compared orders and, if orders are given, the means of ``KPIS``; the number
-            ``n_orders`` of orders in the size class, of which ``n_invalid`` have an invalid simulation and
-            ``n_missing`` have no plan; and ``share_at_worst``. Runs of transport chains also have the mean of
-            ``p_arrives`` (the probability of arrival), with its interval ``p_low``, ``p_high`` over orders.
+            Columns: ``size``; ``packer``; ``n``, the number of compared orders; ``n_stable``, the number of these
+            orders whose plan stands; ``share`` (n_stable / n) with its Wilson interval ``low``, ``high``; and the means
+            of ``MEASURES`` over the compared orders. If orders are given, the means of ``KPIS`` are added. ``n_orders``
+            is the number of all orders in the size class: ``n_invalid`` of them have an invalid simulation, and
+            ``n_missing`` have no plan. The last column is ``share_at_worst``. Runs of transport chains also have the
+            mean of ``p_arrives`` (the probability of arrival), with its interval ``p_low``, ``p_high`` over orders.
         pairs: one row for each pair of packers and size class. Columns: ``a``, ``b``, ``n``; the numbers of orders
-            whose plans stand for ``both`` packers, ``only_a``, ``only_b`` or ``neither``; ``difference`` (share of b −
-            share of a) with Newcombe's interval ``low``, ``high``; ``p`` of McNemar's exact test; and ``p_holm``, which
-            is corrected for the number of pairs. ``p`` and ``p_holm`` exist only for the class ``all``, because the
-            other classes are not meant for tests. Runs of chains also have ``p_gain``, the mean over orders of
-            (``p_arrives`` of b − ``p_arrives`` of a), with its interval ``p_gain_low``, ``p_gain_high``.
+            whose plans stand for ``both`` packers, ``only_a``, ``only_b`` or ``neither``; and ``difference`` (share of
+            b − share of a) with Newcombe's interval ``low``, ``high``. ``p`` is the p-value of McNemar's exact test;
+            ``p_holm`` is ``p``, corrected for the number of pairs. ``p`` and ``p_holm`` exist only for the class
+            ``all``, because the other classes are not meant for tests. Runs of chains also have ``p_gain``, the mean
+            over orders of (``p_arrives`` of b − ``p_arrives`` of a), with its interval ``p_gain_low``, ``p_gain_high``.
         reasons: why a plan of one packer falls although the other packer's plan for the same order stands. Columns: the
             pair ``a``, ``b``; the packer ``lost_by`` whose plans fall; the ``reason``; and the number ``n`` of orders
             with this reason.
@@ -332,7 +332,7 @@ def _decided_orders(plans: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:
 
 
 _COUNTS: Final = {
-    "n": "number of compared orders; in reasons: number of orders that the loser lost for this reason",
+    "n": "number of compared orders; in the table reasons: number of orders that the loser lost for this reason",
     "n_stable": "number of compared orders whose plan stands",
     "n_orders": "number of orders",
     "n_invalid": "number of orders whose plan has an invalid verdict",
@@ -341,8 +341,8 @@ _COUNTS: Final = {
     "only_a": "number of orders for which only the plan of packer a stands",
     "only_b": "number of orders for which only the plan of packer b stands",
     "neither": "number of orders for which neither plan stands",
-    "boxes": "number of boxes placed; in packers: mean over orders",
-    "left_out": "number of boxes left out; in packers: mean over orders",
+    "boxes": "number of boxes placed; in the table packers: mean over orders",
+    "left_out": "number of boxes left out; in the table packers: mean over orders",
     "order_boxes": "number of boxes of the order",
     "as_ordered": "number of boxes on the order's target that have the ordered size and mass, each ordered box counted "
     "once; null if unknown",
@@ -355,7 +355,7 @@ _NUMBERS: Final = {
     "difference": "share of packer b minus share of packer a",
     "p": "p-value of McNemar's exact test; null if there is no test",
     "p_holm": "p-value of McNemar's exact test, corrected for the number of pairs (Holm)",
-    "p_arrives": "share of worlds with errors that arrive at the end of a chain; in packers: mean over orders",
+    "p_arrives": "share of worlds with errors that arrive at the end of a chain; in table packers: mean over orders",
     "p_low": "lower end of the interval of the mean of p_arrives over orders",
     "p_high": "upper end of the interval of the mean of p_arrives over orders",
     "p_gain": "mean over orders of p_arrives of packer b minus p_arrives of packer a",
@@ -372,13 +372,13 @@ _TEXTS: Final = {
     "lost_by": "name of the packer whose plan does not stand",
     "plan_id": "id of the order and of its plans",
     "verdict": "verdict of the simulation; missing: there is no plan",
-    "reason": "reason why a plan does not stand; in decided: reason of the plan that does not stand",
+    "reason": "reason why a plan does not stand; in the table decided: reason of the plan that does not stand",
     "digest": "digest of everything in the plan that affects results",
 }
 
 DESCRIBED: Final[Described] = {
     **{column.name: (column.unit, column.meaning) for column in COLUMNS},
-    "height_m": ("m", "height of the highest top of a box; in packers: mean over orders"),
+    "height_m": ("m", "height of the highest top of a box; in the table packers: mean over orders"),
     **{name: (DIMENSIONLESS, meaning) for name, meaning in (_COUNTS | _NUMBERS).items()},
     **{name: (TEXT, meaning) for name, meaning in _TEXTS.items()},
     "listed": (DIMENSIONLESS, "whether the order is in the file of orders; true for all orders if no file is given"),

@@ -1,5 +1,5 @@
-"""Compares packers' plans with the orders for which the plans were made: finds out which boxes of the plans were
-ordered, and computes the KPIs (key performance indicators) of BED-BPP, a public benchmark for packing."""
+"""Compares packers' plans with the orders for which the plans were made: finds out which boxes were ordered, and
+computes the KPIs (key performance indicators) of BED-BPP, a public benchmark for packing."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ import pandas as pd
 from petmjx.analysis.kpis import kpis_of
 from petmjx.common.text import count_text, first_names, printable, printable_name
 from petmjx.plans.articles import Articles, read_articles
-from petmjx.plans.order_generator import Order
-from petmjx.plans.order_matching import OddBoxes, counts_of, match, on_target, with_properties
+from petmjx.plans.order import Order
+from petmjx.plans.order_checks import OddBoxes, counts_of
+from petmjx.plans.order_matching import match, on_target, with_properties
 from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan import Plan
 from petmjx.results.plan_lookup import find_plans, how_read
@@ -27,7 +28,7 @@ KPIS: Final = ("kpi_1", "kpi_2", "kpi_4", "kpi_5", "utilisation_2m")
 needs a simulation with the check ``static``."""
 
 ORDER_COUNTS: Final = ("left_out", "not_ordered", "resized", "as_ordered")
-"""Columns with numbers of boxes. The first three are fields of :class:`petmjx.plans.order_matching.PlanOrderCounts`;
+"""Columns with numbers of boxes. The first three are fields of :class:`petmjx.plans.order_checks.PlanOrderCounts`;
 the last is the number of boxes that have the ordered size and mass and lie on the order's target, such as a pallet."""
 
 

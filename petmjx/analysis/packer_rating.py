@@ -1,7 +1,7 @@
 """A rating of packers by physics: the share of all ordered boxes that are part of a plan that stands.
 
-The rating has the same form as that of the benchmark BED-BPP (docs/kpis.md), but uses petmjx's verdict. docs/packers.md
-states which boxes and which orders count.
+The rating has the same form as the rating of the benchmark BED-BPP (docs/kpis.md), but uses petmjx's verdict.
+docs/packers.md states which boxes and which orders count.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ def ratings(plans: pd.DataFrame, packers: Sequence[str], confidence: float) -> p
             ``listed`` is false are ignored.
 
     Returns:
-        One row for each packer. Columns: ``rank``, which begins at 1 and is equal for equal ratings; ``packer``;
-        ``rating``, from 0 to 1, with the bounds ``low`` and ``high`` of its interval (:func:`rating_interval`);
-        ``n_orders``, of which ``n_stable`` stand, ``n_invalid`` have no verdict and ``n_missing`` have no plan; and
-        ``ordered_boxes``, of which ``standing_boxes`` lie as ordered on plans that stand.
+        One row for each packer. Columns: ``rank``, which begins at 1 and is equal for equal ratings; ``packer``; and
+        ``rating``, from 0 to 1, with the bounds ``low`` and ``high`` of its interval (:func:`rating_interval`). Of
+        ``n_orders`` orders, ``n_stable`` have a plan that stands, ``n_invalid`` have no verdict, and ``n_missing`` have
+        no plan. Of ``ordered_boxes`` boxes, ``standing_boxes`` lie as ordered on plans that stand.
     """
     listed = plans[plans["listed"]]
     verdicts, as_ordered, boxes = (

@@ -15,10 +15,10 @@ from petmjx.common.argument_checks import list_of, text_of
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
 from petmjx.common.units import FloatArray
-from petmjx.engines.engine_choice import ENGINES, has_option
+from petmjx.engines.engine_registry import ENGINES, has_option
 from petmjx.options.carriers import CARRIER_EXTENT_M, TARGETS, Carrier, OwnCarrier, extent_m
 from petmjx.options.run_options import AUTO
-from petmjx.results.resume import engine_of_run
+from petmjx.results.resume import engine_of_earlier_run
 from petmjx.results.run_reader import RunResults, RunSource, is_chain, load_run
 from petmjx.runs.chain_summary import arrivals
 
@@ -44,8 +44,8 @@ column exists if all runs simulated transport chains."""
 
 
 def with_engine_of(run: RunResults, options: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """The options for scoring a further packer, with the engine of a run of another packer: verdicts near a threshold
-    may differ between engines, so ``auto`` must not choose another engine for plans that are compared.
+    """The options for scoring a further packer. They name the engine of another packer's run: verdicts near a threshold
+    may differ between engines, so plans that are compared need the same engine.
 
     Args:
         run: a run of another packer that was made with the same options on this machine.
@@ -56,7 +56,7 @@ def with_engine_of(run: RunResults, options: Mapping[str, Any], folder: Path) ->
             goes on with its own engine.
     """
     engine = run.info["config"]["engine"]
-    goes_on = not options.get("overwrite", False) and engine_of_run(folder) is not None
+    goes_on = not options.get("overwrite", False) and engine_of_earlier_run(folder) is not None
     if options.get("engine", AUTO) != AUTO or engine not in ENGINES or goes_on:
         return {**options}
     of_others = {option for name in ENGINES for option in ENGINES[name][2] if not has_option(engine, option)}
@@ -113,7 +113,7 @@ def check_names(names: Iterable[str]) -> None:
         if len(name.encode()) > LONGEST_NAME:
             raise InputError(f"packer {printable_name(name)!r}: the name must have at most {LONGEST_NAME} bytes")
         if not name or name in (".", "..") or "/" in name or "\\" in name or not name.isprintable():
-            raise InputError(f"packer {printable_name(name)!r}: the name must be usable as that of a folder")
+            raise InputError(f"packer {printable_name(name)!r}: the name must be usable as the name of a folder")
 
 
 def plans_of(runs: Mapping[str, RunResults], against: OrderComparison | None = None) -> pd.DataFrame:
@@ -127,11 +127,11 @@ def plans_of(runs: Mapping[str, RunResults], against: OrderComparison | None = N
 
     Returns:
         The columns ``plan_id``, ``packer``, ``order_boxes`` (number of boxes of the order), ``verdict`` (possibly
-        ``missing``), ``reason``, ``margin``, ``digest``, and those of ``MEASURES``. ``as_ordered`` is the number of
-        boxes of the plan that were ordered, have the ordered size and mass, and lie on the order's target. Each ordered
-        box is counted at most once. ``as_ordered`` is null if this number is unknown. ``listed`` tells whether the
-        order enters ratings. ``compared`` tells whether every packer's plan for the order has a valid verdict. If all
-        runs are those of transport chains, there is also the column ``p_arrives``.
+        ``missing``), ``reason``, ``margin``, ``digest``, and the columns of ``MEASURES``. ``as_ordered`` is the number
+        of boxes of the plan that were ordered, have the ordered size and mass, and lie on the order's target. Each
+        ordered box is counted at most once. ``as_ordered`` is null if this number is unknown. ``listed`` tells whether
+        the order enters ratings. ``compared`` tells whether every packer's plan for the order has a valid verdict. If
+        all runs are of transport chains, there is also the column ``p_arrives``.
     """
     table = _worlds_of(runs)
     sizes = None if against is None else against.sizes

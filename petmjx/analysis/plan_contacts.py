@@ -1,9 +1,7 @@
-"""Finds the contacts of boxes: the rectangles on which boxes lie, the rectangles at which boxes touch side by side, and
-the points at which boxes touch when a simulation has come to rest.
+"""Finds the contacts of boxes in a plan: the rectangles on which boxes lie (``find_contacts``), and the rectangles at
+which boxes touch side by side (``find_sides``).
 
-``find_contacts`` and ``find_sides`` use the places of boxes in the plan. ``find_touch_points`` uses the boxes' final
-poses in a simulation, and MuJoCo's collision detection. ``Hulls`` holds the convex hulls of the areas on which boxes
-lie, and computes how far points are inside the hulls.
+``Hulls`` holds the convex hulls of the areas on which boxes lie, and computes how far points are inside the hulls.
 """
 
 from __future__ import annotations
@@ -16,13 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import MM_PER_M, FloatArray
-from petmjx.options.physics import Physics
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, meets, shared_length
+from petmjx.world.bearings import LEANS_M
 from petmjx.world.body_shapes import Room
 from petmjx.world.history import CARRIER
-from petmjx.world.scene import Scene
-from petmjx.world.supports import LEANS_M, TOUCH_M
 
 ON_EDGE_MM: Final = 1e-6
 """A point outside a polygon counts as lying on its edge if its distance from the edge is at most this length, mm. The
@@ -61,9 +57,8 @@ class Hulls:
         return inside
 
     def reach(self, hull: IntArray, middle: FloatArray, point: FloatArray) -> FloatArray:
-        """(p,) distance of each of p points from another point, ``middle``, inside the polygon of a box, as a share of
-        the distance from ``middle`` to the polygon's edge in the same direction: 0 at ``middle``, 1 on the edge, more
-        than 1 outside.
+        """(p,) position of each of p points on the ray from ``middle``, a point inside the box's polygon, through the
+        point: 0 at ``middle``, 1 on the polygon's edge, more than 1 outside.
 
         Args:
             hull: (p,) for each point, the index of the box whose polygon is used.
@@ -149,9 +144,9 @@ class PlanContacts:
     boxes, so even a box that extends beyond the carrier lies on it with its whole base. If the carrier is made of
     boards, the box lies on the deck boards that it overlaps along x and y, and each board is a separate contact.
 
-    A box lies on another box if the other box was placed earlier, the bottom of the box is at the height of the other
-    box's top, and the two boxes overlap along x and y. If the lower of two boxes is placed after the upper box, it
-    bears nothing: the upper box would already have fallen.
+    A box lies on another box if that box was placed earlier, its top is at the height of the upper box's bottom, and
+    the two boxes overlap along x and y. If the lower of two boxes is placed after the upper box, it bears nothing: the
+    upper box would already have fallen.
 
     Attributes:
         size_mm, corner_mm: (n, 3) sizes and corners of the boxes, as in the plan.
@@ -348,84 +343,3 @@ def _with_walls(sides: Sides, contacts: PlanContacts, room: Room) -> Sides:
     ends = (np.where(end == 0, wall, box), np.where(end == 0, box, wall), axis, low_mm, high_mm)
     field_pairs = zip((sides.first, sides.second, sides.axis, sides.low_mm, sides.high_mm), ends, strict=True)
     return Sides(*(np.concatenate(parts) for parts in field_pairs))
-
-
-LYING_GAP_M: Final = TOUCH_M
-"""Largest gap between two boxes of which one lies on the other, m, as in the criteria. A smaller limit would ignore
-some supports: if three supports have the same planned height, differences of micrometres determine which of them bear
-the load, and these differences vary between simulators and between real pallets."""
-
-SIDE_GAP_M: Final = 1e-5
-"""Largest gap between two boxes that touch side by side, m: slightly more than the rounding error of a pose in float32.
-Boxes that are planned side by side are placed 0.1 mm apart, so they touch only after they have moved."""
-
-
-@dataclass(frozen=True, eq=False)
-class TouchPoints:
-    """The p points at which boxes touch each other, the carrier or the floor. Each field has one row per point.
-
-    Attributes:
-        first, second: (p,) the two bodies that touch, as indices of boxes, or ``CARRIER`` for the carrier and for the
-            floor, which do not move.
-        position_m: (p, 3) positions of the points, m.
-        frame: (p, 3, 3) three unit vectors at each point, one per row: the normal from the first body to the second,
-            then the two tangents.
-        friction: (p, 2) coefficients of friction along the two tangents.
-        pressed: (p,) index of the box on whose top the point is (docs/metrics.md, "The force on a box's top"), or
-            ``CARRIER`` if the point is on no box's top.
-        sign: (p,) 1 or −1: the vertical force on ``second``, multiplied by this sign, is the force that presses down on
-            ``pressed``.
-    """
-
-    first: IntArray
-    second: IntArray
-    position_m: FloatArray
-    frame: FloatArray
-    friction: FloatArray
-    pressed: IntArray
-    sign: FloatArray
-
-    def some(self, which: NDArray[np.bool_]) -> TouchPoints:
-        """The points for which the mask ``which`` (p,) is true."""
-        return TouchPoints(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
-
-
-def find_touch_points(scene: Scene, physics: Physics, pos: FloatArray, quat: FloatArray) -> TouchPoints:
-    """Find the points at which boxes touch in given poses. The carrier is at its planned place.
-
-    Args:
-        pos, quat: (n, 3) centres of the boxes, m, and (n, 4) their orientations as quaternions (w, x, y, z).
-    """
-    import mujoco
-
-    from petmjx.engines.mujoco.top_forces import VERTICAL_COSINE, pressed_box
-    from petmjx.world.mujoco_model import build_spec, geom_bodies
-
-    model = build_spec(scene, physics).compile()
-    model.pair_margin[:] += LYING_GAP_M
-    model.geom_margin[:] += LYING_GAP_M / 2  # half of it, because MuJoCo adds the margins of two geoms
-    data = mujoco.MjData(model)
-    poses = data.qpos.reshape(-1, 7)[1:]  # the first row is the pose of the carrier
-    poses[:, :3], poses[:, 3:] = scene.frames(pos, quat), quat
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_collision(model, data)
-    contact = data.contact
-    geom = np.asarray(contact.geom).astype(np.int64)
-    frame = np.asarray(contact.frame).reshape(-1, 3, 3)
-    centre_z = data.geom_xpos[:, 2].copy()
-    centre_z[0] = -np.inf  # the floor is below all boxes and the carrier
-    body = geom_bodies(model, range(scene.n_boxes))[geom]
-    lower, sign, on_top = pressed_box(body, centre_z[geom], frame[:, 0, 2])
-    gap_m = np.asarray(contact.dist) - np.asarray(contact.includemargin) + LYING_GAP_M
-    lying = np.abs(frame[:, 0, 2]) >= VERTICAL_COSINE
-    body = np.maximum(body, CARRIER)
-    touching = TouchPoints(
-        first=body[:, 0],
-        second=body[:, 1],
-        position_m=np.array(contact.pos),
-        frame=frame.copy(),
-        friction=np.array(contact.friction)[:, :2],
-        pressed=np.where(on_top, lower, CARRIER),
-        sign=sign,
-    )
-    return touching.some((body.max(axis=1) >= 0) & (gap_m <= np.where(lying, LYING_GAP_M, SIDE_GAP_M)))

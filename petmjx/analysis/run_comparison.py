@@ -21,7 +21,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import count_text
 from petmjx.engines.metrics import DIMENSIONLESS, Column, box_columns, box_metrics, world_columns
 from petmjx.engines.verdict import Verdict
-from petmjx.options.simulation import Thresholds
+from petmjx.options.thresholds import Thresholds
 from petmjx.results.notebook_tables import ShownColumn, block_as_html, table_as_html
 from petmjx.results.run_reader import RunResults, load_run
 from petmjx.results.to_json import to_json
@@ -76,9 +76,9 @@ class Comparison:
             ``margin`` of the table ``worlds`` has the opposite sign.
         worlds, boxes: differences of the metrics of worlds and of boxes, one row for each metric and group of worlds.
             Columns: ``metric``, ``unit``, ``group``, ``n``; ``mean`` of b - a (null for ``SIGNLESS`` metrics);
-            ``median``, ``p95`` and ``largest`` of |b - a|; and the ``plan_id``, ``variant`` (and ``box``) of the
-            largest difference, with the two values ``a`` and ``b``. If a group has no value of the metric, the columns
-            are null. Differences are computed only for plans that are equal in both runs.
+            ``median``, ``p95`` and ``largest`` of |b - a|. The columns ``plan_id``, ``variant`` (and ``box``) tell
+            where the difference is largest, and ``a`` and ``b`` are the two values there. If a group has no value of
+            the metric, the columns are null. Differences are computed only for plans that are equal in both runs.
         other_plans: ids of plans that are in both runs but have different contents.
         only_a, only_b: ``plan_id`` and ``variant`` of each world that is only in run a, or only in run b.
         n_not_stable: number of worlds that are stable in neither run.
@@ -123,8 +123,8 @@ class Comparison:
 
     @property
     def flips_within(self) -> float | None:
-        """How near to a threshold the worlds with different verdicts are: the smallest x such that each of these worlds
-        has a ``margin`` between -x and x in at least one of the two runs. The result is None if none of these worlds
+        """The smallest x such that each world with different verdicts has a ``margin`` between -x and x in at least one
+        of the two runs. It shows how near to a threshold these worlds are. The result is None if none of these worlds
         has a margin.
         """
         nearer = self.flips[["margin_a", "margin_b"]].abs().min(axis=1).max()

@@ -2,8 +2,8 @@
 for moist air and for time.
 
 The factors for the place depend on how much of the box's walls is loaded and supported
-(petmjx/analysis/carton_walls.py). petmjx/options/stacking.py has the losses of strength from which the factors are
-computed.
+(petmjx/analysis/carton_walls.py). petmjx/options/strength_losses.py has the losses of strength from which the factors
+are computed.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import pandas as pd
 from petmjx.analysis.carton_walls import walls_of
 from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.options.carriers import Carrier, OwnCarrier, extent_m
-from petmjx.options.stacking import Stacking
+from petmjx.options.strength_losses import Stacking
 from petmjx.plans.articles import Articles
 from petmjx.plans.plan import Plan
 from petmjx.world.carrier_boards import pallet

@@ -16,12 +16,14 @@ from petmjx.common.argument_checks import flag_of, integer_of, number_of, text_o
 from petmjx.common.errors import EngineUnavailable, InputError, PetmjxError
 from petmjx.common.text import printable_name
 from petmjx.common.units import STANDARD_GRAVITY, FloatArray
-from petmjx.engines.engine_choice import ENGINES, has_option, make_engine
 from petmjx.engines.engine_of_run import engine_for
+from petmjx.engines.engine_registry import ENGINES, has_option, make_engine
 from petmjx.engines.protocol import Engine
 from petmjx.engines.verdict import Outcome
-from petmjx.options.run_options import FRAME_INTERVAL_S, RunOptions, sorted_options
-from petmjx.options.simulation import Simulation, Thresholds
+from petmjx.options.run_options import FRAME_INTERVAL_S, RunOptions
+from petmjx.options.simulation import Simulation
+from petmjx.options.sorted_options import sorted_options
+from petmjx.options.thresholds import Thresholds
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_sources import PlanSource, find_plan, usable_plans
 from petmjx.results.history_tables import read_history
@@ -72,8 +74,8 @@ class Story:
     note: str = ""
 
     page: ClassVar[Callable[[Story], str] | None] = None
-    """Function that makes the HTML page of a story for notebooks. The module ``petmjx.show.pages.story_page`` sets
-    this attribute, because it imports the present module, which therefore cannot import it."""
+    """Function that makes the HTML page of a story for notebooks. The module ``petmjx.show.pages.story_page`` sets this
+    attribute: it imports the present module, so the present module cannot import it."""
 
     def __repr__(self) -> str:
         outcome = self.outcome
@@ -107,7 +109,7 @@ def tell(
 
     ``petmjx.tell("s0-000016", "results")`` tells the story of plan ``s0-000016`` in the run in the folder ``results``.
     A new simulation uses the options of the run, and repeats failed attempts as the run did, so its result is
-    bit-identical to that of the run. If the run's engine cannot run on this machine, ``mujoco`` is used instead, and
+    bit-identical to the run's result. If the run's engine cannot run on this machine, ``mujoco`` is used instead, and
     ``Story.note`` states whether the result differs.
 
     Args:

@@ -18,7 +18,7 @@ from petmjx.engines.outcome_checks import contact_tilt_boxes, edges_again
 from petmjx.engines.verdict import Flag, Reason, Verdict
 from petmjx.options.simulation import Check
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, gaps_mm
-from petmjx.world.edge_distances import steps_beyond
+from petmjx.world.building_edges import steps_beyond
 from petmjx.world.job import FORCE
 
 MOST_DROPS: Final = 8
@@ -226,7 +226,7 @@ def _leans(story: Story) -> str:
 
 
 def first_box_in_words(story: Story) -> str:
-    """A sentence that states which box failed first, at which time and why; "" if no box failed."""
+    """A sentence about the first box that failed: which box, when and why; "" if no box failed."""
     box = story.outcome.culprit
     if box < 0:
         return ""
@@ -244,8 +244,8 @@ def _gap_mm(story: Story, box: int) -> float:
 
 
 def _signs(story: Story, box: int) -> list[str]:
-    """A text for each limit that the box had crossed at the moment at which the first box of the world failed, such as
-    "was tilted by 20.1° (limit 20°)". Values between two frames are interpolated."""
+    """A text for each limit that the box had crossed when the first box of the world failed, such as "was tilted by
+    20.1° (limit 20°)". Values between two frames are interpolated."""
     limits = thresholds_of(story)
     pos, quat = (_at(story, values[:, box])[None] for values in (story.history.pos, story.history.quat))
     if not np.isfinite(pos).all():

@@ -33,7 +33,7 @@ PLANS_HELP = (
 
 PlanPaths = Annotated[
     list[Path] | None,
-    typer.Argument(metavar="PLANS", help=f"{PLANS_HELP} Without any: the bundled samples."),
+    typer.Argument(metavar="PLANS", help=f"{PLANS_HELP} Without plans: the bundled samples."),
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace existing files.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]

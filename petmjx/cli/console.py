@@ -45,8 +45,8 @@ read; with the width 0, rich prints nothing."""
 
 
 def prepare_streams() -> None:
-    """Make printing safe: open standard output and standard error if they are closed, let both replace characters that
-    they cannot encode, and ignore a width of the terminal in which nothing could be shown."""
+    """Make printing safe. Standard output and standard error are opened if they are closed, and replace characters that
+    they cannot encode. A width of the terminal is ignored if nothing could be shown in it."""
     width = os.environ.get("COLUMNS", "")
     if width.isdecimal() and int(width) < _LEAST_COLUMNS:
         del os.environ["COLUMNS"]

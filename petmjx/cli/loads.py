@@ -10,7 +10,7 @@ import typer
 
 from petmjx.cli import command_options as opt
 from petmjx.cli.console import results_console
-from petmjx.options.stacking import Stacking
+from petmjx.options.strength_losses import Stacking
 
 
 @opt.takes(*Stacking.model_fields, more=((Stacking, "How boxes lose strength"),))

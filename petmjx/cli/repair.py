@@ -16,7 +16,7 @@ from petmjx.common.atomic_write import check_writable
 from petmjx.common.errors import InputError
 from petmjx.common.overwrite_guard import check_outputs
 from petmjx.common.text import count_text, printable
-from petmjx.options.run_options import Confidence
+from petmjx.options.confidence import Confidence
 from petmjx.repairs.repair_options import RepairOptions
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def repair(
     from petmjx.results.input_files import input_files
     from petmjx.results.plan_lookup import plans_in_place
     from petmjx.results.to_json import to_json
-    from petmjx.show.progress import progress
+    from petmjx.show.progress import BarWatcher
     from petmjx.show.repair_tables import repair_tables
     from petmjx.show.table_layout import print_renderables
 
@@ -76,16 +76,10 @@ def repair(
     check_outputs(files, overwrite=overwrite, inputs=input_files(plans))
     for file in files:
         check_writable(file)
-    n_plans, interrupted = 0, False
+    watcher, interrupted = BarWatcher(), False
     try:
-        with progress(None) as bar:
-
-            def count(number: int, total: int) -> None:
-                nonlocal n_plans
-                n_plans = total
-                bar.update(number)
-
-            result = repaired(plans_in_place(plans, bool(options.get("strict"))), watch=count, **options)
+        with watcher:
+            result = repaired(plans_in_place(plans, bool(options.get("strict"))), watcher=watcher, **options)
     except RepairInterrupted as stop:
         result, interrupted = stop.repairs, True
         if not result.each:
@@ -102,7 +96,7 @@ def repair(
     else:
         print_renderables([*repair_tables(result), *_written(result, out, html)], results_console())
     if interrupted:
-        how_far = f"{len(result.each):,} of {count_text(n_plans, 'plan')} were searched to the end"
+        how_far = f"{len(result.each):,} of {count_text(watcher.total or 0, 'plan')} were searched to the end"
         raise RunInterrupted(f"{how_far}; the results contain only these")
 
 

@@ -99,8 +99,8 @@ def _frames_of(frame: FrameType | None) -> Iterator[FrameType]:
 
 
 def run_and_show(run: Callable[..., RunResults], options: Mapping[str, Any], as_json: bool) -> None:
-    """Execute a run with a progress bar, and print the results as tables or as JSON. The arguments and errors are those
-    of :func:`run_watched`."""
+    """Execute a run with a progress bar, and print the results as tables or as JSON. The arguments and errors are as in
+    :func:`run_watched`."""
     results = run_watched(run, options)
     if as_json:
         print(json.dumps(brief(results), indent=2))

@@ -15,12 +15,13 @@ from petmjx.common.checked_records import hint
 from petmjx.common.errors import InputError
 from petmjx.common.overwrite_guard import check_outputs
 from petmjx.common.text import count_text, printable, printable_name
-from petmjx.options.run_options import OF_ORDERS, Confidence
+from petmjx.options.confidence import Confidence
+from petmjx.options.run_options import OF_ORDERS
 from petmjx.packers.item_stream import MOST_LOOK_AHEAD
 from petmjx.packers.learned_packer import LEARNED
 from petmjx.packers.left_out_items import LeftOutItems
-from petmjx.packers.pack_options import PHYSICAL, PhysicalOptions
 from petmjx.packers.packer_registry import BASELINE, PACKERS
+from petmjx.packers.physical_packer_options import PHYSICAL, PhysicalOptions
 from petmjx.packers.sample_plans import DEFAULT_LOOSE_SHARE
 
 if TYPE_CHECKING:
@@ -28,8 +29,8 @@ if TYPE_CHECKING:
 
 DEFAULT_SAMPLES: Final = 100
 MOST_SHOWN: Final = 10
-"""Largest number of lines about random orders with boxes left out (one line per order), and largest number of orders
-that the line names about orders without a packing that stands often enough."""
+"""Largest number of lines about random orders with boxes left out, one line per order. One more line is about orders
+without a packing that stands often enough, and names at most this number of orders."""
 
 
 @opt.takes(
@@ -93,7 +94,7 @@ def samples(
             "--workers",
             metavar="N",
             min=1,
-            help="Number of processes that pack (with physical: that search). It does not change the plans.  "
+            help="Number of processes among which packing is divided. This number does not change the plans.  "
             "[default: one for each CPU]",
         ),
     ] = None,
@@ -203,8 +204,8 @@ def _write_physical(
     reading: OrderReading | None,
 ) -> None:
     """Pack orders with the packer ``physical`` (a search and simulations), write the plans, and print a summary."""
-    from petmjx.packers.pack import Packed, orders_of, pack_each
-    from petmjx.packers.packed_orders import PackedOrder
+    from petmjx.packers.pack import orders_of, pack_each
+    from petmjx.packers.packed_orders import Packed, PackedOrder
     from petmjx.plans.bedbpp_writer import Placement, write_plans
     from petmjx.show.progress import progress
 

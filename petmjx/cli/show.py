@@ -98,8 +98,9 @@ def _show_repair(
     Args:
         has_more: whether the user has set options that cannot be combined with ``--repair``.
     """
-    from petmjx.options.run_options import RunOptions, sorted_options
+    from petmjx.options.run_options import RunOptions
     from petmjx.options.simulation import Simulation
+    from petmjx.options.sorted_options import sorted_options
     from petmjx.plans.plan_sources import find_plan, usable_plans
     from petmjx.repairs.repair import OF_READING, repair
     from petmjx.results.plan_lookup import plans_in_place

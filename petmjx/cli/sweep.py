@@ -20,7 +20,7 @@ def sweep(
     ],
     plans: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="PLANS", help=f"{opt.PLANS_HELP} Without any: those that the sweep file names."),
+        typer.Argument(metavar="PLANS", help=f"{opt.PLANS_HELP} Without plans: the plans that the sweep file names."),
     ] = None,
     as_json: opt.JsonOption = False,
     **options: Any,

@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import difflib
 import re
-import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from types import UnionType
 from typing import Any, Final, Self, Union, get_args, get_origin
 
@@ -29,9 +27,7 @@ from pydantic._internal._model_construction import ModelMetaclass  # pydantic ex
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from petmjx.common.errors import InputError
-from petmjx.common.safe_read import read_regular
 from petmjx.common.text import count_text, printable, printable_name, shortened_text
-from petmjx.common.unreadable_files import foreign_kind
 
 _typed = False
 """Whether the command line is running. A process runs at most one command line, and all threads share this flag."""
@@ -86,12 +82,6 @@ _NO_NUMBERS: Final = (str, bytes, bool)
 
 _COMPLAINT: Final = "complaint"
 
-MOST_TOML_BYTES: Final = 16 << 20
-"""Largest size of a TOML file. As an example, a list of 100,000 time windows with forces takes half of this size."""
-_MOST_PARTS: Final = 64
-_MANY_PARTS: Final = re.compile(rb"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){%d}""" % _MOST_PARTS)
-"""Regular expression that matches a dotted key of TOML with more than ``_MOST_PARTS`` parts. The time that tomllib
-needs grows with the square of the number of parts, so a very long key would take minutes."""
 
 TABLE: Final = "<a table>"
 LIST: Final = "<a list>"
@@ -146,7 +136,7 @@ class CheckedRecord(BaseModel, metaclass=_OneLine):
 
     @classmethod
     def read(cls, values: Mapping[str, Any], context: Any = None) -> Self:
-        """Make a record from plain values, such as those of a file. ``context`` is passed to the validators."""
+        """Make a record from plain values, such as the values in a file. ``context`` is passed to the validators."""
         try:
             return cls.model_validate(dict(values), context=context)
         except ValidationError as error:
@@ -338,32 +328,6 @@ def _path(location: tuple[int | str, ...]) -> str:
         elif part != _KEY and not (part.startswith("<") and part.endswith(">")):
             path += f".{printable_name(part)}" if path else printable_name(part)
     return path
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """Read the tables of a TOML file.
-
-    Raises:
-        InputError: the file cannot be read, or is not TOML ("x.toml: not valid TOML: …").
-    """
-    try:
-        data = read_regular(path, MOST_TOML_BYTES)
-    except FileNotFoundError:
-        raise InputError(f"{printable(str(path))}: no such file") from None
-    except (OSError, ValueError) as error:  # ValueError: no file can have this name
-        raise InputError(f"{printable(str(path))}: cannot be read: {reason(error)}") from None
-    if (kind := foreign_kind(data)) is not None:
-        raise InputError(f"{printable(str(path))}: {kind.partition(':')[0]}, not TOML")
-    if _MANY_PARTS.search(data):
-        raise InputError(f"{path}: not valid TOML: a key has more than {_MOST_PARTS} parts")
-    try:
-        return tomllib.loads(data.decode("utf-8-sig"))
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: not valid TOML: not UTF-8 text") from None
-    except RecursionError:
-        raise InputError(f"{path}: not valid TOML: lists or tables are nested too deeply") from None
-    except ValueError as error:  # tomllib also raises ValueError for a whole number with too many digits
-        raise InputError(f"{path}: not valid TOML: {reason(error)}") from None
 
 
 def reason(error: Exception) -> str:

@@ -79,7 +79,7 @@ def _why_unusable(folder: Path) -> str:
     it is created."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        # Warp makes a subfolder for each of its versions, and all of them must be writable: if root once ran Warp with
+        # Warp makes a subfolder for each of its versions, and all of them must be writable. If root once ran Warp with
         # a user's cache, the user cannot write to the subfolder that root made.
         for place in (folder, *(entry for entry in folder.iterdir() if entry.name[:1].isdigit() and entry.is_dir())):
             with tempfile.TemporaryFile(dir=place):

@@ -10,7 +10,7 @@ Point = tuple[float, float]
 def convex_hull(points: Iterable[Point], least_turn: float = 0.0) -> list[Point]:
     """The corners of the convex hull of the points, anticlockwise, beginning at the smallest x.
 
-    The method is that of Andrew 1979, "Another efficient algorithm for convex hulls in two dimensions", Information
+    The method is by Andrew 1979, "Another efficient algorithm for convex hulls in two dimensions", Information
     Processing Letters 9(5), 216–219.
 
     Args:

@@ -18,3 +18,12 @@ class PlanWarning(UserWarning):
 
 class EngineUnavailable(PetmjxError):
     """An engine cannot run on this machine. The error's text gives the reason."""
+
+
+def is_out_of_memory(error: Exception) -> bool:
+    """Whether an error reports that memory ran out: device memory in an error of JAX, XLA or Warp, host memory in an
+    error of Python."""
+    text = str(error).lower()
+    return isinstance(error, MemoryError) or any(
+        words in text for words in ("resource_exhausted", "out of memory", "failed to allocate")
+    )

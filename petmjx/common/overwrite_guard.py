@@ -47,7 +47,7 @@ def check_outputs(
     for file in files:
         if folder is not None:
             _check_way(file, folder)
-        elif str(file.absolute()).startswith("/dev/"):  # not checked: /dev/stdout may be a link to a file
+        elif str(file.absolute()).startswith("/dev/"):  # no check, since /dev/stdout may be a link to a file
             continue
         _check(file, overwrite, read, None if folder is None else is_ours)
 
@@ -121,7 +121,7 @@ def _path_errors(path: Path) -> Iterator[None]:
     """Context in which a path is examined: a system error becomes an InputError that names the path."""
     try:
         yield
-    # raised, for example, if the name contains a NUL, or if links form a circle
+    # these errors are raised, for example, if the name contains a NUL, or if links form a circle
     except (OSError, ValueError, RuntimeError) as error:
         raise InputError(f"{_name(path)}: cannot be written: {reason(error)}") from error
 

@@ -1,15 +1,12 @@
-"""Worker processes and threads, deferred signals, and the frequency of Python's garbage collection."""
+"""Worker processes and threads (``process_pool``, ``on_threads``), and whether this process runs the command
+``petmjx``."""
 
 from __future__ import annotations
 
-import contextlib
-import gc
 import os
-import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from types import FrameType
 from typing import TYPE_CHECKING, Final, TypeVar
 
 from petmjx.common.machine import cpu_threads
@@ -64,9 +61,9 @@ def _begin(gpu: bool, nice: int) -> None:
 
 
 DEFAULT_THREADS: Final = 2
-"""Default number of threads. More threads would only wait for Python's global lock. As an example, computing places for
-boxes on 2,048 pallets took 155 ms with one thread, 118 ms with two, 141 ms with eight and 158 ms with sixteen, on the
-CPU of a machine with an H200 GPU."""
+"""Default number of threads. More threads would only wait for Python's global lock. On the CPU of a machine with an
+H200 GPU, computing places for boxes on 2,048 pallets took 155 ms with one thread, 118 ms with two, 141 ms with eight
+and 158 ms with sixteen."""
 
 _FEW: Final = 2
 """Largest number of calls that ``on_threads`` makes on the calling thread alone. For one or two calls, other threads
@@ -91,48 +88,6 @@ def on_threads(
         return list(pool.map(function, pieces))
 
 
-STOPPING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""Signals that request the end of a run."""
-
-
-@contextlib.contextmanager
-def defer_signals(afterwards: bool) -> Iterator[None]:
-    """While the body runs, hold back the signals ``STOPPING`` for which a Python function is the handler.
-
-    In other threads than the main thread, this context does nothing, because signal handlers interrupt only the main
-    thread.
-
-    Args:
-        afterwards: whether a signal that arrived while the body ran is delivered after the body. If ``afterwards`` is
-            False, the signal is dropped, for a run that is about to end anyway.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    signals: list[int] = []
-
-    def note(number: int, frame: FrameType | None) -> None:
-        signals.append(number)
-
-    handlers = {number: signal.getsignal(number) for number in STOPPING}
-    deferred = {number: handler for number, handler in handlers.items() if callable(handler)}
-    for number in deferred:
-        signal.signal(number, note)
-    try:
-        yield
-    finally:
-        for number, handler in deferred.items():
-            signal.signal(number, handler)
-    if signals and afterwards:
-        signal.raise_signal(signals[0])
-
-
-COLLECTION_THRESHOLDS: Final = (100_000, 20, 100)
-"""Thresholds of Python's garbage collector: the number of new objects after which it collects the youngest generation,
-and the numbers of collections after which it collects the two older generations. With Python's default of 700, 10 and
-10, the collector would scan all objects of JAX and Warp again and again while these packages start."""
-
-
 def claim_process() -> None:
     """State that this process runs nothing but the command ``petmjx``."""
     global _is_command
@@ -143,30 +98,3 @@ def is_command() -> bool:
     """Whether this process runs nothing but the command ``petmjx``. In such a process, petmjx may change modules and
     settings that the whole process shares."""
     return _is_command
-
-
-def collect_rarely() -> None:
-    """Make garbage collections rare. Call this function only in processes that petmjx started, not in a user's
-    process."""
-    gc.set_threshold(*COLLECTION_THRESHOLDS)
-
-
-@contextlib.contextmanager
-def no_collection(*, lasting: bool = False) -> Iterator[None]:
-    """Collect no garbage while the body runs. This context is useful for code that makes very many objects without
-    cycles: otherwise, the collector would scan these objects again and again.
-
-    Args:
-        lasting: whether most of the objects that the body makes last until the process ends, as those of imported
-            libraries do. If so, and if the process runs nothing but the command ``petmjx``, later collections do not
-            scan the objects that exist at the end of the body.
-    """
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if lasting and is_command():
-            gc.freeze()
-        if enabled:
-            gc.enable()

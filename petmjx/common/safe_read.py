@@ -142,8 +142,8 @@ def _content_of_pipe(path: Path) -> int:
 
 
 def regular_file(path: Path) -> Path:
-    """The path from which a file is read: the path itself, or, for a pipe that is named on the command line, the path
-    of a file in memory with the content of the pipe. Raises OSError."""
+    """The path from which a file is read. For a pipe that is named on the command line, this is the path of a file in
+    memory with the content of the pipe; for any other file, it is the path itself. Raises OSError."""
     return path if _pipes is None else _pipes.file_of(path)
 
 

@@ -79,8 +79,8 @@ def seconds_to_steps(duration_s: float, timestep_s: float) -> int:
     """Number of whole time steps in a duration, computed as in the reference implementation (PET-Physics):
     ``int(duration / timestep)``.
 
-    Truncation is deliberate. 0.7 / 0.002 is 349.99… in float64, so 0.7 s are 349 steps. Results can agree with those of
-    the reference implementation to the last digit only if both programs count steps in the same way.
+    Truncation is deliberate. 0.7 / 0.002 is 349.99… in float64, so 0.7 s are 349 steps. Results can agree with the
+    reference implementation to the last digit only if both programs count steps in the same way.
     """
     return int(duration_s / timestep_s)
 

@@ -55,7 +55,7 @@ def machine_code(name: str) -> ModuleType | None:
             module = importlib.import_module(name)
             set_up_warp()
             for kernel in module.KERNELS:
-                warp.load_module(kernel.module, device="cpu")  # loaded before several threads launch the kernels
+                warp.load_module(kernel.module, device="cpu")  # only then may several threads launch it
             return module
     return None
 

@@ -8,7 +8,7 @@ then two attempts with conjugate gradients (CG). In the paper's reference implem
 solver only repeats the first, deterministic simulation. In petmjx, attempts 2 and 4 give the solver up to
 ``CAREFUL_ITERATIONS`` iterations and the tolerance ``CAREFUL_TOLERANCE``, which help if the solver stopped too early.
 
-C MuJoCo is the *fallback* of the MJX engines (``FALLBACKS``): it simulates the worlds that an MJX engine cannot
+C MuJoCo is the *fallback* of the MJX engines (``FALLBACKS``). It simulates the worlds that an MJX engine cannot
 simulate, and the worlds for which an MJX engine returned no outcome because of an error. ``mujoco`` itself and engines
 that users wrote have no fallback.
 """
@@ -25,7 +25,7 @@ import numpy as np
 from petmjx.common.text import count_text
 from petmjx.engines.attempt_threads import AttemptThreads
 from petmjx.engines.contact_penetration import stiffened
-from petmjx.engines.engine_choice import make_engine
+from petmjx.engines.engine_registry import make_engine
 from petmjx.engines.protocol import Capability, Engine, Progress
 from petmjx.engines.subprocess.attempt_process import AttemptProcess, AttemptSimulator
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
@@ -303,4 +303,4 @@ def ready_for(engine: str, job: Job) -> Job:
     if not isinstance(job.start, KeptState):
         return job
     start = job.start.state if job.start.engine == engine else None
-    return Job(**{**vars(job), "start": start})  # three times as fast as ``replace``
+    return Job(**{**vars(job), "start": start})  # this is three times as fast as ``replace``

@@ -169,7 +169,7 @@ class AttemptRunner(Generic[AnyWorld]):
                 return unanswered
             if answer is None and tells:
                 # The engine pauses, although it had reported that another outcome is ready: that world may have turned
-                # out to be a long world, which leaves the GPU (petmjx/engines/warp/continued_worlds.py).
+                # out to be a long world, which leaves the GPU (petmjx/engines/warp/long_worlds.py).
                 yield from self.checked_results(arrivals, engine_name, checked=checked, wait=False)
                 arrivals = []
                 self._follow(stream, arrivals)

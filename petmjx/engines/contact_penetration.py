@@ -99,8 +99,8 @@ def contact_penetration_m(scene: Scene, physics: Physics, top_force_n: FloatArra
     base = float(depth_m(physics, on_floor))
 
     def pulls(top_n: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(n,) part of the product A · f of petmjx.world.contact_laws, m/s², that each box contributes at a contact on
-        its top, and (n,) part that each box contributes at a contact below it.
+        """Two arrays (n,): the part of the product A · f of petmjx.world.contact_laws, m/s², that each box contributes
+        at a contact on its top, and the part that each box contributes at a contact below it.
         """
         return of_boxes * top_n / mass / CONTACTS_PER_FACE, own_per_kg * (top_n + mass * gravity)
 
@@ -254,8 +254,8 @@ def penetration_excluded(outcomes: Sequence[Outcome], scenes: Sequence[Scene], s
 
 
 def _failed_otherwise(outcome: Outcome, limit_m: float) -> bool:
-    """Whether the verdict of a world does not come from a descent of boxes: the reason of the verdict is not a shift,
-    or a box shifted too far in another direction than down."""
+    """Whether something other than a descent of boxes led to the verdict of a world. The reason of such a verdict is
+    not a shift, or a box shifted too far in another direction than down."""
     if outcome.reason is not Reason.SHIFT:
         return True
     shift = outcome.boxes.shift_m[: outcome.n_placed]
@@ -288,9 +288,9 @@ _PLACES: Final = (("target", np.inf), ("half_size", 0.0))
 
 def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Physics) -> FloatArray:
     """(m,) an upper bound of the largest ``contact_penetration_m`` in each world, m. The value is an upper bound for
-    two reasons: the depths on the two sides of a contact are added, and the largest force on each box's top is taken as
-    a force at rest, although it may come from an impact. Forces larger than the weight of all boxes above are rare, so
-    the bound is close."""
+    two reasons. First, the depths on the two sides of a contact are added. Second, the largest force on each box's top
+    is taken as a force at rest, although it may come from an impact. Forces larger than the weight of all boxes above
+    are rare, so the bound is close."""
     counts = np.array([scene.n_boxes for scene in scenes], np.intp)
     is_box = np.arange(counts.max()) < counts[:, None]
 

@@ -29,10 +29,10 @@ from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Outcome
 from petmjx.options.physics import Physics
 from petmjx.options.simulation import Simulation
+from petmjx.world.bearings import Bearing
 from petmjx.world.contact_laws import depth_m, is_stiff
 from petmjx.world.history import CARRIER
 from petmjx.world.job import Job
-from petmjx.world.supports import Bearing
 
 CONTACTS_PER_SIDE: Final = 2
 
@@ -41,9 +41,9 @@ SHARES: Final = np.array([1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.
 
 SAFETY: Final = 10.0
 """A load may tip over if its distance from the edge is at most this multiple of its tipping distance (see the module's
-docstring), since a box rocks when the next box is placed on it. Some stacks are stable by statics, but fall because
-contacts are soft. In these stacks, the distance of a load from its edge was at most 8 times the load's tipping
-distance."""
+docstring). The multiple is larger than 1, since a box rocks when the next box is placed on it. Some stacks are stable
+by statics, but fall because contacts are soft. In these stacks, the distance of a load from its edge was at most 8
+times the load's tipping distance."""
 
 STIFF_SAFETY: Final = 40.0
 """Multiple of the tipping distance that replaces ``SAFETY`` in a further attempt with stiffer contacts. Stiffer
@@ -61,12 +61,12 @@ millimetre in the plan, minus the amount by which simulated boxes are smaller th
 
 ROCKING_M: Final = 0.001
 """A load that acts less than this distance (m) inside the edge may have tipped over because of soft contacts, even if
-its tipping distance is smaller: a box rocks by some tenths of a millimetre when the next box is placed."""
+its tipping distance is smaller. The reason: a box rocks by some tenths of a millimetre when the next box is placed."""
 
 BOUND_SHARE: Final = 0.25
-"""If soft contacts tilt a box by more than this share of the tilt threshold, or move it by more than this share of the
-shift threshold (5 mm of 20 mm, down or sideways), soft contacts may have decided the verdict. A stack of ten equal
-boxes descends by 1 mm, a stack of thirty by 9 mm."""
+"""Soft contacts may have decided the verdict if they tilt a box by more than this share of the tilt threshold, or move
+it, down or sideways, by more than this share of the shift threshold (5 mm of 20 mm). A stack of ten equal boxes
+descends by 1 mm, a stack of thirty by 9 mm."""
 
 
 class ContactTilt(NamedTuple):
@@ -111,8 +111,8 @@ def contact_tilt_of(bearing: Bearing, load: FloatArray, edge_m: FloatArray, phys
 
 
 def _tilt_from_below(bearing: Bearing, own_lean: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(n,) angle by which each box leans because the boxes below it lean, rad, and (n,) distance by which the centre of
-    each box moves sideways, m."""
+    """Two arrays (n,): the angle (rad) by which each box leans because the boxes below it lean, and the distance (m) by
+    which the centre of each box moves sideways."""
     bottom, middle, half = bearing.boxes.bottom, bearing.boxes.target[:, 2], bearing.boxes.half_size[:, 2]
     below, moved = np.zeros((2, len(own_lean)))
     turned, shift = own_lean.copy(), own_lean * half

@@ -8,15 +8,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from petmjx.common.checked_records import shown_value
-from petmjx.common.errors import InputError
+from petmjx.common.deferred_signals import defer_signals
 from petmjx.common.machine import cpu_threads
-from petmjx.common.processes import defer_signals
-from petmjx.engines.cost_model import MEASURED, Costs, Work
-from petmjx.engines.engine_choice import ENGINES, Choice, choose, make_engine, options_of
+from petmjx.engines.cost_model import MEASURED, Costs
+from petmjx.engines.engine_choice import Choice, choose
+from petmjx.engines.engine_registry import ENGINES, make_engine, options_of
+from petmjx.engines.expected_work import Work
 from petmjx.engines.machine_speed import costs_here, with_kept_kernels
-from petmjx.engines.protocol import Engine, MinimalEngine
-from petmjx.engines.user_engine import UserEngine
+from petmjx.engines.protocol import Engine
+from petmjx.engines.user_engine import user_engine
 from petmjx.options.run_options import AUTO, RunOptions
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def resolve_engine(
     that its engine does not have.
 
     Args:
-        costs: costs of the engines; None: the measured ones, scaled to the speed of this machine.
+        costs: costs of the engines; None: the measured costs, scaled to the speed of this machine.
         startup: the workers that ``engine_warmup`` has already started for these options.
         hands_over: whether an engine that ``auto`` chooses may hand worlds over to another engine (``HandoverEngine``).
         earlier: the engine of the run before it was resumed. ``auto`` keeps this engine, although the machine may be
@@ -67,15 +67,8 @@ def resolve_engine(
     """
     requested_engine = options.engine
     if not isinstance(requested_engine, str):
-        if isinstance(requested_engine, type) or not isinstance(requested_engine, MinimalEngine):
-            raise InputError(
-                f"engine must be a name or an object with a name and a method run, {shown_value(requested_engine)}"
-            )
-        if options.asked_workers is not None:
-            raise InputError(
-                "workers need the name of an engine, not an engine object: each worker builds its own engine"
-            )
-        return UserEngine(requested_engine, options.threads), Choice(requested_engine.name, "given")
+        of_user = user_engine(requested_engine, options)
+        return of_user, Choice(of_user.name, "given")
     if options.asked_workers is not None:
         from petmjx.engines.remote.worker_startup import resolve_workers  # imported only for runs with workers
 

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 
-from petmjx.common.processes import no_collection
+from petmjx.common.garbage_collection import no_collection
 from petmjx.common.warp_setup import set_up_warp
 from petmjx.engines.subprocess.kernel_builds import KernelBuilds, builds_if_missing, note_kept
 from petmjx.options.simulation import Simulation

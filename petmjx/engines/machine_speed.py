@@ -21,7 +21,8 @@ from petmjx.common.atomic_write import atomic_write
 from petmjx.common.compile_caches import cache_folder
 from petmjx.common.errors import EngineUnavailable, InputError
 from petmjx.common.machine import cpu_name, package_versions
-from petmjx.engines.cost_model import MEASURED, Costs, Work
+from petmjx.engines.cost_model import MEASURED, Costs
+from petmjx.engines.expected_work import Work
 from petmjx.engines.kernel_notes import CPU_KERNEL, are_noted
 from petmjx.engines.subprocess.kernel_builds import are_kept
 from petmjx.options.simulation import Simulation

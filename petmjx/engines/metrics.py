@@ -1,9 +1,9 @@
 """The table of all metrics: name, unit, type, meaning, time of sampling, and how boxes' values become a world's value.
 
 Four places use this table: the columns of the tables ``boxes`` and ``worlds`` (petmjx.results.schema), the code that
-fills them (petmjx.results.world_rows), the comparison of two runs (petmjx.analysis.run_comparison), and the tables of
-docs/metrics.md (``python -m petmjx.engines.metrics`` prints them). The engines compute the values, in NumPy, JAX and
-Warp.
+fills them (petmjx.results.world_rows), and the comparison of two runs (petmjx.analysis.run_comparison). The fourth
+place is docs/metrics.md: ``python -m petmjx.engines.metrics`` prints its tables. The engines compute the values, in
+NumPy, JAX and Warp.
 
 docs/extending.md explains step by step how to add a metric.
 """
@@ -31,10 +31,10 @@ TEXT: Final = ""
 RESTLESS_M_S: Final = 0.01
 RISING_M_S2: Final = 0.5
 """Limits that determine which steps count for the largest force on a box's top. Samples and the steps of a drive always
-count (docs/rules.md, section 7). Another step counts if two conditions hold: some box is faster than ``RESTLESS_M_S``
-when the step begins; and some box accelerates upwards by more than ``RISING_M_S2``, or the rules check in this step
-whether the pallet is quiet. C MuJoCo checks speeds only every few steps, and therefore counts some more steps
-(petmjx/engines/mujoco/stepper.py).
+count (docs/rules.md, section 7). Another step counts if two conditions hold. First, some box is faster than
+``RESTLESS_M_S`` when the step begins. Second, some box accelerates upwards by more than ``RISING_M_S2``, or the rules
+check in this step whether the pallet is quiet. C MuJoCo checks speeds only every few steps, and therefore counts some
+more steps (petmjx/engines/mujoco/stepper.py).
 
 Boxes press with more than their weight only while they accelerate upwards. So if no box accelerates upwards by more
 than ``RISING_M_S2``, a force exceeds the weight on the top by at most a twentieth."""
@@ -222,8 +222,8 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     BoxMetric(
         "shift_m", "m",
         {"shift_x_m": "x of final centre - planned centre; 0 if |x| < shift_floor_m; null if the box was never placed",
-         "shift_y_m": "y of final centre - planned centre; 0 and null as for x",
-         "shift_z_m": "z of final centre - planned centre; 0 and null as for x"},
+         "shift_y_m": "y of final centre - planned centre; 0 or null as shift_x_m",
+         "shift_z_m": "z of final centre - planned centre; 0 or null as shift_x_m"},
         SampleAt.END, "c − c_planned of the box's centre c; a component with a magnitude below `shift_floor_m` is 0; "
         "downwards, the planned descent of boxes with a stiffness does not count",
         of_world=WorldReduction(

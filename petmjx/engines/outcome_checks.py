@@ -1,6 +1,6 @@
-"""Checks of outcomes, which are the same for all engines. The checks find verdicts that soft contacts may have decided,
-boxes that came to rest otherwise than planned, and loads so near the edges of their supports that the verdict is on a
-knife's edge. The checks also compute the margin of each world.
+"""Checks of outcomes, which are the same for all engines. The checks find three things: verdicts that soft contacts may
+have decided; boxes that came to rest otherwise than planned; and loads so near to an edge of their supports that the
+verdict is on a knife's edge. The checks also compute the margin of each world.
 
 If engines run in worker processes, each worker checks its own outcomes. If the run's own process checked all outcomes,
 the checks of small worlds would take almost half of the time of this process.
@@ -20,15 +20,18 @@ from petmjx.common.units import FloatArray
 from petmjx.engines.contact_penetration import note_penetration
 from petmjx.engines.contact_tilt import contact_tilt_suspects, n_loading, places_with_errors
 from petmjx.engines.knife_edges import AT_REST, BY_PLAN, NEAR_M, WHILE_BUILT, KnifeEdge, edges_when, sets_flag
+from petmjx.engines.margin import margins_of
 from petmjx.engines.metrics import BoxMetrics
 from petmjx.engines.mujoco.box_motion import tilt_deg
-from petmjx.engines.verdict import Flag, Outcome, Verdict, judge, margins_of
+from petmjx.engines.verdict import Flag, Outcome, Verdict, judge
 from petmjx.options.physics import Cone
 from petmjx.options.simulation import Check, Simulation
-from petmjx.world.edge_distances import Edges, LeastBuildingEdge, building_edges, first_least, loads_and_edges
+from petmjx.world.bearings import TOUCH_M, Bearing
+from petmjx.world.building_edges import LeastBuildingEdge, building_edges, first_least
+from petmjx.world.edge_distances import Edges, loads_and_edges
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
-from petmjx.world.supports import TOUCH_M, UPRIGHT, Bearing, bearings_of
+from petmjx.world.supports import UPRIGHT, bearings_of
 
 LEANS_DEG: Final = 2.0
 """Tilt at rest above which a box of a stable world counts as leaning, degrees. At a tilt of 2°, one side of a box of
@@ -190,10 +193,10 @@ class _Joined:
     """Scenes whose loads and edges are computed together, since the time depends mainly on the number of calls.
 
     Attributes:
-        planned: at least one scene with boxes at their planned places. Each scene comes with the number of placed
-            boxes, and with a flag: whether the smallest distances while the plan is built are needed.
-        elsewhere: further scenes with boxes at other places. Each scene comes with the (n, 3) places, m, the number of
-            placed boxes, and the largest gap of ``find_bearings``, m.
+        planned: at least one scene with boxes at their planned places. Each scene comes with two values: the number of
+            placed boxes, and whether the smallest distances while the plan is built are needed.
+        elsewhere: further scenes with boxes at other places. Each scene comes with three values: the places (n, 3) of
+            the boxes, m; the number of placed boxes; and the largest gap that ``find_bearings`` allows, m.
     """
 
     planned: Sequence[tuple[Scene, int, bool]]
@@ -210,8 +213,8 @@ class _Joined:
         """Add a scene with all of its boxes in their last poses. Returns the number of the scene among all scenes, in
         the order ``planned``, ``elsewhere``.
 
-        Poses are rounded to float32, as in tables. Where a box that leans touches its support depends on differences of
-        micrometres, and the same distances must follow from the poses of a table.
+        Poses are rounded to float32, as in tables. Differences of micrometres determine where a box that leans touches
+        its support, and the same distances must follow from the poses of a table.
         """
         pos, quat = (values.astype(np.float32).astype(float) for values in (boxes.pos, boxes.quat))
         w, x, y, z = quat.T

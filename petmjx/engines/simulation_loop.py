@@ -14,15 +14,15 @@ from functools import partial
 from itertools import count
 from typing import Any, Final, Generic
 
+from petmjx.common.deferred_signals import defer_signals
 from petmjx.common.errors import InputError
-from petmjx.common.processes import defer_signals
 from petmjx.common.text import count_text
 from petmjx.engines.attempt_settings import ATTEMPT_ENGINES, ATTEMPTS, AttemptRecipe, Engines, may_go_on, ready_for
 from petmjx.engines.attempt_with_fallback import AttemptResult, AttemptRunner, Pending
 from petmjx.engines.contact_penetration import may_penetrate
 from petmjx.engines.job_stream import JobBounds, JobStream
 from petmjx.engines.protocol import GPU_WORLDS, Capability, Engine, Progress
-from petmjx.engines.subprocess.attempt_process import READY, AttemptAnswer, AttemptTask
+from petmjx.engines.subprocess.attempt_process import READY, WORTH_A_PROCESS, AttemptAnswer, AttemptTask
 from petmjx.engines.subprocess.check_pool import LARGE, CheckPool
 from petmjx.engines.verdict import Reason, Verdict
 from petmjx.engines.world_prefetch import PENDING_BOXES, PENDING_BOXES_GPU, WorldPrefetch
@@ -181,7 +181,7 @@ class _AttemptRun(Generic[AnyWorld]):
         primary = self.engines.primary
         while True:
             self._put_following()
-            closed = self.stream.closed  # read before outcomes are checked: the stream may be closed meanwhile
+            closed = self.stream.closed  # read now, since the stream may be closed while outcomes are checked
             n_ready = self.stream.wait_for(LARGE if primary.name in ATTEMPT_ENGINES else 1)
             if n_ready or self.for_fallback:
                 self.attempt_tasks.prepare(self.stream.peek(LARGE), self.attempts[1:])
@@ -222,8 +222,8 @@ class _AttemptRun(Generic[AnyWorld]):
             self._put_world(world, bounded=False)
 
     def _first_attempts(self) -> Iterator[AttemptResult[AnyWorld] | None]:
-        """Make the first attempts. The run's engine simulates the worlds of the stream, and the fallback engine those
-        of ``for_fallback``."""
+        """Make the first attempts. The run's engine simulates the worlds of the stream, and the fallback engine
+        simulates the worlds of ``for_fallback``."""
         lost = yield from self.first_runner.run_stream(self.engines.primary, self.stream)
         unanswered = list[Pending[AnyWorld]]()
         for pending in lost:
@@ -289,7 +289,7 @@ class _AttemptRun(Generic[AnyWorld]):
     def _join(self, attempt: AttemptRecipe, pending: Pending[AnyWorld]) -> bool:
         """Put an attempt in stiffer contacts into the stream, where it runs together with first attempts. Returns False
         if the attempt must wait in ``retry_queue``. The attempt must wait if the engine cannot mix attempts, if the
-        world is recorded, or if thousands of worlds with errors may need the attempt: many such attempts are faster if
+        world is recorded, or if thousands of worlds with errors may need the attempt. So many attempts are faster if
         they do not run together with first attempts."""
         world, before, _ = pending
         if attempt.stiff not in self.stream.stiff or world.job.record is not None:
@@ -327,13 +327,14 @@ class _AttemptTasks(Generic[AnyWorld]):
         return len(self._in_flight)
 
     def prepare(self, jobs: Sequence[Job], retries: Sequence[AttemptRecipe]) -> None:
-        """At the beginning of a large run, start two kinds of processes: those that check outcomes, and one that makes
-        the attempts that few worlds need. The process for attempts first simulates one box. So the kernel of this
-        process is compiled early: compiling takes as long as simulating many worlds."""
+        """At the beginning of a run, start two kinds of processes. In a large run, these are check processes. With
+        ``WORTH_A_PROCESS`` jobs, the process that makes attempts starts, too, if few worlds need them. It first
+        simulates one box. So the kernel of this process is compiled early: compiling takes as long as simulating many
+        worlds."""
         if self.needs_pool:
             self.check_pool = self.check_pool or self.lent or check_pool_for(self.engines.primary, len(jobs))
         name = ATTEMPT_ENGINES.get(self.engines.primary.name)
-        if name is None or len(jobs) < LARGE:
+        if name is None or len(jobs) < WORTH_A_PROCESS:
             return
         if self.sim.physics.cone is not Cone.ELLIPTIC or self.sim.has_soft:
             return

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Sequence
-from typing import Final
+from typing import Any, Final
 
+from petmjx.common.checked_records import shown_value
+from petmjx.common.errors import InputError
 from petmjx.common.machine import device_name
 from petmjx.engines.open_world_protocol import MOST_BOXES, OpenWorlds
 from petmjx.engines.protocol import Capability, Engine, MinimalEngine, Progress
 from petmjx.engines.verdict import Outcome
+from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
@@ -59,3 +62,16 @@ class UserEngine(Engine):
 
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         return self._engine.run(jobs, sim, progress)
+
+
+def user_engine(engine: Any, options: RunOptions) -> UserEngine:
+    """The engine object that is given as the option ``engine``, with the defaults of ``UserEngine``.
+
+    Raises:
+        InputError: the object is not an engine, or workers are requested.
+    """
+    if isinstance(engine, type) or not isinstance(engine, MinimalEngine):
+        raise InputError(f"engine must be a name or an object with a name and a method run, {shown_value(engine)}")
+    if options.asked_workers is not None:
+        raise InputError("workers need the name of an engine, not an engine object: each worker builds its own engine")
+    return UserEngine(engine, options.threads)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntFlag, StrEnum
 from typing import Any, Final, NamedTuple
@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
 from petmjx.engines.metrics import BoxMetrics
-from petmjx.engines.mujoco.box_motion import excess
-from petmjx.options.simulation import Thresholds
+from petmjx.options.thresholds import Thresholds
 from petmjx.world.history import History
 from petmjx.world.job import EngineState, KeptState
 
@@ -76,8 +75,8 @@ class Flag(IntFlag):
     LEANS = 32768
     """The world is stable, but a box leans or lies lower than planned (petmjx.engines.outcome_checks)."""
     NOT_PLACED = 65536
-    """A hand (the force that carries a box to its place) found no room for a box: it released the box farther than
-    ``MISSED_M`` from its place (petmjx.world.hand), before any box had crossed a threshold."""
+    """A hand (the force that carries a box to its place) found no room for a box. Before any box had crossed a
+    threshold, the hand released the box farther than ``MISSED_M`` from its place (petmjx.world.hand)."""
     ITERATION_LIMIT = 131072
     """The world used up its iterations (``Simulation.iteration_limit``) before any box had failed."""
 
@@ -110,7 +109,7 @@ class Outcome:
     state: KeptState | EngineState | None = None
     """The settled state, if the job requests it. Outside the engine, the type is ``KeptState``."""
     margin: float = math.nan
-    """The margin (:func:`margin_of`). petmjx.engines.outcome_checks sets it for all engines."""
+    """The margin (``petmjx.engines.margin.margin_of``). petmjx.engines.outcome_checks sets it for all engines."""
     plan_edge_m: float = math.nan
     plan_edge_box: int = -1
     rest_edge_m: float = math.nan
@@ -118,9 +117,10 @@ class Outcome:
     build_edge_m: float = math.nan
     build_edge_box: int = -1
     build_edge_step: int = -1
-    """The fields from ``plan_edge_m`` to ``build_edge_step`` have the smallest distances of loads from edges (m), the
-    numbers of the boxes that have these loads, and the number of the box after whose placement ``build_edge_m`` occurs,
-    or -1 if there is no such box. petmjx.engines.outcome_checks sets these fields, and the distances of all boxes."""
+    """The fields from ``plan_edge_m`` to ``build_edge_step`` have the smallest distances of loads from edges (m), and
+    the numbers of the boxes that have these loads. ``build_edge_step`` is the number of the box after whose placement
+    ``build_edge_m`` occurs, or -1 if there is no such box. petmjx.engines.outcome_checks sets these fields, and the
+    distances of all boxes."""
     message: str = ""
     """One line that says why there is no result, if ``reason`` is ``failed`` or ``timeout``."""
     history: History | None = None
@@ -215,48 +215,7 @@ def judge_all(
     return verdict, np.select(box_masks, [str(reason) for reason in reasons], str(Reason.NONE))
 
 
-DROPPED_EXCESS: Final = 2.0
-"""Smallest excess of a dropped box. (The excess says how far a box is beyond its thresholds.) With this value, the
-margin of a world with a dropped box is at most -1. A dropped box may end near its planned place, but its world always
-counts as beyond the threshold."""
-
-
 _EPSILON: Final = float(np.finfo(np.float64).eps)
-
-
-def margin_of(verdict: Verdict, boxes: BoxMetrics, n_placed: int, thresholds: Thresholds) -> float:
-    """Distance of a world from the nearest threshold, as a share of this threshold: 1 minus the largest excess of any
-    placed box.
-
-    The margin is 1 if nothing moved, 0 on the threshold, and negative beyond the threshold. If a box dropped, the
-    margin is at most -1. The margin is never negative in a stable world, always negative in an unstable world, and NaN
-    in an invalid world. See docs/metrics.md, section "Margin".
-    """
-    return _margins([(verdict, boxes, n_placed)], thresholds)[0]
-
-
-def margins_of(outcomes: Sequence[Outcome], thresholds: Thresholds) -> list[float]:
-    """The result of ``margin_of`` for each of many outcomes, computed together."""
-    return _margins([(outcome.verdict, outcome.boxes, outcome.n_placed) for outcome in outcomes], thresholds)
-
-
-def _margins(worlds: Sequence[tuple[Verdict, BoxMetrics, int]], thresholds: Thresholds) -> list[float]:
-    margins = [math.nan] * len(worlds)
-    valid = [k for k, (verdict, _, placed) in enumerate(worlds) if placed and verdict is not Verdict.INVALID]
-    if not valid:
-        return margins
-    placed = [worlds[k][2] for k in valid]
-    placed_boxes = [(worlds[k][1], slice(worlds[k][2])) for k in valid]
-    shift = np.concatenate([boxes.shift_m[rows] for boxes, rows in placed_boxes], dtype=np.float64)
-    tilt = np.concatenate([boxes.max_tilt_deg[rows] for boxes, rows in placed_boxes], dtype=np.float64)
-    dropped = np.concatenate([boxes.dropped[rows] for boxes, rows in placed_boxes], dtype=np.bool_)
-    largest = np.maximum(excess(shift, tilt, dropped, thresholds), DROPPED_EXCESS * dropped)
-    begins = np.cumsum(placed) - np.array(placed)
-    for k, margin in zip(valid, (1.0 - np.maximum.reduceat(largest, begins)).tolist(), strict=True):
-        # The verdict decides the sign of the margin: near a threshold, the sign of the computed margin may be wrong,
-        # because `judge` may have compared float32 numbers, and the excess is a rounded quotient.
-        margins[k] = max(margin, 0.0) if worlds[k][0] is Verdict.STABLE else min(margin, -_EPSILON)
-    return margins
 
 
 @dataclass(frozen=True)

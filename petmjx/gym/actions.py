@@ -19,10 +19,10 @@ from petmjx.loop.pallets import Pallets
 from petmjx.loop.placement_bounds import STANDS
 
 FEATURES: Final = ("box", "turned", "x", "y", "z", "length_x", "length_y", "height", "mass", "support", "margin")
-"""Features of a candidate, which is a box at a place: the index of the box among the visible boxes, whether the box is
-turned by 90°, its corner and its extents in mm, its mass in kg, and the supported share of its base. If the mask of
-legal actions uses physics, the last feature is the pallet's margin of stability with the box; otherwise, the last
-feature is 0."""
+"""Features of a candidate, which is a box at a place: the index of the box among the visible boxes; whether the box is
+turned by 90°; its corner and its extents, mm; its mass, kg; and the supported share of its base. If the mask of legal
+actions uses physics, the last feature is the pallet's margin of stability with the box; otherwise, the last feature is
+0."""
 
 UPRIGHT: Final = "upright"
 PALLET: Final = "pallet"
@@ -87,7 +87,7 @@ class Table:
             values[rows] = getattr(table, name)[sources]
 
     def features(self, rows: NDArray[np.int64], names: Sequence[str]) -> NDArray[np.float32]:
-        """(m, a, f) the features of all actions of m episodes. Every action has the features ``FEATURES``, and those
+        """(m, a, f) the features of all actions of m episodes. Every action has the features ``FEATURES``, and the
         further features whose names are in ``names``."""
         features = np.empty((len(rows), self.legal.shape[1], len(names)), np.float32)
         extra_columns = {UPRIGHT: self.side // 2, PALLET: self.pallet}

@@ -119,7 +119,7 @@ class Queues:
     def _fill(self, row: int) -> None:
         """Move the remaining boxes of a row to the row's beginning, and append boxes until the row is full."""
         boxes, table = self._boxes[row], self._next[row]
-        # If more boxes were left out than the table held, fewer boxes remain to be added than ``_behind`` says.
+        # ``_behind`` is too large if more boxes were left out than the table held.
         behind = min(int(self._behind[row]), int(self.counts[row]))
         n_items, first = int(self.counts[row]) - behind, int(self._first[row])
         table[:n_items] = table[first : first + n_items].copy()

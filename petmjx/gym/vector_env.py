@@ -72,8 +72,8 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, Info]:
-        """Begin the episodes of all environments, or only of those for which the mask ``options["reset_mask"]`` (n,) is
-        true.
+        """Begin the episodes of all environments, or only of the environments for which the mask
+        ``options["reset_mask"]`` (n,) is true.
 
         Args:
             options: a dict with the entries ``reset_mask`` and ``level``. ``level`` is one number or an array (n,),

@@ -14,21 +14,22 @@ from jaxtyping import Array, Float, Int
 
 from petmjx.common.errors import InputError
 from petmjx.common.units import MICROMETRES_PER_M, MM_PER_M
+from petmjx.engines.margin import DROPPED_EXCESS
 from petmjx.engines.mjx import box_motion as motion
 from petmjx.engines.mjx.world_state import Status, take_rows
 from petmjx.engines.protocol import Engine
-from petmjx.engines.verdict import DROPPED_EXCESS, INVALID_FLAGS, Reason, failures
+from petmjx.engines.verdict import INVALID_FLAGS, Reason, failures
 from petmjx.engines.warp.next_boxes import NewBox
 from petmjx.engines.warp.open_world_functions import OpenState, Simulator
 from petmjx.engines.warp.open_worlds import WarpWorlds
 from petmjx.jax.placement_arrays import ENDED, REASONS, PlacementArrays
 from petmjx.options.simulation import Simulation
+from petmjx.world.bearings import TOUCH_M
 from petmjx.world.contact_laws import CONTACTS_PER_FACE, DEPTHS_M, cone_factor, pulls_m_s2
 from petmjx.world.growing_scenes import EmptyCarrier
 from petmjx.world.history import CARRIER
 from petmjx.world.release_places import NOTHING
 from petmjx.world.scene import IDENTITY_QUAT
-from petmjx.world.supports import TOUCH_M
 
 ROOM: Final = 2
 """Factor by which the simulator's buffers are larger than its default buffers, because a jitted program cannot enlarge

@@ -1,10 +1,10 @@
-"""Finds candidate places for a box at the extreme points of a pile (points at which a box touches other boxes or the
-carrier's edges), as seen from all four corners of the carrier. The module is an array program in JAX.
+"""Finds candidate places for a box at the extreme points of a pile, as seen from all four corners of the carrier. At an
+extreme point, a box touches other boxes or the carrier's edges. The module is an array program in JAX.
 
-The extreme points are those of ``petmjx.packers.learned_candidates``: Crainic, Perboli, Tadei (2008), "Extreme
-point-based heuristics for three-dimensional bin packing", INFORMS Journal on Computing 20(3), 368–384, computed for the
-pile and for its three mirror images. With the extreme points as seen from a single corner, narrow useless strips would
-remain along the opposite edges of the carrier.
+The extreme points are as in ``petmjx.packers.learned_candidates``, for the pile and for its three mirror images
+(Crainic, Perboli, Tadei 2008, "Extreme point-based heuristics for three-dimensional bin packing", INFORMS Journal on
+Computing 20(3), 368–384). With the extreme points as seen from a single corner, narrow useless strips would remain
+along the opposite edges of the carrier.
 """
 
 from __future__ import annotations
@@ -23,10 +23,9 @@ from petmjx.packers.learned_candidates import MIRRORS, OVERHANG_MM
 FEATURES: Final = ("turned", "x", "y", "z", "length_x", "length_y", "height", "mass", "support", "inside", "below")
 """Features of a candidate (a box at a place): whether the box is turned by 90°; its corner and its extents, mm; its
 mass, kg; and the supported share of its base. ``inside`` is the distance of the box's centre of mass from the edge of
-the hull of the box's contacts, mm. ``below`` is 200 mm if the candidate stands on the carrier. Otherwise, the distance
-of each pile box's load from the edge of the hull of that box's contacts is computed, with the candidate on the pile,
-and ``below`` is the smallest of these distances, mm. Both distances are positive inside a hull, negative outside, and
-at most 200 mm."""
+the hull of the box's contacts, mm. ``below`` is 200 mm if the candidate stands on the carrier. Otherwise, ``below`` is
+computed with the candidate on the pile: the smallest distance, mm, of a pile box's load from the edge of the hull of
+that box's contacts. Both distances are positive inside a hull, negative outside, and at most 200 mm."""
 
 _PER_ASIDE: Final = 0.01
 """Cost of a millimetre of distance from the nearest edges of the carrier, as millimetres of height. Because distances
@@ -38,8 +37,8 @@ PLACES_PER_CANDIDATE: Final = 3
 because some places have too little support."""
 
 _FAR: Final = 1e9
-"""A number with two uses: the cost of a place that cannot be used; and the x and y, mm, of points that do not exist,
-which are then beyond the edges of every carrier."""
+"""A number with two uses. It is the cost of a place that cannot be used. It is also the x and y, mm, of points that do
+not exist, so that these points are beyond the edges of every carrier."""
 
 
 class Points(NamedTuple):
@@ -67,8 +66,8 @@ class Candidates:
         gap_mm: free space between a box and its neighbours along x and y.
         least_support: smallest share of a box's base that must be supported. If ``least_support`` is None, any
             supported share is sufficient.
-        inside_mm: how far inside the convex hull of a box's contacts the load of the box must act, mm; but a fifth of
-            the shorter side of the box's base is always enough. If ``inside_mm`` is 0, loads may act anywhere.
+        inside_mm: how far inside the convex hull of its contacts the load of a box must act, mm. A fifth of the shorter
+            side of the box's base is always enough. If ``inside_mm`` is 0, loads may act anywhere.
 
     Attributes:
         count: number n of actions.

@@ -78,7 +78,7 @@ class Cells:
         """The balance of an empty pile, which is None, because this class does not need the balance."""
 
     def put(self, statics: None, row: Array, size_mm: Array, corner_mm: Array, mass_kg: Array, pile: Pile) -> None:
-        """The balance of the pile after one more box, which is None, because this class does not need the balance."""
+        """The balance of the pile after one more box: None, because this class does not need the balance."""
 
     def view(self, pile: Pile, statics: None) -> Pile:
         """The values for ``ways`` that do not depend on the next box: here, only the pile."""

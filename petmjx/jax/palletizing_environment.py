@@ -121,9 +121,9 @@ class Palletizing:
             ``max_height_mm`` are legal. With ``support_50`` … ``support_100``, at least 50 % … 100 % of the box's base
             must also be supported.
         gap_mm: free space that a robot needs between a box and its neighbours along x and y.
-        inside_mm: only for ``candidates``: how far inside the convex hull of a box's contacts the load of the box must
-            act, mm; but a fifth of the shorter side of the box's base is always enough. If ``inside_mm`` is 0, loads
-            may act anywhere. The packer ``balanced`` uses 20 mm.
+        inside_mm: only for ``candidates``: how far inside the convex hull of its contacts the load of a box must act,
+            mm. A fifth of the shorter side of the box's base is always enough. If ``inside_mm`` is 0, loads may act
+            anywhere. The packer ``balanced`` uses 20 mm.
         action_cell_mm, cell_mm: side of the cells of actions, and side of the cells of observed maps.
         rewards: weights of the terms of the reward.
         most_illegal: number of illegal actions after which an episode is truncated; an illegal action changes nothing.

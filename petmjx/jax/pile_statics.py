@@ -1,5 +1,5 @@
-"""Static balance of a pile of boxes, as an array program in JAX. The method is that of ``petmjx.packers.pile_balance``,
-whose docstring names the sources, but in single precision.
+"""Static balance of a pile of boxes, as an array program in JAX. The method is as in ``petmjx.packers.pile_balance``,
+but in single precision; the docstring of that module names the sources.
 
 A load is a vector (F, F·x, F·y) in kg and kg·m, where F acts at (x, y). A box presses on the boxes below it with a
 pressure that is a linear function of x and y. The pressure is linear in the load on the box. So for each pair of boxes,
@@ -53,7 +53,7 @@ class Statics(NamedTuple):
 
 class Contacts(NamedTuple):
     """The contacts of q boxes with a pile of k boxes. Lengths are in metres. Coordinates are relative to the middle of
-    each box's base, except those of ``middle``.
+    each box's base, except the coordinates of ``middle``.
 
     Attributes:
         middle: (q, 2) the middle of each box's base.
@@ -116,10 +116,10 @@ def margins_m(
 ) -> tuple[Float[Array, " placement"], Float[Array, " placement"], Bool[Array, " placement"]]:
     """Three arrays (q,), with a value for each of q boxes that might be put onto the pile. The first array has the
     distance by which the box's weight would act inside the hull of the box's contacts, m. The second array has the
-    smallest distance by which the load of any box of the pile would act inside the hull of that box's contacts, m; it
-    is ``FAR_M`` if the new box stands on the carrier. The third array tells whether the load of each box of the pile
-    would act inside that box's hull by at least ``Statics.least``. A distance above ``FAR_M`` is replaced by
-    ``FAR_M``."""
+    smallest distance, m, by which the load of any box of the pile would act inside the hull of that box's contacts.
+    This distance is ``FAR_M`` if the new box stands on the carrier. The third array tells whether the load of each box
+    of the pile would act inside that box's hull by at least ``Statics.least``. A distance above ``FAR_M`` is replaced
+    by ``FAR_M``."""
     floats = ~contacts.bears.any(axis=1) & ~contacts.on_carrier
     inside = jnp.where(floats, -FAR_M, -planes[..., 0].max(axis=1))
     moments, inverse = _moments(contacts)

@@ -1,4 +1,4 @@
-"""The boxes on many pallets, as tables. Sizes and places are those that the caller requested, not simulated ones."""
+"""The boxes on many pallets, as tables. Sizes and places are as the caller requested them, not as simulated."""
 
 from __future__ import annotations
 

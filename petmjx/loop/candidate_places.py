@@ -140,8 +140,8 @@ def _lowered_boxes(
     hulls: bool,
 ) -> _Lowered:
     """Let each new box down at each point of its pallet until the box rests on something. Returns four values for each
-    place: the index of the box, the box's corner, the supported share of its base, and whether its centre is over the
-    convex hull of the areas on which it rests.
+    place: the index of the box; the box's corner; the supported share of its base; and whether the centre of the base
+    is over the convex hull of the contact areas.
 
     Args:
         points: (m, p) points as x + iy; ``low``, ``high``: (m, k, 3) lowest and highest corners of the boxes on the

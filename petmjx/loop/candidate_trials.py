@@ -18,15 +18,17 @@ from petmjx.common.units import FloatArray, deg_to_rad
 from petmjx.engines.open_world_protocol import OpenWorlds
 from petmjx.engines.verdict import Verdict
 from petmjx.loop.placement_results import PlacementResults
-from petmjx.options.simulation import Simulation, Thresholds
+from petmjx.options.simulation import Simulation
+from petmjx.options.thresholds import Thresholds
 from petmjx.runs.confidence import confidence_sweep
 from petmjx.runs.sweep_design import Design
+from petmjx.world.error_distributions import Distribution
 from petmjx.world.growing_scenes import NextBoxes
 from petmjx.world.job import Drive
 from petmjx.world.profiles.profile import Strength, allowed_sway_m
 from petmjx.world.profiles.profile_registry import resolve
 from petmjx.world.scene import Scene
-from petmjx.world.variants import ZERO, Distribution, Variant, apply
+from petmjx.world.variants import ZERO, Variant, apply
 
 _AT_ONCE: Final = 1024
 """Largest number of worlds (simulated pallets) with errors or drives that are simulated at a time."""
@@ -43,9 +45,9 @@ MOST_ERRORS_DRAWN: Final = 2**31
 class Errors:
     """Random errors, as in ``petmjx score --confidence``, for a box that is put onto a standing pallet.
 
-    The place, the rotation, the size and the mass of the new box have errors, but those of the boxes on the pallet have
-    none. The coefficient of friction has the same error for all boxes, because all cartons are made of the same board
-    and have the same humidity. A simulated hand carries the box to its place (docs/placing.md).
+    The new box has errors of place, rotation, size and mass; the boxes on the pallet have no such errors. The
+    coefficient of friction has the same error for all boxes, because all cartons are made of the same board and have
+    the same humidity. A simulated hand carries the box to its place (docs/placing.md).
     """
 
     def __init__(self, count: int, sim: Simulation) -> None:
@@ -63,8 +65,8 @@ class Errors:
 
 
 class PlacingErrors:
-    """Random errors, as in ``petmjx score --confidence``, for boxes that are put onto pallets and stay there. The
-    errors are those of place, rotation, size and mass. The friction on a pallet is not changed."""
+    """Random errors, as in ``petmjx score --confidence``, for boxes that are put onto pallets and stay there. These are
+    errors of place, rotation, size and mass. The friction on a pallet is not changed."""
 
     def __init__(self, sim: Simulation) -> None:
         self._sweep = confidence_sweep(1, None, dict(sim))

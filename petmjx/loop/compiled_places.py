@@ -110,8 +110,8 @@ def lowered_boxes(
 
 
 def launch(kernel: Any, m: int, of_rows: list[Any], others: list[Any]) -> None:
-    """Launch a kernel for m rows, on several threads. The kernel's arguments are those in ``of_rows``, then the number
-    of the launch's first row, then those in ``others``."""
+    """Launch a kernel for m rows, on several threads. The kernel's arguments are ``of_rows``, then the number of the
+    launch's first row, then ``others``."""
 
     def launch_rows(rows: range) -> None:
         wp.launch(kernel, dim=len(rows), inputs=[*of_rows, rows.start, *others], device="cpu")

@@ -1,5 +1,4 @@
-"""Chooses the engine for open pallets (pallets to which boxes can be added), checks options, and provides a base class
-for objects that must be closed."""
+"""Chooses the engine for open pallets (pallets to which boxes can be added), and checks options."""
 
 from __future__ import annotations
 
@@ -8,7 +7,7 @@ from typing import Any, Final
 from petmjx.common.checked_records import shown_value
 from petmjx.common.errors import InputError
 from petmjx.common.machine import why_no_warp
-from petmjx.engines.engine_choice import ENGINES, make_engine, options_of
+from petmjx.engines.engine_registry import ENGINES, make_engine, options_of
 from petmjx.engines.protocol import Engine, MinimalEngine
 from petmjx.engines.user_engine import UserEngine
 from petmjx.options.carriers import extent_m
@@ -83,15 +82,3 @@ def ready_engine(requested_engine: str | Engine, of_run: dict[str, Any], *, gpu:
     if name not in ENGINES:
         raise InputError(f"engine must be one of {', '.join(ENGINES)} and {AUTO}, {shown_value(requested_engine)}")
     return make_engine(name, **options_of(name, RunOptions(engine=requested_engine, **of_run))), True
-
-
-class Closable:
-    """Base class of objects that hold an engine until they are closed. The use of a closed object raises an InputError
-    of one line."""
-
-    _is_closed = False
-
-    def _check_open(self) -> None:
-        """Raise InputError if the object has been closed."""
-        if self._is_closed:
-            raise InputError(f"petmjx.{type(self).__name__}: closed; make a new one")

@@ -20,7 +20,8 @@ from petmjx.options.run_options import RunOptions
 from petmjx.plans.articles import Articles, read_articles
 from petmjx.plans.item_columns import MOST_PIECES, SIZE_LETTERS
 from petmjx.plans.item_units_and_quantities import OrderReading
-from petmjx.plans.order_generator import Item, Order, catalogue, drawn_articles
+from petmjx.plans.order import Item, Order
+from petmjx.plans.order_generator import catalogue, drawn_articles
 from petmjx.plans.order_reader import read_order_frame, read_orders
 from petmjx.plans.plan_fields import vanishing_side
 

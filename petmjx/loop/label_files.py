@@ -92,8 +92,8 @@ def write_labels(
         source: the file of the orders, or ``endless``, as stated on the card.
         resume: whether to continue with the unfinished labels in the folder, if there are any. ``count`` may be larger
             than in the command that began the labels.
-        progress: function that is called with the number of labels made so far, including those of unfinished episodes
-            and of earlier commands.
+        progress: function that is called with the number of labels made so far, including the labels of unfinished
+            episodes and of earlier commands.
 
     Returns:
         The content of the card.
@@ -243,7 +243,7 @@ def _write(parts: LabelParts, count: int, files: Mapping[str, Path], head: Mappi
 
 
 def _remove_if_empty(folder: Path) -> None:
-    with suppress(OSError):  # the folder is not empty
+    with suppress(OSError):  # an OSError means that the folder is not empty
         folder.rmdir()
 
 
@@ -361,7 +361,7 @@ def _page(card: dict[str, Any]) -> str:
         "first put to a random place: an extreme point inside the carrier at which the box rests on something. All "
         "other boxes are put to a careful place (`careful`): one of the four lowest places at which three quarters of "
         "the base are borne. If the pallet does not stand, the box is taken back; after a random place, it is tried "
-        "once more, at a careful place. So pallets are neither random nor like those of a packer.",
+        "once more, at a careful place. So pallets are neither random nor like a packer's pallets.",
         "",
         "## Splits",
         "",

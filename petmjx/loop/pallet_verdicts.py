@@ -1,7 +1,7 @@
 """Verdicts on open pallets (pallets to which boxes can be added), as ``petmjx.score`` would give them. A score
 simulates a plan, and may simulate the plan again with other settings (further attempts). The first attempt may continue
-from the pallet's current state, instead of simulating all placements again, if this does not change the result by a
-single bit."""
+from the pallet's current state, instead of simulating all placements again, if the result is then the same to the last
+bit."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class SettledEngine(Engine):
     not used if results must be exact to the last digit.
 
     Args:
-        to_the_bit: whether outcomes must be bit-identical to those of a score.
+        to_the_bit: whether outcomes must be bit-identical to the outcomes of a score.
     """
 
     def __init__(self, engine: Engine, open_worlds: OpenWorlds, sim: Simulation, *, to_the_bit: bool = True) -> None:

@@ -21,7 +21,8 @@ from petmjx.engines.protocol import Engine
 from petmjx.engines.verdict import Outcome
 from petmjx.loop.candidate_places import LARGEST_GAP_MM, Places, free_places
 from petmjx.loop.candidate_trials import drive_of, driven_results, errors_asked, errors_of, shares
-from petmjx.loop.engine_setup import MOST_PALLETS, OF_RUN, Closable, check_open, open_engine
+from petmjx.loop.closable import Closable
+from petmjx.loop.engine_setup import MOST_PALLETS, OF_RUN, check_open, open_engine
 from petmjx.loop.height_maps import height_maps
 from petmjx.loop.pallet_verdicts import PalletWorld, SettledEngine, pallet_scores
 from petmjx.loop.pallet_worlds import PalletWorlds
@@ -29,8 +30,9 @@ from petmjx.loop.placement_arguments import Placements, boxes_of, grid_of, once_
 from petmjx.loop.placement_bounds import FALLS, OPEN, STANDS
 from petmjx.loop.placement_results import PlacementResults
 from petmjx.options.carriers import AnyCarrier, extent_m
-from petmjx.options.run_options import AUTO, RunOptions, sorted_options
+from petmjx.options.run_options import AUTO, RunOptions
 from petmjx.options.simulation import Simulation
+from petmjx.options.sorted_options import sorted_options
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_fields import vanishing_side
 from petmjx.results.run_reader import RunResults
@@ -48,13 +50,13 @@ class Pallets(Closable):
 
     ``P = petmjx.Pallets(1); P.place(size_mm=(400, 300, 200), corner_mm=(0, 0, 0), mass_kg=6)``
 
-    The rules are those of ``petmjx.score``: each box is placed when the boxes before it are at rest. ``place`` and
+    The rules are as in ``petmjx.score``: each box is placed when the boxes before it are at rest. ``place`` and
     ``try_all`` return the result at the moment when the pallet is at rest again, without the further checks of a score.
     ``verdict`` and ``score`` return the result of a complete score of the pallet's plan. See docs/loop.md.
 
     Lengths are in millimetres, masses in kilograms. x and y are measured from the carrier's front-left corner; z = 0 is
-    the carrier's top. Many methods have arguments for m boxes: ``size_mm`` (m, 3) are the extents of the boxes as
-    placed, ``corner_mm`` (m, 3) their front-left-bottom corners, ``mass_kg`` (m,) their masses, and ``pallet`` (m,) the
+    the carrier's top. Many methods have arguments for m boxes: ``size_mm`` (m, 3), the extents of the boxes as placed;
+    ``corner_mm`` (m, 3), their front-left-bottom corners; ``mass_kg`` (m,), their masses; and ``pallet`` (m,), the
     numbers of their pallets. A single row applies to all m boxes, and for a single box the first axis can be left out.
     If ``pallet`` is left out, box i is for pallet i, or all boxes are for the only pallet.
 
@@ -199,9 +201,9 @@ class Pallets(Closable):
         Args:
             errors: number of additional simulations of each candidate in which a robot places the box inexactly.
                 ``PlacementResults.share`` is the share of these simulations in which the pallet stands. The errors are
-                those of ``petmjx score --confidence``.
+                as in ``petmjx score --confidence``.
             drive: the name of a profile (a motion of the carrier) that shakes the pallet with the candidate on it, such
-                as ``eumos-40509``. If a drive is named, the results are those after the shaking.
+                as ``eumos-40509``. If a drive is named, the results describe the pallets after the shaking.
             level: strength of the profile, in the profile's unit, such as 0.3 for 0.3 g.
             direction_deg: horizontal direction of the profile, degrees.
 
@@ -235,9 +237,9 @@ class Pallets(Closable):
         simulation. So ``stands`` takes a fraction of the time of ``try_all``. The pallets do not change.
 
         Returns:
-            (m,) whether the pallet stands with each candidate, and (m,) the pallet's margin of stability with the
-            candidate: 1 if the pallet stands beyond doubt, -1 if it falls or the simulation is invalid, else the margin
-            at rest.
+            Two arrays (m,): whether the pallet stands with each candidate, and the pallet's margin of stability with
+            the candidate. The margin is 1 if the pallet stands beyond doubt, -1 if it falls or the simulation is
+            invalid, else the margin at rest.
 
         Raises:
             InputError: see ``try_all``.
@@ -336,8 +338,9 @@ class Pallets(Closable):
 
     def score(self, pallet: Any = None, *, to_the_bit: bool = True, **options: Any) -> RunResults:
         """Score the plans of the given pallets, or, if ``pallet`` is None, of all pallets that have boxes. The results
-        are bit-identical to those of ``petmjx.score``, which repeats simulations with other settings if necessary.
-        Pallets that have fallen are scored, too. Boxes that were placed with errors are scored at their planned places.
+        are bit-identical to the results of ``petmjx.score``, which repeats simulations with other settings if
+        necessary. Pallets that have fallen are scored, too. Boxes that were placed with errors are scored at their
+        planned places.
 
         On the engine ``mjx-warp``, the simulation continues from the current state of a pallet. On ``mujoco``, plans
         are simulated from their first box on, because on this engine, boxes that wait to be placed affect the last

@@ -3,8 +3,8 @@ doubt.
 
 The bearing of a box is the convex hull of its contacts with the boxes below it; for a box on the carrier, the bearing
 is the whole carrier. Loads are passed from box to box by the pressure plane of ``petmjx.packers.pile_balance`` (a
-pressure that is a linear function of x and y). Rigid boxes stand if any forces exist that balance them (the safe
-theorem of statics; Livesley 1978, "Limit analysis of structures formed from rigid blocks", International Journal
+pressure that is a linear function of x and y). Rigid boxes stand if any forces exist that balance them. This is the
+safe theorem of statics (Livesley 1978, "Limit analysis of structures formed from rigid blocks", International Journal
 for Numerical Methods in Engineering 12, 1853–1871). So on a pallet that rests at its planned places, a box stands
 beyond doubt under two conditions. First, the weight of the new box, and the loads of all boxes that carry it, must act
 well inside the boxes' bearings. Second, no other load on the pallet may be near the edge of a bearing.
@@ -35,7 +35,8 @@ from petmjx.loop.box_tables import BoxTable
 from petmjx.loop.placement_arguments import Placements
 from petmjx.options.carriers import Carrier
 from petmjx.options.physics import Cone
-from petmjx.options.simulation import Simulation, Thresholds
+from petmjx.options.simulation import Simulation
+from petmjx.options.thresholds import Thresholds
 from petmjx.packers.pile_balance import MARGIN_M, MARGIN_SHARE, TOUCH_MM, pressure_moments
 from petmjx.world.carrier_boards import has_walls
 from petmjx.world.growing_scenes import widened_table
@@ -56,9 +57,9 @@ box's own mass. Contacts are soft: a box sinks by about 0.003 mm × load / own m
 0.3 mm for a load of 100 times its own mass."""
 
 MOST_SLENDER: Final = 8.0
-"""A new box stands beyond doubt only if its top is at most at this height above the carrier, as a multiple of the
-shortest horizontal side of the new box and of all boxes that carry it. Because contacts are soft, a high pile leans
-more than a low one."""
+"""A new box stands beyond doubt only if its top is at most at this height above the carrier. The height is a multiple
+of the shortest horizontal side of the new box and of all boxes that carry it. Because contacts are soft, a high pile
+leans more than a low one."""
 
 HANGING_SHARE: Final = 0.05
 """The weight of a falling box must act outside the box's bearing (the hull of its contacts), at a distance of at least
@@ -110,8 +111,8 @@ _USUAL: Final = frozenset({Carrier.EURO_PALLET, Carrier.ROLLCONTAINER})
 
 def decidable(sim: Simulation) -> bool:
     """Whether decisions of this module are valid for simulations with the options ``sim``. The options must specify
-    rigid boxes that appear at their places, a carrier of one piece without walls, contacts as stiff as those of the
-    preset ``pallet`` or stiffer, and thresholds near the default ones."""
+    rigid boxes that appear at their places, and a carrier of one piece without walls. Contacts must be as stiff as in
+    the preset ``pallet`` or stiffer, and thresholds must be near the default thresholds."""
     limits, physics = sim.thresholds, sim.physics
     return (
         sim.carrier in _USUAL
@@ -300,8 +301,8 @@ class _Rests:
         under: (m, k) whether the new box lies on each box of the pallet; ``on_carrier``: (m,) whether the new box lies
             on the carrier.
         rests: (m,) whether the new box lies on something, and overlaps no other box.
-        bearers, shares: (m, b) the boxes on which the new box lies, and (m, b, 3, 3) matrices that compute the share of
-            a load that each of these boxes carries, by the pressure plane of ``petmjx.packers.pile_balance``.
+        bearers, shares: (m, b) the boxes on which the new box lies, and (m, b, 3, 3) matrices. A matrix computes the
+            share of a load that each of these boxes carries, by the pressure plane of ``petmjx.packers.pile_balance``.
         edges: (m, e, 3) edges of the new box's bearing, as (d, n_x, n_y). A point p is inside an edge by the distance d
             − n · p, mm. d is infinite if the box lies on the carrier, and minus infinity if it lies on nothing.
     """

@@ -209,7 +209,7 @@ class Labeller:
         labels.
 
         Args:
-            progress: function that is called with the number of labels made so far, including those of unfinished
+            progress: function that is called with the number of labels made so far, including the labels of unfinished
                 episodes.
         """
         schedule = _Schedule(self, count, first)
@@ -223,7 +223,7 @@ class Labeller:
                     n_yielded += len(labels)
                     if n_yielded >= count:
                         return
-        # the remaining episodes, whose last boxes gave no labels because there was no place for them
+        # the last boxes of the remaining episodes gave no labels, because there was no place for them
         yield from schedule.take_ended()
 
     def begun(self, number: int) -> Episode:
@@ -281,7 +281,7 @@ class _Schedule:
         count: number of labels that are needed; ``first``: number of the first episode.
 
     Attributes:
-        n_made: number of labels made so far, including those of unfinished episodes.
+        n_made: number of labels made so far, including the labels of unfinished episodes.
     """
 
     def __init__(self, labeller: Labeller, count: int, first: int) -> None:
@@ -302,7 +302,7 @@ class _Schedule:
 
     def begin(self, most: int) -> list[Episode]:
         """Begin at most ``most`` episodes. No episode begins if the running episodes are expected to give enough
-        labels, if there is no place for any box of any order, or if too many episodes wait for an earlier episode."""
+        labels, if no box of any order has a place, or if too many episodes wait for an earlier episode."""
         begun: list[Episode] = []
         with self._lock:
             n_lacking = self._n_lacking()

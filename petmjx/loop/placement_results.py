@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import MM_PER_M, FloatArray
+from petmjx.engines.margin import DROPPED_EXCESS, margins_of
 from petmjx.engines.mujoco.box_motion import has_dropped, shift, tilt_deg
 from petmjx.engines.open_world_protocol import Snapshots, joined_records, widened_rows
-from petmjx.engines.verdict import DROPPED_EXCESS, Flag, Outcome, Signs, Verdict, judge_all, margins_of
-from petmjx.options.simulation import Thresholds
+from petmjx.engines.verdict import Flag, Outcome, Signs, Verdict, judge_all
+from petmjx.options.thresholds import Thresholds
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +122,7 @@ class PlacementResults:
     def of_outcomes(
         cls, pallet: NDArray[np.int64], outcomes: Sequence[Outcome], thresholds: Thresholds
     ) -> PlacementResults:
-        """The results of simulated pallets after they were shaken. Forces are those at rest."""
+        """The results of simulated pallets after they were shaken. Forces are the forces at rest."""
         width = max((outcome.n_boxes for outcome in outcomes), default=0)
 
         def boxes(name: str) -> FloatArray:

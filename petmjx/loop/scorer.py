@@ -20,10 +20,12 @@ from petmjx.common.units import FloatArray
 from petmjx.engines.protocol import Engine
 from petmjx.engines.simulation_loop import score_worlds
 from petmjx.engines.world_results import World, WorldResult
-from petmjx.loop.engine_setup import OF_RUN, Closable, ready_engine
+from petmjx.loop.closable import Closable
+from petmjx.loop.engine_setup import OF_RUN, ready_engine
 from petmjx.loop.placement_results import PlacementResults
-from petmjx.options.run_options import AUTO, RunOptions, sorted_options
+from petmjx.options.run_options import AUTO, RunOptions
 from petmjx.options.simulation import Simulation
+from petmjx.options.sorted_options import sorted_options
 from petmjx.plans.file_formats import SupportsArrow
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet
@@ -47,7 +49,8 @@ class Scored:
 
 
 class Scorer(Closable):
-    """Scores plans with an engine that is already running. Results are bit-identical to those of ``petmjx.score``.
+    """Scores plans with an engine that is already running. Results are bit-identical to the results of
+    ``petmjx.score``.
 
     ``S = petmjx.Scorer(engine="mujoco", threads=2); S.score(plans).worlds.verdict``
 
@@ -103,7 +106,7 @@ class Scorer(Closable):
 
     def tell(self, *, size_mm: Any, corner_mm: Any, mass_kg: Any) -> PlacementResults:
         """Score m plans that are given as arrays, and return the results as arrays. ``PlacementResults.pallet`` is the
-        number of the plan. Forces are those at rest.
+        number of the plan. Forces are the forces at rest.
 
         Args:
             size_mm, corner_mm: (m, k, 3) extents and corners of the boxes, as in ``Plan.from_boxes``; ``mass_kg``: (m,

@@ -5,9 +5,9 @@ parts.
                                have, number of labels in the parts, next episode, list of parts
     DIR/parts/part-*.parquet   labels of whole episodes, in order
 
-Parts are written and read like those of a run (petmjx.results.tables_in_progress): a part is ignored until the list
-names it and its digest. So if a process is killed, only the labels of the last minute and of unfinished episodes are
-lost. Another process can then continue the unfinished set.
+Parts are written and read like the parts of a run (petmjx.results.table_parts): a part is ignored until the list names
+it and its digest. So if a process is killed, only the labels of the last minute and of unfinished episodes are lost.
+Another process can then continue the unfinished set.
 """
 
 from __future__ import annotations
@@ -27,16 +27,17 @@ from numpy.typing import NDArray
 
 from petmjx.common.arrow_files import open_for_arrow
 from petmjx.common.checked_records import option
+from petmjx.common.deferred_signals import defer_signals
 from petmjx.common.errors import InputError
-from petmjx.common.processes import defer_signals
 from petmjx.common.safe_read import read_regular
 from petmjx.common.text import count_text
 from petmjx.loop.placement_labels import SCHEMA, Label
-from petmjx.results.run_folder import part_files, part_name, part_number, write_text
+from petmjx.results.result_files import write_text
+from petmjx.results.run_folder import part_files, part_name, part_number
 from petmjx.results.run_manifest import differing_settings
 from petmjx.results.run_table_reader import LISTED, Parts
 from petmjx.results.schema import SCHEMA_VERSION
-from petmjx.results.tables_in_progress import Tables
+from petmjx.results.table_parts import Tables
 
 UNFINISHED: Final = "unfinished.json"
 TABLE: Final = "parts"
@@ -127,7 +128,7 @@ class LabelParts:
         (self._folder / UNFINISHED).unlink(missing_ok=True)
         for file in part_files(self._folder, TABLE):
             file.unlink()
-        with suppress(OSError):  # the folder has other files, or does not exist
+        with suppress(OSError):  # an OSError: it has other files, or does not exist
             (self._folder / TABLE).rmdir()
 
     def _list(self) -> None:

@@ -12,9 +12,10 @@ from typing import Annotated, Any, Final, Self
 
 from pydantic import BeforeValidator, Discriminator, Field, StrictFloat, Tag, ValidationInfo, model_validator
 
-from petmjx.common.checked_records import TABLE, VALUE, CheckedRecord, complaint, read_toml, shape, shown_value, similar
+from petmjx.common.checked_records import TABLE, VALUE, CheckedRecord, complaint, shape, shown_value, similar
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable, printable_name
+from petmjx.common.toml_files import read_toml
 from petmjx.common.units import MM_PER_M
 from petmjx.options.materials import STEEL, WOOD
 from petmjx.options.walls import USUAL_WALLS, Side, Walls
@@ -139,9 +140,9 @@ class Board(CheckedRecord):
         None, description="mass of the board, kg; by default its share, by volume, of the carrier's mass_kg"
     )
     friction: Coefficient | None = Field(
-        None, description="coefficient of sliding friction between the board and boxes; by default that of the carrier"
+        None, description="coefficient of sliding friction between the board and boxes; by default the carrier's"
     )
-    material: Name = Field("", description="material of the board; by default that of the carrier")
+    material: Name = Field("", description="material of the board; by default the carrier's material")
 
     @property
     def volume_mm3(self) -> float:
@@ -152,8 +153,9 @@ class OwnCarrier(CheckedRecord):
     """A carrier that a user defines. Lengths are in mm. x and y are measured from the carrier's front-left corner, z
     from the floor.
 
-    A carrier is refused if it could not stand, or if its definition is probably a mistake: if boards overlap or are not
-    connected, no board is on the floor, the top is not level, or no real carrier has such extents or masses.
+    A carrier is refused if it could not stand, or if its definition is probably a mistake. This is so if boards overlap
+    or are not connected, if no board is on the floor, if the top is not level, or if no real carrier has such extents
+    or masses.
     """
 
     name: Name = Field("", description="name of the carrier; by default the name of its file")

@@ -77,14 +77,14 @@ CUSTOM: Final = "custom"
 
 class Physics(CheckedRecord):
     """The physical parameters of a simulation: contacts, carrier, floor, gravity and timestep. The default values are
-    the same as in the reference implementation (PET-Physics), except for values that differ between the presets: the
-    cone, the carrier's friction, the seven values of contacts (solref, solreffriction, solimp, impratio,
+    the same as in the reference implementation (PET-Physics), except for values that differ between the presets. These
+    are the cone, the carrier's friction, the seven values of contacts (solref, solreffriction, solimp, impratio,
     slip_correction, landing_s, skin_m), and whether boxes fall into their places. The coefficient of friction between
     boxes, 0.5, is the value for cardboard on cardboard (CTU Code, Annex 7, Appendix 2).
 
-    A ``Physics`` can be made in three ways: from the name of a preset ("pallet"); from a mapping that names a preset
-    and changes some of its values (``{"name": "reference", "timestep_s": 0.001}``); or by calling
-    ``Physics(timestep_s=0.001)``, which changes values of the preset ``pallet``.
+    A ``Physics`` can be made in three ways. The name of a preset, such as "pallet", gives the values of this preset. A
+    mapping names a preset and changes some of its values (``{"name": "reference", "timestep_s": 0.001}``). The call
+    ``Physics(timestep_s=0.001)`` changes values of the preset ``pallet``.
     """
 
     cone: Cone = Field(Cone.ELLIPTIC, description="friction cone")
@@ -217,6 +217,6 @@ PHYSICS["reference"] = Physics(
 )
 """The presets, by name. ``reference`` has the values of the reference implementation (PET-Physics). With ``pallet``,
 simulated pallets come to rest instead of creeping (benchmarks/notebook/contacts.md). For this purpose, ``pallet`` has
-elliptic friction cones, an impedance that rises from 0.1 to 0.999 within 0.1 mm, and stiff friction: a box that a
+elliptic friction cones, an impedance that rises from 0.1 to 0.999 within 0.1 mm, and stiff friction. A box that a
 sideways force pushes, but that friction holds, slips 250 times more slowly than with MuJoCo's defaults. ``pallet`` also
 has the friction of cardboard on a wooden pallet (CTU Code, Annex 7, Appendix 2)."""

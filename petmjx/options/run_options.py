@@ -1,5 +1,4 @@
-"""The options of a run (``RunOptions``), of the confidence of verdicts (``Confidence``) and of a transport chain
-(``Transport``). This module also sorts options by the record to which they belong.
+"""The options of a run (``RunOptions``): how and where the run is computed, and how its files are read and written.
 
 Defaults, checks and descriptions are defined only here.
 """
@@ -15,10 +14,8 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from petmjx.common.checked_records import CheckedRecord, CliFlag, complaint, hint, shown_value, within
-from petmjx.common.errors import InputError
+from petmjx.common.checked_records import CheckedRecord, CliFlag, complaint, shown_value, within
 from petmjx.common.units import PLAN_UNITS, plan_units
-from petmjx.options.simulation import Simulation
 
 AUTO: Final = "auto"
 
@@ -120,49 +117,8 @@ READING: Final = ("units", "anchor", "up", "sizes", "columns", "density", "items
 OF_ORDERS: Final = ("units", "columns", "density", "items", "reading")
 """Names of the fields of ``RunOptions`` that determine how files of orders are read."""
 
-_BY_FILE: Final = "found out"
-_OR_BY_FILE: Final = "found out in files of other tools"
-
-
-class Confidence(CheckedRecord):
-    """Whether a score also reports how certain its verdicts are. For this report, each plan is also simulated with
-    random errors of placements and boxes."""
-
-    confidence: Annotated[int | None, within(4, 100_000), CliFlag("--confidence", "N")] = Field(
-        None,
-        description="also simulate each plan in this many worlds with random errors of placement, friction, mass and "
-        "size, and report the share of worlds in which the plan stands; at least 4, since fewer worlds cannot tell "
-        "this share from one half",
-    )
-    errors: Annotated[File | None, CliFlag("--errors", "FILE", default="the ready-made sweep confidence")] = Field(
-        None, description="sweep file with the random errors of the robot and of its cartons"
-    )
-
-    exact_too: Annotated[bool, CliFlag("--exact-too")] = Field(
-        False,
-        description="also simulate each world with errors a second time, with boxes that appear at their places and "
-        "are not carried, and report where the two shares of worlds that stand differ by more than chance",
-    )
-
-    @model_validator(mode="after")
-    def _errors_of_something(self) -> Self:
-        if self.errors is not None and self.confidence is None:
-            raise complaint("needs confidence, the number of worlds", "errors")
-        if self.exact_too and self.confidence is None:
-            raise complaint("needs confidence, the number of worlds", "exact_too")
-        return self
-
-
-class Transport(CheckedRecord):
-    """The transport chain (stages such as trucks and forklifts) that a score simulates for each plan after all boxes
-    are placed."""
-
-    chain: Annotated[File | None, CliFlag("--chain", "NAME|FILE")] = Field(
-        None,
-        description="take each plan through a transport chain, from the robot to the dock, in worlds with random "
-        "errors, and report how likely the pallet is to arrive: the name of a ready-made chain, such as "
-        "chain-film-truck, or a sweep file with legs; the number of worlds is that of the chain, or of confidence",
-    )
+_BY_FILE: Final = "detected"
+_OR_BY_FILE: Final = "detected in files of other tools"
 
 
 class RunOptions(CheckedRecord):
@@ -230,7 +186,7 @@ class RunOptions(CheckedRecord):
         None, description="the vertical axis of files of other tools"
     )
     sizes: Annotated[Literal["placed", "item"] | None, CliFlag("--sizes", "placed|item", default=_BY_FILE)] = Field(
-        None, description="whether sizes in files of other tools are those of the box as placed, or before it is turned"
+        None, description="whether sizes in files of other tools describe the box as placed, or before it is turned"
     )
     columns: Annotated[
         dict[str, str] | None, BeforeValidator(_columns), CliFlag("--columns", "ROLE=NAME,…", default=_BY_FILE)
@@ -344,36 +300,3 @@ class RunOptions(CheckedRecord):
         share, shares = (int(number) for number in self.shard.split("/"))
         digest = hashlib.blake2b(plan_id.encode("utf-8", "backslashreplace"), digest_size=8).digest()
         return int.from_bytes(digest, "big") % shares == share - 1
-
-
-def sorted_options(options: Mapping[str, Any], *more: type[CheckedRecord]) -> tuple[dict[str, Any], ...]:
-    """Split options by the record to which they belong. Returns a dict for ``Simulation``, a dict for ``RunOptions``,
-    and a dict for each record in ``more``.
-
-    Raises:
-        InputError: an option is unknown. The message suggests the most similar name.
-    """
-    records: tuple[type[CheckedRecord], ...] = (Simulation, RunOptions, *more)
-    by_record: tuple[dict[str, Any], ...] = tuple({} for _ in records)
-    for name, value in options.items():
-        home = next((i for i, record in enumerate(records) if name in record.model_fields), None)
-        if home is None:
-            raise InputError(f"unknown option {name}; {_advice(name, records)}")
-        by_record[home][name] = value
-    return by_record
-
-
-def _advice(name: str, records: tuple[type[CheckedRecord], ...]) -> str:
-    """Advice about an unknown option: the record within ``Simulation`` that has a field of this name, or an option with
-    a similar name."""
-    for table, field in Simulation.model_fields.items():
-        inner = field.annotation
-        if not (isinstance(inner, type) and issubclass(inner, CheckedRecord)):
-            continue
-        for field_name, info in inner.model_fields.items():
-            if name in (
-                field_name,
-                *(flag.name[2:].replace("-", "_") for flag in info.metadata if isinstance(flag, CliFlag)),
-            ):
-                return f"it is a field of {table}: {table}={{{field_name!r}: …}}"
-    return hint(name, [field for record in records for field in record.model_fields])

@@ -2,7 +2,7 @@
 
 petmjx/options/run_options.py has the options for how and where a run is computed. Defaults, units, checks and
 descriptions are defined only here. The arguments of ``petmjx.score`` and ``petmjx.sweep``, the options of the command
-line and the ``[simulation]`` table of sweep files are generated from the records in the two modules. ``run.json``
+line and the ``[simulation]`` table of sweep files are generated from the records of petmjx/options. ``run.json``
 stores the values of the options.
 """
 
@@ -18,6 +18,8 @@ from petmjx.options.carriers import AnyCarrier, Carrier, walls_of
 from petmjx.options.materials import FrictionPair, LandingPair
 from petmjx.options.physics import PHYSICS, Cone, Physics
 from petmjx.options.placing import Placing, Way
+from petmjx.options.quiet import MOST_STEPS, Quiet
+from petmjx.options.thresholds import Thresholds
 from petmjx.options.walls import Walls
 from petmjx.options.wrap import Wrap
 
@@ -28,7 +30,6 @@ LONGEST_S: Final = 600.0
 """Largest values of options that are times, s: ``LONGEST_INTERVAL_S`` for ``interval_s`` and ``longest_wait_s``, which
 are spent once per box, and ``LONGEST_S`` for the other times. With ``LONGEST_INTERVAL_S``, the number of steps of a
 simulation fits into 32 bits, even with the shortest timestep and 512 boxes."""
-MOST_STEPS: Final = 100_000
 MOST_ITERATIONS: Final = 1_000_000_000
 """Largest ``iteration_limit``. Attempts with a smaller timestep do not have a larger limit either, since counts of
 iterations must fit into 32 bits."""
@@ -68,106 +69,6 @@ class Attempts(StrEnum):
 
     RIGID = "rigid"
     SOFT = "soft"
-
-
-class Thresholds(CheckedRecord):
-    """The thresholds above which a plan counts as unstable, or a simulation as invalid (PET-Physics paper, section
-    IV-C)."""
-
-    shift_m: Annotated[float, within(0, 100), CliFlag("--shift-limit-m", "M")] = Field(
-        0.02, gt=0, description="a plan is unstable if a box ends further than this from its place, along x, y or z, m"
-    )
-    shift_floor_m: Annotated[float, within(0, 100)] = Field(
-        0.001, ge=0, description="components of a displacement below this count as 0, m"
-    )
-    tilt_deg: Annotated[float, within(0, 360), CliFlag("--tilt-limit-deg", "DEG")] = Field(
-        20.0,
-        gt=0,
-        description="a plan is unstable if the angle between a box's z axis and the world's exceeds this, degrees",
-    )
-    drop_hull_z_m: Annotated[float, within(-100, 100)] = Field(
-        -0.1, description="a box has dropped if a part of it is lower than this z, m"
-    )
-    lin_acc_m_s2: Annotated[float, within(0, 1e9)] = Field(
-        110.0,
-        gt=0,
-        description="a box with a larger linear acceleration is a sign of an explosion of the simulation, unless a "
-        "box has failed before, m/s²",
-    )
-    ang_acc_rad_s2: Annotated[float, within(0, 1e9)] = Field(
-        110.0,
-        gt=0,
-        description="a box with a larger angular acceleration is a sign of an explosion of the simulation, unless a "
-        "box has failed before, rad/s²",
-    )
-
-
-class Quiet(CheckedRecord):
-    """The conditions under which a pallet is quiet enough for the next box, and under which a simulated pallet is at
-    rest.
-
-    A pallet is quiet when all boxes have been slower than ``quiet_m_s`` for ``steps`` steps. The speed of a box is the
-    speed of its fastest point. docs/rules.md, section 5, has the exact rules, step by step.
-
-    With elliptic friction cones, there are two more conditions. First, each box must be slow or have slowed down.
-    Second, no moving box may have become faster, because a box that begins to topple becomes faster. A box that
-    violates one of these two conditions is said to creep, and delays the next box. Once a creeping box has dropped or
-    tilted too far, it no longer delays the next box, because the outcome is then known.
-
-    A box that moves back and forth without net motion is said to tremble. Trembling boxes never delay the next box.
-
-    A simulated pallet is at rest if no point of any box moved faster than ``still_m_s`` in the last ``still_steps``
-    steps of its rest window (the time at the end over which forces at rest are averaged).
-    """
-
-    quiet_m_s: Annotated[float, within(0, 100)] = Field(
-        0.01, gt=0, description="a box is quiet if the speed of its fastest point is below this, m/s"
-    )
-    slow_m_s: Annotated[float, within(0, 100)] = Field(
-        0.001, ge=0, description="a box is slow if the speed of its fastest point is below this, m/s"
-    )
-    slowing: Annotated[float, within(0, 1000)] = Field(
-        0.7, ge=0, description="a box that is not slow creeps unless it slows to this share of its earlier speed"
-    )
-    steps: Annotated[int, within(1, MOST_STEPS)] = Field(
-        15, ge=1, description="number of steps for which all boxes must have been quiet before the next box is placed"
-    )
-    landing_steps: Annotated[int, within(1, MOST_STEPS)] = Field(
-        50,
-        ge=1,
-        description="number of steps after its placement for which a box counts as landing; in these steps, no rest "
-        "window begins, and no acceleration is a sign of an explosion",
-    )
-    poll_steps: Annotated[int, within(1, MOST_STEPS)] = Field(
-        5, ge=1, description="number of steps between two checks whether the pallet is quiet"
-    )
-    still_m_s: Annotated[float, within(0, 100)] = Field(
-        0.0001, ge=0, description="a box is still if the speed of its fastest point is at most this, m/s"
-    )
-    still_steps: Annotated[int, within(1, MOST_STEPS)] = Field(
-        50,
-        ge=1,
-        description="a simulated pallet is at rest if all boxes were still for this number of steps at the end of its "
-        "world",
-    )
-    tremble_steps: Annotated[int, within(1, MOST_STEPS)] = Field(
-        250,
-        ge=1,
-        description="length of the windows into which a wait is divided, in steps; at the end of each window, "
-        "trembling boxes are searched for",
-    )
-    tremble_share: Annotated[float, within(0, 1)] = Field(
-        0.25,
-        ge=0,
-        description="a box trembles if, within a window, it moves away by no more than this share of the path that it "
-        "travels",
-    )
-
-    @property
-    def tremble_looks(self) -> int:
-        """Number of times that the simulation checks within ``tremble_steps`` steps whether the pallet is quiet,
-        rounded up."""
-        return -(-self.tremble_steps // self.poll_steps)
 
 
 class Simulation(CheckedRecord):

@@ -45,7 +45,7 @@ class Walls(CheckedRecord):
     sides: Annotated[tuple[Side, ...] | None, CliFlag("--walls", "SIDE,…")] = Field(
         None,
         description="sides of the carrier that have a wall: left (at x = 0), right, front (at y = 0), back; by "
-        "default the carrier's own walls, such as those of rollcontainer-2, -3 and -4, gitterbox and container-20ft",
+        "default the carrier's own walls, which rollcontainer-2, -3 and -4, gitterbox and container-20ft have",
     )
     open: Annotated[tuple[Side, ...], CliFlag("--open-walls", "SIDE,…")] = Field(
         (),
@@ -53,19 +53,19 @@ class Walls(CheckedRecord):
     )
     height_mm: Annotated[float | None, within(1, 4000)] = Field(
         None,
-        description="height of the walls above the carrier's top, mm; by default that of the carrier's walls, else "
-        "1500",
+        description="height of the walls above the carrier's top, mm; by default the height of the carrier's "
+        "walls, else 1500",
     )
     gap_mm: Annotated[float | None, within(-200, 500)] = Field(
         None,
         description="distance of the walls from the sides of the carrier's top, mm; negative: the walls stand on the "
-        "top, as collars do; by default that of the carrier's walls, else 0",
+        "top, as collars do; by default as for the carrier's walls, else 0",
     )
     thickness_mm: Annotated[float | None, within(1, 500)] = Field(
-        None, description="thickness of the walls, mm; by default that of the carrier's walls, else 30"
+        None, description="thickness of the walls, mm; by default as for the carrier's walls, else 30"
     )
     mass_kg_m2: Annotated[float | None, within(0, 1000)] = Field(
-        None, description="mass of the walls by area, kg/m²; by default that of the carrier's walls, else 6"
+        None, description="mass of the walls by area, kg/m²; by default as for the carrier's walls, else 6"
     )
     friction: Annotated[StrictFloat, Field(ge=0, le=100)] | None = Field(
         None,
@@ -74,8 +74,8 @@ class Walls(CheckedRecord):
     )
     material: Annotated[str, Field(max_length=100)] | None = Field(
         None,
-        description="material of the walls, for friction by materials; by default that of the carrier's walls, else "
-        "wood",
+        description="material of the walls, for friction by materials; by default the material of the carrier's "
+        "walls, else wood",
     )
 
     @model_validator(mode="before")
@@ -137,6 +137,6 @@ class Walls(CheckedRecord):
 USUAL_WALLS: Final = Walls(
     sides=(), height_mm=1500.0, gap_mm=0.0, thickness_mm=30.0, mass_kg_m2=6.0, friction=None, material="wood"
 )
-"""The values of fields of ``Walls`` that neither the user nor the carrier sets. The mass per area is an assumption,
-derived from roll containers with three walls, which have a mass of 40 to 45 kg in all, a base of about 25 kg, and walls
-of about 3 m²."""
+"""The values of fields of ``Walls`` that neither the user nor the carrier sets. The mass per area is an assumption. It
+is derived from roll containers with three walls, which have a mass of 40 to 45 kg in all, a base of about 25 kg, and
+walls of about 3 m²."""

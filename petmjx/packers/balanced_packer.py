@@ -17,7 +17,7 @@ from typing import Final
 
 from petmjx.packers.baseline_packer import PlacedBox
 from petmjx.packers.packing_state import Packing, Preferences
-from petmjx.plans.order_generator import Item
+from petmjx.plans.order import Item
 
 PREFERENCE_SETS: Final = (
     Preferences(),

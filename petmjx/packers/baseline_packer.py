@@ -1,7 +1,7 @@
 """The packer ``baseline``, which puts each box at the lowest extreme point of the pile at which the box's base is
 sufficiently supported.
 
-The extreme points are those of Crainic, Perboli, Tadei (2008), "Extreme point-based heuristics for three-dimensional
+The extreme points are as in Crainic, Perboli, Tadei (2008), "Extreme point-based heuristics for three-dimensional
 bin packing", INFORMS Journal on Computing 20(3), 368–384. At the x and y of an extreme point, a box is lowered until it
 rests on the carrier or on boxes. So every box can be placed from above, in packing order.
 """
@@ -16,7 +16,7 @@ import numpy as np
 from petmjx.common.units import FloatArray
 from petmjx.packers.candidate_points import corner_points, let_down
 from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM
-from petmjx.plans.order_generator import Item
+from petmjx.plans.order import Item
 
 MAX_HEIGHT_MM = 2000.0
 

@@ -1,8 +1,8 @@
-"""Beam search for dense packings of an order. Candidates (boxes at places) are those of the packer ``balanced``.
+"""Beam search for dense packings of an order. Candidates (boxes at places) are as in the packer ``balanced``.
 
 The search keeps ``width`` packings. Every step extends each kept packing by its ``branch`` best candidates. To rate a
-candidate, the packing with this candidate is filled up by best fit, as in ``balanced`` (the pilot method: Duin, Voß
-1999, "The pilot method: a strategy for heuristic repetition with application to the Steiner problem in graphs",
+candidate, the packing with this candidate is filled up by best fit, as in ``balanced``. This is the pilot method (Duin,
+Voß 1999, "The pilot method: a strategy for heuristic repetition with application to the Steiner problem in graphs",
 Networks 34, 181–191). Of all extended packings, the best ``width`` are kept. Filling up is aborted as soon as the
 packing is higher than all of the ``width`` best packings that this step has found so far. In large orders, a step of
 the search places several boxes: first the candidate, then further boxes by best fit.
@@ -21,7 +21,7 @@ from petmjx.common.machine import why_no_warp_on_cpu
 from petmjx.packers.balanced_packer import PREFERENCE_SETS
 from petmjx.packers.baseline_packer import PlacedBox
 from petmjx.packers.packing_state import FullPacking, NextCandidate, Packing, Preferences
-from petmjx.plans.order_generator import Item
+from petmjx.plans.order import Item
 
 MOST_STEPS: Final = 80
 """Largest number of steps of a search. In an order with more boxes, each step places several boxes. With this limit,
@@ -180,9 +180,9 @@ def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fil
 
 
 def _worst(best: Sequence[_SearchBranch], width: int, n_items: int) -> float:
-    """Height that a further packing may have at most to be among the ``width`` best packings, mm; infinite if ``best``
-    has fewer than ``width`` packings, or if the worst packing in ``best`` lacks boxes."""
-    if len(best) < width or len(best[-1].filled.placed) < n_items:  # at any height, more boxes are better
+    """Largest height with which a further packing is among the ``width`` best packings, mm. The height is infinite if
+    ``best`` has fewer than ``width`` packings, or if the worst packing in ``best`` lacks boxes."""
+    if len(best) < width or len(best[-1].filled.placed) < n_items:  # a packing with more boxes is better at any height
         return inf
     return best[-1].filled.height_mm
 

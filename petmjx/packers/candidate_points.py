@@ -76,7 +76,7 @@ class Candidates:
         return self._low[: self._n], self._high[: self._n]
 
     def keep_shapes(self, kept: NDArray[np.bool_]) -> None:
-        """Remove all shapes except those chosen by the mask ``kept``, (s,)."""
+        """Remove all shapes except the shapes chosen by the mask ``kept``, (s,)."""
         self.base, self.height, self.area = self.base[kept], self.height[kept], self.area[kept]
         self.z, self.carried = self.z[:, kept], self.carried[:, kept]
         self.open, self._inside = self.open[:, kept], self._inside[:, kept]
@@ -135,7 +135,7 @@ def corner_points(low: FloatArray, high: FloatArray) -> FloatArray:
     """(7, m, 2) corner points (x, y) that the newest box adds to each of m piles, mm.
 
     Let the newest box extend from (x, y, z) to (x_end, y_end, top). Three points are the corners (x_end, y), (x, y_end)
-    and (x, y) of this box. The other four points are found by sliding: a point starts at one of these corners, and
+    and (x, y) of this box. The other four points are found by sliding. A point starts at one of these corners, and
     moves towards x = 0 or y = 0 until it meets another box or the carrier's edge. At the height z, one point slides
     from (x_end, y) towards y = 0, and one from (x, y_end) towards x = 0. At the height ``top``, two points slide from
     (x, y).

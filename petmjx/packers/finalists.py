@@ -14,9 +14,9 @@ from petmjx.engines.world_results import World
 from petmjx.packers.baseline_packer import PlacedBox
 from petmjx.packers.beam_search import search
 from petmjx.packers.learned_packer import CLEARANCE_MM, pack_learned
-from petmjx.packers.pack_options import PhysicalOptions
+from petmjx.packers.physical_packer_options import PhysicalOptions
 from petmjx.packers.sample_plans import as_placements
-from petmjx.plans.order_generator import Order, target_extent_mm
+from petmjx.plans.order import Order, target_extent_mm
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_validation import parse_plan
 
@@ -138,8 +138,8 @@ class Trial:
         self._nominal: Verdict | None = None
 
     def ask(self, n_worlds: int) -> range:
-        """Request the nominal world (variant 0) and ``n_worlds`` worlds with errors. Returns those of these variants
-        that were not requested before."""
+        """Request the nominal world (variant 0) and ``n_worlds`` worlds with errors. Returns the variants that were not
+        requested before."""
         first, self.n_requested = self.n_requested, 1 + n_worlds
         return range(first, self.n_requested)
 
@@ -209,9 +209,9 @@ def order_evaluation(
 
 
 def decisive_evaluations(judged: Sequence[Evaluation], options: PhysicalOptions) -> Sequence[Evaluation]:
-    """The evaluations among which ``choose`` chooses: the evaluations up to that of the first good packing. Packings
-    are sorted by the volume of their boxes, largest first, so no later packing has a larger volume. If
-    ``options.maximise`` is ``share``, ``choose`` chooses among all evaluations.
+    """The evaluations among which ``choose`` chooses: all up to the evaluation of the first good packing. Packings are
+    sorted by the volume of their boxes, largest first, so no later packing has a larger volume. If ``options.maximise``
+    is ``share``, ``choose`` chooses among all evaluations.
 
     Because later evaluations are ignored, the choice does not depend on how many packings were simulated.
     """

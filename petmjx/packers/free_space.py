@@ -41,10 +41,10 @@ def free_space(surface: HeightMap, low: FloatArray, high: FloatArray) -> dict[st
         low, high: (c, 3) lowest and highest corners of each candidate's box on the pile, mm.
 
     Returns:
-        A dict: name in ``NAMES`` → (c,) values. ``room_small`` and ``room_large`` measure how low the next carton could
-        stand: the height of a carton's lowest place plus the cost of the air below the carton, m, as the mean over
-        small or large cartons. ``level_small`` and ``level_large`` are the share of places that are level, as the mean
-        over small or large cartons.
+        A dict: name in ``NAMES`` → (c,) values. ``room_small`` and ``room_large`` measure how low the next small or
+        large carton could stand. They are the mean, over cartons, of the height of a carton's lowest place plus the
+        cost of the air below the carton, m. ``level_small`` and ``level_large`` are the share of places that are level,
+        as the mean over small or large cartons.
     """
     lines = np.concatenate([surface.lines(low), surface.lines(high)], axis=1)[:, :, None]
     x, y = (np.arange(n) for n in surface.height.shape)

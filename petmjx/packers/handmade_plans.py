@@ -1,4 +1,4 @@
-"""Hand-made plans (``HANDMADE``), and the numbers of those generated plans that also come with petmjx.
+"""Hand-made plans (``HANDMADE``), and the numbers of the generated plans that also come with petmjx.
 
 ``python -m petmjx.packers.handmade_plans`` writes the file with all these plans.
 
@@ -18,7 +18,7 @@ from petmjx.packers.baseline_packer import PlacedBox
 from petmjx.packers.sample_plans import as_placements, generate_one
 from petmjx.plans.bedbpp_writer import write_plans
 from petmjx.plans.bundled import bundled_path
-from petmjx.plans.order_generator import Item
+from petmjx.plans.order import Item
 
 BUNDLED_SEED = 0
 
@@ -90,7 +90,7 @@ HANDMADE: tuple[HandmadePlan, ...] = (
     ),
     HandmadePlan(
         "hand-stack-of-5",
-        "five equal boxes flush on each other: each bears the weight of those above it",
+        "five equal boxes flush on each other: each bears the weight of the boxes above it",
         _cartons(*((0, 0, 200 * k) for k in range(5))),
         rest_top_force_n=tuple((k, (4 - k) * CARTON_KG * GRAVITY) for k in range(5)),
     ),

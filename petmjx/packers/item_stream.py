@@ -13,7 +13,7 @@ from petmjx.packers.baseline_packer import PlacedBox
 from petmjx.packers.height_map import HeightMap
 from petmjx.packers.packing_state import NextCandidate, Packing, Preferences
 from petmjx.packers.pile_balance import Balance
-from petmjx.plans.order_generator import Item
+from petmjx.plans.order import Item
 
 MOST_LOOK_AHEAD: Final = 200
 

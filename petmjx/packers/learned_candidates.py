@@ -21,7 +21,7 @@ from petmjx.packers.height_map import HeightMap
 from petmjx.packers.item_stream import ItemStream, Places
 from petmjx.packers.packing_state import NextCandidate
 from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM
-from petmjx.plans.order_generator import Item
+from petmjx.plans.order import Item
 
 LEAST_SUPPORT: Final = 0.2
 """Smallest supported share of a base. This share can be low, because the static balance, and the probability to stand
@@ -91,7 +91,7 @@ class MirroredCandidates(Candidates):
         return shape, self.corners, self.rests, support
 
     def keep_shapes(self, kept: NDArray[np.bool_]) -> None:
-        """Remove all shapes except those chosen by the mask ``kept``, (s,)."""
+        """Remove all shapes except the shapes chosen by the mask ``kept``, (s,)."""
         self.base, self.height, self.area = self.base[kept], self.height[kept], self.area[kept]
 
     def place(self, point: int, shape: int) -> None:

@@ -37,8 +37,8 @@ NAMES: Final = (
 """Names of the features, in order. docs/packers.md explains them."""
 
 NEAR_MM: Final = 8.0
-"""Largest gap between two sides that count as touching, and largest difference of the heights of two tops that count as
-level, mm."""
+"""Tolerance, mm: two sides with at most this gap count as touching, and two tops whose heights differ by at most this
+length count as level."""
 
 SLIVER_MM: Final = 100.0
 """Width below which a gap is too narrow for most cartons, mm."""

@@ -29,7 +29,7 @@ from petmjx.packers.packing_state import NextCandidate
 from petmjx.packers.pile_balance import TOUCH_MM, Balance, Rest
 from petmjx.packers.policy_network import Network, likely
 from petmjx.packers.stability_features import PlacementState, placement_state, stability_features
-from petmjx.plans.order_generator import Item
+from petmjx.plans.order import Item
 from petmjx.plans.plan import Plan
 
 LEARNED: Final = "learned"

@@ -9,7 +9,7 @@ from typing import Final
 
 from petmjx.common.text import count_text, printable_name
 from petmjx.packers.baseline_packer import PlacedBox
-from petmjx.plans.order_generator import Order
+from petmjx.plans.order import Order
 
 NO_PLACE: Final = "no packing has room for more"
 FALLS: Final = "packings with more boxes do not stand often enough"

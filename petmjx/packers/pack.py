@@ -2,122 +2,34 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
-
-import pandas as pd
 
 from petmjx.common.argument_checks import integer_of, path_of
 from petmjx.common.checked_records import shown_value
 from petmjx.common.errors import InputError
 from petmjx.common.machine import why_no_warp, why_no_warp_on_cpu
-from petmjx.common.text import count_text
-from petmjx.options.run_options import AUTO, MOST_WORKERS, OF_ORDERS, Confidence, RunOptions, sorted_options
+from petmjx.options.confidence import Confidence
+from petmjx.options.run_options import AUTO, MOST_WORKERS, OF_ORDERS, RunOptions
 from petmjx.options.simulation import Simulation
+from petmjx.options.sorted_options import sorted_options
 from petmjx.packers.item_stream import MOST_LOOK_AHEAD
 from petmjx.packers.learned_packer import LEARNED
-from petmjx.packers.pack_options import PHYSICAL, PhysicalOptions
-from petmjx.packers.packed_orders import PackedOrder
+from petmjx.packers.packed_orders import Packed, PackedOrder
 from petmjx.packers.physical_packer import pack_physical
+from petmjx.packers.physical_packer_options import PHYSICAL, PhysicalOptions
 from petmjx.packers.sample_plans import MOST_SAMPLES
-from petmjx.plans.bedbpp_writer import write_plans
-from petmjx.plans.file_formats import SupportsArrow, is_csv, is_parquet_name
-from petmjx.plans.order_generator import Order, draw_order
+from petmjx.plans.file_formats import SupportsArrow
+from petmjx.plans.order import Order
+from petmjx.plans.order_generator import draw_order
 from petmjx.plans.order_reader import read_order_frame, read_orders
-from petmjx.plans.plan import Plan
 from petmjx.plans.plan_sources import PathArgument
-from petmjx.plans.plan_writer import save_plans
-from petmjx.results.notebook_tables import ShownColumn, block_as_html, table_as_html
 
 if TYPE_CHECKING:
     from petmjx.plans.item_units_and_quantities import OrderReading
 
 OF_RUN: Final = ("engine", "threads", "lanes", "world_timeout_s")
 """Fields of ``RunOptions`` that ``pack`` accepts. The accepted fields affect how packings are simulated."""
-
-SHOWN: Final = (
-    ShownColumn("plan_id", "order"),
-    ShownColumn("boxes", "boxes placed"),
-    ShownColumn("left_out", "left out"),
-    ShownColumn("utilisation", "utilisation", 3),
-    ShownColumn("height_mm", "height mm"),
-    ShownColumn("clearance_mm", "clearance mm"),
-    ShownColumn("verdict", "placed exactly"),
-    ShownColumn("share", "with errors %", 1, 100.0),
-)
-"""Columns of the table ``Packed.orders`` that notebooks show."""
-
-
-@dataclass(frozen=True, eq=False)
-class Packed:
-    """The result of ``petmjx.pack``.
-
-    Attributes:
-        packed_orders: the result of each order, in the sequence of the input.
-    """
-
-    packed_orders: tuple[PackedOrder, ...]
-
-    @property
-    def each(self) -> tuple[PackedOrder, ...]:
-        """The same as ``packed_orders``, under the name that this attribute had in version 0.2."""
-        warnings.warn("Packed.each is now Packed.packed_orders", DeprecationWarning, stacklevel=2)
-        return self.packed_orders
-
-    @property
-    def plans(self) -> list[Plan]:
-        """The plans, for ``petmjx.score`` and ``petmjx.save_plans``. An order has no plan if there is no place for any
-        of its boxes."""
-        return [packed.plan for packed in self.packed_orders if packed.plan is not None]
-
-    @property
-    def orders(self) -> pd.DataFrame:
-        """A table with one row for each order.
-
-        The columns are
-
-        - ``plan_id``: id of the order and of its plan.
-        - ``order_boxes``: number of boxes in the order.
-        - ``boxes``: number of placed boxes.
-        - ``left_out``: number of boxes that are left out.
-        - ``why``: the reason why boxes are left out.
-        - ``utilisation``: volume of the placed boxes / (area of the target × height of the pile).
-        - ``height_mm``: height of the pile, mm.
-        - ``clearance_mm``: free space between neighbours, mm.
-        - ``verdict``: the verdict if boxes are placed exactly.
-        - ``n_worlds``: number of worlds with errors.
-        - ``n_standing``: number of worlds with errors in which the plan stands.
-        - ``share``: n_standing / n_worlds, with its Wilson 95 % interval ``low``, ``high``.
-        - ``tried``: number of simulated packings.
-        - ``good``: whether the plan stands as often as requested.
-        """
-        return pd.DataFrame([packed.row() for packed in self.packed_orders])
-
-    def __repr__(self) -> str:
-        orders = self.orders
-        sure = f", {100 * orders['share'].mean():.1f} % of worlds with errors stand" if orders["n_worlds"].any() else ""
-        return f"Packed({count_text(len(orders), 'order')}, utilisation {orders['utilisation'].mean():.3f}{sure})"
-
-    def _repr_html_(self) -> str:
-        """The display in a notebook: mean values, and a table with one row for each order."""
-        return block_as_html([repr(self)], [table_as_html(self.orders, SHOWN, "orders")])
-
-    def save(self, path: PathArgument) -> None:
-        """Write the plans to a file. An existing file is replaced.
-
-        The format is BED-BPP's JSON, or a table if the name ends in ``.csv`` or ``.parquet``. If the name ends in
-        ``.gz``, the file is gzipped.
-
-        Raises:
-            InputError: there is no plan, or the file cannot be written.
-        """
-        file = path_of(path, "path")
-        if is_csv(file) or is_parquet_name(file):
-            save_plans(self.plans, file)
-        else:
-            write_plans(file, ((packed.order_id, packed.placements) for packed in self.packed_orders if packed.taken))
 
 
 def pack(
@@ -184,7 +96,7 @@ def pack_each(
     workers: int = 1,
     **options: Any,
 ) -> Iterator[PackedOrder]:
-    """Yield the result of each order as soon as it is known. All arguments except ``orders`` are those of ``pack``.
+    """Yield the result of each order as soon as it is known. All arguments except ``orders`` are as in ``pack``.
 
     Args:
         orders: pairs of an id and an order.
@@ -243,7 +155,7 @@ def orders_of(
 def reading_of(
     are_read: bool, target: str | None, options: Mapping[str, Any]
 ) -> tuple[OrderReading | None, dict[str, Any]]:
-    """Split options into those that state how a file of orders is read, and the remaining options.
+    """Split options into options that state how a file of orders is read, and the remaining options.
 
     Args:
         are_read: whether orders are read from a file. If orders are generated, options for reading must not be set.

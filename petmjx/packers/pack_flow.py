@@ -9,16 +9,18 @@ from itertools import islice
 from typing import Any, Final, NamedTuple, Protocol, runtime_checkable
 
 from petmjx.common.parallel_map import UnorderedResults
-from petmjx.engines.cost_model import Work
+from petmjx.engines.expected_work import Work
 from petmjx.engines.protocol import Engine
 from petmjx.engines.simulation_loop import score_worlds
 from petmjx.engines.world_results import World
-from petmjx.options.run_options import Confidence, RunOptions, sorted_options
+from petmjx.options.confidence import Confidence
+from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
+from petmjx.options.sorted_options import sorted_options
 from petmjx.packers.finalists import Asks, Evaluation, Finalist, Trial, order_evaluation
-from petmjx.packers.pack_options import PhysicalOptions
 from petmjx.packers.packed_orders import PackedOrder
-from petmjx.plans.order_generator import Order
+from petmjx.packers.physical_packer_options import PhysicalOptions
+from petmjx.plans.order import Order
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.plan_sources import without_narrow_walls, without_vanishing_boxes
@@ -33,7 +35,7 @@ class Orders(NamedTuple):
 
     Attributes:
         few: an idle engine waits until the search is complete for this number of orders. The worlds of later orders
-            join those that are running.
+            join the running worlds.
         most: largest number of orders that are simulated at a time. More orders do not make an engine faster.
         worlds: an engine that simulates fewer worlds than this number has spare capacity. Spare capacity is used for
             worlds that may turn out not to be needed.

@@ -17,7 +17,7 @@ from petmjx.packers.balanced_packer import pack_balanced
 from petmjx.packers.baseline_packer import PackRules, PlacedBox, pack_best
 from petmjx.packers.item_stream import MOST_LOOK_AHEAD
 from petmjx.packers.learned_packer import LEARNED, pack_learned
-from petmjx.plans.order_generator import Item
+from petmjx.plans.order import Item
 
 BASELINE: Final = "baseline"
 BALANCED: Final = "balanced"

@@ -21,7 +21,7 @@ from petmjx.packers.baseline_packer import MAX_HEIGHT_MM, PlacedBox
 from petmjx.packers.candidate_points import Candidates
 from petmjx.packers.fill_interface import Count, Number
 from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM, Balance, Rest
-from petmjx.plans.order_generator import Item
+from petmjx.plans.order import Item
 
 LEAST_SUPPORT: Final = 0.5
 """Smallest supported share of a base. The static balance of the pile mainly decides whether a box is supported well
@@ -75,8 +75,8 @@ class Packing:
 
     Attributes:
         n_items: number of boxes in the order.
-        extent_mm: length and width of the target + ``clearance_mm``, since the last box of a row needs no free space
-            behind it, mm.
+        extent_mm: length and width of the target, mm, each plus ``clearance_mm``: the last box of a row needs no free
+            space behind it.
         placed: placed boxes in packing order. Placed boxes refer to the same objects as ``items``.
         top_mm: height of the highest top, mm.
         volume_m3: volume of the placed boxes, m³.
@@ -213,8 +213,8 @@ class Packing:
         full packing, or None if a top would be higher than ``highest_mm``.
 
         Args:
-            first: candidate that is placed first, one of those that the last call of ``next`` returned. If ``first`` is
-                None, the best candidate is placed first.
+            first: candidate that is placed first, one of the candidates that the last call of ``next`` returned. If
+                ``first`` is None, the best candidate is placed first.
             highest_mm: largest allowed height of a top, mm.
         """
         twin = self.copy()

@@ -17,9 +17,9 @@ from petmjx.common.parallel_map import UnorderedResults
 from petmjx.engines.engine_of_run import engine_for
 from petmjx.packers.finalists import finalists, learned_finalists
 from petmjx.packers.pack_flow import CPU, GPU, Flow, Searched, WorldsOfPlans
-from petmjx.packers.pack_options import PhysicalOptions
 from petmjx.packers.packed_orders import PackedOrder
-from petmjx.plans.order_generator import Order
+from petmjx.packers.physical_packer_options import PhysicalOptions
+from petmjx.plans.order import Order
 
 
 def pack_physical(

@@ -6,9 +6,9 @@ static mechanical equilibrium constraints", Transportation Research Part B 91, 5
 resultant of its own weight and of all forces on its top. The load must act inside the convex hull of the areas on which
 the box stands. This module also requires a margin: the load must act some distance inside the edges of the hull.
 Statics does not determine how a box distributes its load among the boxes below. This module assumes that the pressure
-under a box's base is a linear function of x and y, p = a + b·x + c·y, as on a bed of equal springs (Winkler 1867, "Die
-Lehre von der Elasticität und Festigkeit"). The force and the moments of this pressure balance the load. On two narrow
-supports, this assumption gives the lever rule.
+under a box's base is a linear function of x and y, p = a + b·x + c·y. A bed of equal springs has such a pressure
+(Winkler 1867, "Die Lehre von der Elasticität und Festigkeit"). The force and the moments of this pressure balance the
+load. On two narrow supports, this assumption gives the lever rule.
 
 A load is a vector (F, F·x, F·y), where (x, y) is the point at which the force F acts. The load that a box passes to a
 box below is a linear function of its own load: a 3 × 3 matrix. ``Balance`` stores the products of these matrices, from
@@ -34,8 +34,8 @@ TOUCH_MM: Final = 1e-6
 count as equally high. Overlaps smaller than the tolerance are ignored."""
 
 SHARE_SLACK: Final = 1e-9
-"""Tolerance for rounding errors of supported shares: a share that is lower than the smallest allowed share by no more
-than this number is accepted."""
+"""Tolerance for rounding errors of supported shares: a share may be lower than the smallest allowed share by at most
+this number."""
 
 MARGIN_M: Final = 0.020
 MARGIN_SHARE: Final = 0.2
@@ -178,8 +178,8 @@ class Balance:
 
     def _over_planes(self, let_down: Rest) -> FloatArray:
         """(k,) a scalar product, kg·m, for each edge of a hull in the pile, moved inwards by the margin (see
-        ``Rest.planes``). The product is that of the edge and of the load that the box on this hull has after one more
-        box is placed. If the product is above 0, the load acts outside the moved edge."""
+        ``Rest.planes``). The load is the load of the box on this hull, after one more box is placed. If the product is
+        above 0, the load acts outside the moved edge."""
         assert let_down.passed is not None
         after = self._load[: self.n] + let_down.passed @ let_down.load
         excess: FloatArray = np.einsum("kc,kc->k", self._planes, after[self._owner])

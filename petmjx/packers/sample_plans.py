@@ -27,7 +27,8 @@ from petmjx.packers.baseline_packer import PackRules, PlacedBox
 from petmjx.packers.left_out_items import LeftOutItems, left_out_of
 from petmjx.packers.packer_registry import BASELINE, LEFT_OUT_REASONS, packer_named
 from petmjx.plans.bedbpp_writer import Placement, write_plans
-from petmjx.plans.order_generator import PACKER_STREAM, Item, Order, draw_order, stream, target_extent_mm
+from petmjx.plans.order import Item, Order, target_extent_mm
+from petmjx.plans.order_generator import PACKER_STREAM, draw_order, stream
 from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan_fields import COM_FIELDS_JSON
 

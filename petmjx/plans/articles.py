@@ -19,9 +19,10 @@ import numpy as np
 import pyarrow as pa
 
 from petmjx.common.arrow_files import parquet_rows
-from petmjx.common.checked_records import read_toml, reason
+from petmjx.common.checked_records import reason
 from petmjx.common.errors import InputError
 from petmjx.common.text import number_in, printable, printable_name
+from petmjx.common.toml_files import read_toml
 from petmjx.plans.carton_strength import CartonStrength
 from petmjx.plans.file_formats import (
     COMMA_NUMBER,

@@ -14,7 +14,7 @@ from petmjx.common.argument_checks import path_of
 from petmjx.common.atomic_write import atomic_write, gzip_stream
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable
-from petmjx.plans.order_generator import Item, Order
+from petmjx.plans.order import Item, Order
 from petmjx.plans.plan_fields import COM_FIELDS_JSON
 
 Value = TypeVar("Value")

@@ -47,8 +47,8 @@ SIZE_WORDS: Final = ("length", "width", "height", "depth")
 HALF_EXTENTS: Final = "half extents"
 """Role of a column of sizes, in addition to its own role, if sizes are half extents."""
 LAST_CELLS: Final = "last cells"
-"""Role of a column of far corners, in addition to its own role, if boxes stand on a grid and each far corner is the
-last cell of its box: a box from 1 to 40 is 40 cells long."""
+"""An additional role of a column of far corners, if boxes stand on a grid and each far corner is the last cell of its
+box. For example, a box from 1 to 40 is 40 cells long."""
 ROLES: Final = (
     "length", "width", "height", "depth", "x size", "y size", "z size", "x", "y", "z", "sizes", "position", "weight",
     "rotation", "plan", "sequence", "article", "item_id", HALF_EXTENTS, LAST_CELLS,
@@ -121,8 +121,8 @@ class ColumnExtraction:
         """Determine meanings of columns from their cells. A column "order" has customers' orders, not a packing order,
         if at most half of its cells are different numbers. A column of sizes whose cells count the rows has running
         numbers, not sizes: "Br" may mean width ("Breite"), but it is also "number" in Croatian. A column with an
-        unknown name has weights if its cells have a unit of mass, and rotations if its cells are letters such as "WLH"
-        (which size lies along which axis) or angles such as 90°."""
+        unknown name has weights if its cells have a unit of mass. It has rotations if its cells are letters such as
+        "WLH" (which size lies along which axis) or angles such as 90°."""
         self.row_units: dict[bool, list[str]] = {}
         self.unit_columns: list[str] = []
         self.axis_columns: dict[str, int] = {}  # "x" or "y" → column with the direction of this axis of each box
@@ -277,7 +277,7 @@ class ColumnExtraction:
 
         A number without a unit gets the unit that the column's name, an option or the form gives. If neither the
         column's name nor an option nor the form gives a unit, but other cells of the column have units, the number is
-        bad, since the unit of one cell does not imply the unit of another cell. Zero needs no unit.
+        bad. The unit of one cell does not imply the unit of another cell. Zero needs no unit.
         """
         values = np.full((len(rows), width), np.nan)
         is_mass = "kg" in units

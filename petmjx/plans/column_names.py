@@ -16,6 +16,7 @@ from functools import lru_cache
 from typing import Final, Literal
 
 from petmjx.common.units import LENGTHS_MM, MASSES_KG
+from petmjx.plans.input_conventions import Limits
 
 Kind = Literal[
     "size", "sizes", "position", "positions", "low", "high", "corners", "quaternion", "euler", "matrix", "weight",
@@ -42,8 +43,8 @@ LENGTH_UNITS: Final = {
     "mmt": 1.0, "cmt": 10.0, "dmt": 100.0, "mtr": 1000.0, "inh": 25.4, "fot": 304.8,
     "um": 0.001, "tick": 1 / 16000, "ticks": 1 / 16000,
 }  # fmt: skip
-"""Name of a unit of length → millimetres. A tick is the unit of packvium's files, 1/16000 mm. Codes such as
-MMT are those of UN/ECE Recommendation 20, which EDI uses."""
+"""Name of a unit of length → millimetres. A tick is the unit of packvium's files, 1/16000 mm. Codes such as MMT come
+from UN/ECE Recommendation 20, which EDI uses."""
 MASS_UNITS: Final = {
     "kg": 1.0, "kgs": 1.0, "kilogram": 1.0, "kilograms": 1.0, "kilo": 1.0, "kilos": 1.0, "kilogramm": 1.0,
     "g": 0.001, "gr": 0.001, "gram": 0.001, "grams": 0.001, "gramm": 0.001, "grammes": 0.001, "gramos": 0.001,
@@ -247,7 +248,7 @@ class ColumnMeaning:
         unit: name of the unit in ``LENGTH_UNITS``, ``MASS_UNITS`` or ``DENSITY_UNITS``; "": no unit.
         anchor: for positions, the point according to the name (``centre``, ``base-centre``, ``corner``); "": none is
             given.
-        placed: whether the name implies that sizes are those of the box as placed.
+        placed: whether the name implies that sizes are given for the box as placed.
         half: whether sizes are half extents.
         of_container: whether the column describes the container or the pallet, not the box.
         letter: whether the axis is given by a single letter.
@@ -706,8 +707,6 @@ _FIRST: Final[tuple[Kind, ...]] = (
 order matters: "density (kg/m3)" has a word for weights, too."""
 
 
-_SURE_ARTICLES: Final = word_set("sku article artikel artykul articulo articolo product produkt produit urun")
-"""Words of names that mean an article, whatever other words a name has."""
 _AMOUNT: Final = re.compile(r"(?!mindest|max|rest|verpackung|inhalt|bestand|lager)[a-z]+(?:menge|anzahl|stuckzahl)$")
 """German compound words for quantities: "Liefermenge", "Kartonanzahl"."""
 
@@ -765,3 +764,10 @@ def _kind_of(tail: list[str], path: list[str]) -> Kind | None:
     if "stackable" in path and "name" in words:
         return "article"
     return None
+
+
+def limits_in(low: float, high: float, unit: str, units: Mapping[str, float] = LENGTH_UNITS) -> Limits:
+    """Limits of a value in a unit, from the limits in millimetres or kilograms. ``units``: name of a unit → its length
+    in millimetres, or its mass in kilograms."""
+    factor = units[unit]
+    return Limits(low / factor, high / factor, UNIT_WORDS.get(unit, unit))

@@ -84,9 +84,9 @@ class Convention:
         of_turned: whether ``read`` changes only turned boxes (boxes with orientation 1). All other boxes stay
             unchanged.
         of_some: whether ``read`` changes only those turned boxes that overlap fewer boxes after the change.
-        least_share: the convention is considered only if at least this share of the boxes that do not stand directly on
-            the carrier float or overlap, and at least one box floats or overlaps by more than ``_SMALL_MM``; 0: there
-            is no such condition.
+        least_share: the convention is considered only under two conditions. Of the boxes that do not stand directly on
+            the carrier, at least this share must float or overlap. And at least one box must float or overlap by more
+            than ``_SMALL_MM``. 0: there are no such conditions.
     """
 
     looks: str
@@ -139,8 +139,8 @@ _ANCHORS: Final = (
         for axes in ("x", "y", "xy", "z", "xz", "yz")
     ),
 )
-"""The conventions in which coordinates describe another point of a box. If several of them explain a plan, that one is
-used in which the load begins closest to the corner of the deck."""
+"""The conventions in which coordinates describe another point of a box. If several of them explain a plan, the one in
+which the load begins closest to the corner of the deck is used."""
 CENTRES: Final = _ANCHORS[0]
 _TURNED: Final = (
     "lengths and widths of boxes that are turned by their orientation look swapped",
@@ -388,7 +388,7 @@ def _overlapping_less(plan: Plan, size: FloatArray) -> NDArray[np.bool_]:
 
 def _is_mostly_odd(plan: Plan, least_share: float) -> bool:
     """Whether enough boxes of a plan are odd. At least one box of the plan must float or overlap by more than
-    ``_SMALL_MM``, and at least the share ``least_share`` of the boxes that do not stand directly on the carrier must
+    ``_SMALL_MM``. And of the boxes that do not stand directly on the carrier, at least the share ``least_share`` must
     float or overlap. If all boxes stand directly on the carrier, at least this share of all boxes must float or
     overlap."""
     gap, overlap = gaps_mm(plan.corner_mm, plan.size_mm), overlaps_mm(plan.corner_mm, plan.size_mm)

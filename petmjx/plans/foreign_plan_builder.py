@@ -17,16 +17,14 @@ from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.column_extraction import HALF_EXTENTS, IGNORED, LAST_CELLS
 from petmjx.plans.known_forms import PACKINGSOLVER
+from petmjx.plans.masses_and_densities import assumed_density, density_lines, masses_kg
 from petmjx.plans.placed_boxes import (
-    assumed_density,
-    density_lines,
     edge_faults,
     empty_rows,
     far_cells,
     fault_of_rows,
     first_bad_row,
     height_fault,
-    masses_kg,
     pallet_rows,
     placed_boxes,
     range_faults,

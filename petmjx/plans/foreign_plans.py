@@ -62,9 +62,9 @@ def plans_of_sources(
 
 def _other_plans(sources: Sequence[BoxSource]) -> list[str]:
     """Lines about lists of boxes that are not read. Only the first list is read. A line is made for each other list
-    that has a header and columns for sizes and places, and, if the first list has no header, for each other list that
-    has no header but as many columns. Lists whose objects contain the boxes of the first list, such as lists of layers,
-    get no line."""
+    that has a header and columns for sizes and places. If the first list has no header, a line is also made for each
+    other list that has no header but as many columns. Lists whose objects contain the boxes of the first list, such as
+    lists of layers, get no line."""
     lines = []
     first = sources[0].boxes
     for other in sources[1:]:

@@ -60,8 +60,8 @@ def header_rows(rows: Sequence[tuple[Any, ...]]) -> list[int]:
 
 
 def _completes(row: Sequence[Any]) -> bool:
-    """Whether the row below a header is its second line, such as L, W, H, X, Y, Z below "Dimensions" and "Position": it
-    has no number, and at least three names of sizes or places."""
+    """Whether the row below a header is its second line, such as L, W, H, X, Y, Z below "Dimensions" and "Position". A
+    second line has no number, and at least three names of sizes or places."""
     names = [cell if isinstance(cell, str) else "" for cell in row]
     return len(geometric_columns(names)) >= _LEAST_BELOW and not any(map(is_number, row))
 
@@ -184,7 +184,7 @@ def computed_row(table: RawTable, rows: Sequence[int]) -> str:
         rows: indices of the rows of one plan.
 
     The sizes, places and weights of the last row must all be sums, or all be means. At least two numbers of the row
-    must clearly be sums or means. A single sum or mean is not enough: a box on two smaller boxes may have the sum of
+    must clearly be sums or means. A single sum or mean is not enough. A box on two smaller boxes may have the sum of
     their lengths, and a box in the middle of a layer of equal boxes has their mean place. If a table has petmjx's own
     column names and no places, its last row is never taken for a row of means: it is more likely a medium-sized box. If
     all rows have articles, the last row is not taken for a row of means either.
@@ -232,8 +232,8 @@ def computed_row(table: RawTable, rows: Sequence[int]) -> str:
 
 
 def _names_box(articles: Iterable[Any]) -> bool:
-    """Whether all cells of a column of articles have text, and the last cell, that of the row in question, has no
-    symbol for a mean (ø, or o or x in place of ø)."""
+    """Whether all cells of a column of articles have text, and the last cell has no symbol for a mean (ø, or o or x in
+    place of ø). The last cell belongs to the row in question."""
     texts = [plain_text(cell).strip() if isinstance(cell, str) else "" for cell in articles]
     return all(texts) and texts[-1].lower() not in ("ø", "o", "x")
 

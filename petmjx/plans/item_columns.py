@@ -22,7 +22,7 @@ from petmjx.plans.box_columns import GROSS
 from petmjx.plans.column_extraction import IGNORED, ROLES, ColumnExtraction
 from petmjx.plans.column_names import MASS_UNITS, ColumnMeaning, Kind, is_content, split_unit, word_set, words_of
 from petmjx.plans.known_forms import BoxSource
-from petmjx.plans.order_generator import MOST_ITEMS
+from petmjx.plans.order import MOST_ITEMS
 from petmjx.plans.plan_fields import sparse_fault
 from petmjx.plans.raw_cells import cell_number, cell_text, number_fault_of
 from petmjx.plans.raw_tables import BoxList
@@ -91,8 +91,8 @@ _NUMBERED: Final = word_set("nr no number nummer numero n id num sales purchase 
 _ARTICLE: Final = word_set("indeks towar goods ware good mercancia merce marchandise")
 _TYPE: Final = word_set("type typ kind name code")
 _PIECE: Final = word_set("box carton karton case item package")
-"""A column of unknown meaning has articles if its name is a word of ``_ARTICLE``, or if its name has a word of
-``_TYPE`` and all its other words are in ``_TYPE`` or ``_PIECE``, such as "Box type"."""
+"""A column of unknown meaning has articles if its name is a word of ``_ARTICLE``. It also has articles if its name has
+a word of ``_TYPE``, and all its other words are in ``_TYPE`` or ``_PIECE``, such as "Box type"."""
 _ORDER: Final = word_set("order orders ordre")
 """Names of columns that may have a packing order or customers' orders. The values in such a column decide which of the
 two meanings it has."""
@@ -538,9 +538,9 @@ def _weight(work: _ItemExtraction, columns: dict[str, str]) -> tuple[FloatArray 
 
 
 def _orders_in(work: _ItemExtraction, index: int) -> list[str] | None:
-    """(n,) customers' orders from a column called "order". The column counts as one of customers' orders if some of its
-    values are repeated or are not numbers. If all its values are different numbers, the column is a packing order, and
-    the result is None."""
+    """(n,) customers' orders from a column called "order". The column counts as a column of customers' orders if some
+    of its values are repeated or are not numbers. If all its values are different numbers, the column is a packing
+    order, and the result is None."""
     if not _ORDER.intersection(words_of(work.table.header[index])) or "sequence" in work.fixed:
         return None
     cells = [cell_text(cell) for cell in work.cells(index)]

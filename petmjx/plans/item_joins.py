@@ -218,8 +218,8 @@ def _naming_columns(table: RawTable) -> list[int]:
 
 
 def _rows_by_name(table: RawTable, other: RawTable) -> list[int | None] | None:
-    """For each box, the row of its item: the row that has the same value as the box in a column of names. Of all pairs
-    of a column of boxes and a column of items, the pair whose values agree most often is used."""
+    """For each box, the row of its item. An item belongs to a box if both have the same value in a column of names. Of
+    all pairs of a column of boxes and a column of items, the pair whose values agree most often is used."""
     best, most = None, _LEAST_MATCHED_SHARE * max(len(table.rows), 1)
     box_columns = _naming_columns(table)
     for item_column in _naming_columns(other):

@@ -20,12 +20,13 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable_name
 from petmjx.common.units import FloatArray
 from petmjx.options.run_options import RunOptions
-from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, OWN_COLUMNS, UNIT_WORDS
+from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, OWN_COLUMNS, UNIT_WORDS, limits_in
 from petmjx.plans.item_columns import TWO_WAYS, ItemColumns
 from petmjx.plans.known_forms import KnownForm
-from petmjx.plans.order_generator import MOST_ITEMS, TARGET_EXTENT_MM, Item, Order, target_extent_mm, target_named
+from petmjx.plans.masses_and_densities import SET_KG_M3, USUAL_KG_M3, masses_kg
+from petmjx.plans.order import MOST_ITEMS, TARGET_EXTENT_MM, Item, Order, target_extent_mm, target_named
 from petmjx.plans.order_texts import LENGTHS, MPV, THPACK
-from petmjx.plans.placed_boxes import USUAL_KG_M3, fault_of_rows, limits_in, masses_kg
+from petmjx.plans.placed_boxes import fault_of_rows
 from petmjx.plans.plan_fields import LARGEST_MM, LONGEST_NAME, SMALLEST_MM, positive_fault
 from petmjx.plans.plausibility import deck_cost, density_cost, side_cost
 from petmjx.plans.raw_cells import thousands_faults
@@ -33,9 +34,6 @@ from petmjx.plans.raw_tables import names_with_lost_rows, rows_by_name
 from petmjx.plans.reading_choice import MASS_PRIOR, TIE
 from petmjx.plans.readings import Wishes, wishes_of
 
-SET_KG_M3: Final = 200.0
-"""Assumed density of the boxes in RoboBPP's sets, which give no masses. The mean density of BED-BPP's boxes is
-similar."""
 EURO: Final = "euro-pallet"
 _PALLET_MM: Final = (300.0, 1700.0)
 """Limits of the sides of a container that may be a pallet. A container with other sides is not a pallet, so its boxes
@@ -54,13 +52,13 @@ _LIST_PRIOR: Final = {"cm": -1.5, "mm": 0.0, "m": 0.0}
 """Unit that lists of lengths may have → its cost; a smaller cost is more plausible. The unit is cm, as in RoboBPP's
 lists, unless the sizes indicate another unit."""
 ROW_LEAD: Final = 0.75
-"""A weight in a row is usually the weight of one box, even if the row stands for several boxes. But if the reading in
-which weights are those of whole rows has a cost that is lower by more than this value, both readings count as possible,
-and the file is refused. For example, boxes in rows of ten may have an implausible 1,500 kg/m³ if a weight is that of
-one box, and 150 kg/m³ if it is that of the row."""
+"""A weight in a row is usually the weight of one box, even if the row stands for several boxes. But the reading with
+weights of whole rows may have a cost that is lower by more than this value. Both readings then count as possible, and
+the file is refused. For example, boxes in rows of ten may have an implausible 1,500 kg/m³ if a weight is the weight of
+one box, and 150 kg/m³ if it is the weight of the row."""
 _FULL: Final = 1.02
-"""If no column name tells whether a quantity counts the boxes of one layer or of all layers, it counts those of all
-layers if so many boxes in one layer would cover more than this share of the order's target (its carrier)."""
+"""Share of an order's target (its carrier). If no column name tells whether a quantity counts the boxes of one layer or
+of all layers, it counts all layers if so many boxes in one layer would cover more than this share."""
 
 PG: Final = KnownForm("RoboBPP's pg.xlsx", "cm", "kg")
 DELI: Final = KnownForm("RoboBPP's deli.xlsx", "cm")
@@ -124,7 +122,7 @@ class _Units(NamedTuple):
     Attributes:
         cost: how implausible the units are; a smaller cost is better.
         length, mass: the units.
-        of_rows: whether a weight is that of a whole row.
+        of_rows: whether a weight is the weight of a whole row.
     """
 
     cost: float
@@ -262,8 +260,8 @@ class _OrderBuilder:
         """The most plausible units.
 
         Raises:
-            InputError: two units of lengths are possible, or it is unclear whether a weight is that of a box or of a
-                row, or no row is good.
+            InputError: two units of lengths are possible; or it is unclear whether a weight is the weight of a box or
+                of a row; or no row is good.
         """
         columns, wishes = self.columns, self.reading.wishes
         is_good = np.array([row not in self.faults for row in range(columns.n_rows)])
@@ -379,7 +377,7 @@ class _OrderBuilder:
         """(n,) the number of boxes of each row.
 
         Raises:
-            InputError: it is unclear whether a quantity is that of one layer or of all layers.
+            InputError: it is unclear whether a quantity counts the boxes of one layer or of all layers.
         """
         columns = self.columns
         if columns.quantity is None:

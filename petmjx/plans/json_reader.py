@@ -25,7 +25,8 @@ _UTF8_MARK: Final = b"\xef\xbb\xbf"
 def read_text_bytes(path: Path) -> tuple[bytearray, str | None]:
     """The text of a file as bytes, and an error about the whole file (None if there is none).
 
-    Gzip is recognised by content, not by name. Memory holds one copy of the packed bytes and one of the unpacked bytes.
+    Gzip is recognised by content, not by name. Memory holds one copy of the packed bytes and one copy of the unpacked
+    bytes.
 
     Raises:
         OSError: the file cannot be read, is not a regular file, or is too large.
@@ -203,7 +204,7 @@ def _decoded_value(data: bytes | bytearray, begin: int, window: int, where: str,
     """Decode one JSON value. Returns the value and the position of its end.
 
     The decoder receives a window of the text, and a larger window if the value does not fit. Small windows save time
-    and memory: the decoder's errors count the lines of all text in the window, and text that is not ASCII takes up to
+    and memory. The decoder's errors count the lines of all text in the window, and text that is not ASCII takes up to
     four times its size while it is decoded.
 
     Args:

@@ -36,8 +36,8 @@ class KnownForm:
         masses: name of the unit of masses (one of ``column_names.MASS_UNITS``).
         anchor: the point of a box that coordinates describe, such as "corner" or "centre".
         up: the vertical axis, "y" or "z".
-        sizes: which sizes of a box the columns have: "placed": those of the box as it is placed; "item": those of the
-            box before it is turned.
+        sizes: which sizes of a box the columns have: "placed": the sizes as the box is placed; "item": the sizes before
+            the box is turned.
         rule: how a column of rotations turns a box (a key of ``readings.ROTATION_RULES``).
     """
 
@@ -84,7 +84,7 @@ GLTF: Final = KnownForm("a glTF scene", "m", anchor="centre", up="y", sizes="pla
 X3D: Final = replace(GLTF, name="an X3D scene", sizes="")
 _OWN_NAMES: Final = frozenset(("plan_id", "sequence", "article", "orientation"))
 """Further columns of petmjx's tables. A table with petmjx's names for sizes, weights and coordinates counts as petmjx's
-own only if it also has one of these columns, because tables of other tools may have the same names for sizes and
+own only if it also has one of these columns. Tables of other tools may have the same names for sizes and
 coordinates."""
 OWN: Final = KnownForm("petmjx's table", "mm", "kg", "corner", "z", "item", "swap")
 BED_BPP: Final = KnownForm("BED-BPP", anchor="corner", up="z", sizes="item", rule="swap")
@@ -186,7 +186,7 @@ _BOX_RECORDS: Final = word_set(
 
 def _by_pallet_rows(boxes: BoxList) -> tuple[BoxList, str]:
     """Divide a list into plans by its rows of pallets. In such a list, the row of a pallet comes before the rows of the
-    boxes on the pallet, and a column has the type of each row: "PALLET", "BOX", "BOX", "PALLET", "BOX" … The rows of
+    boxes on the pallet. A column has the type of each row: "PALLET", "BOX", "BOX", "PALLET", "BOX" … The rows of
     pallets are removed. A list without rows of pallets is returned unchanged. The function also returns the vertical
     axis that the places of pallets and boxes show ("y", "z"; "": none)."""
     table = boxes.table
@@ -200,7 +200,7 @@ def _by_pallet_rows(boxes: BoxList) -> tuple[BoxList, str]:
             continue
         last_of_pallet = [*(row - 1 for row in pallets[1:]), len(types) - 1]
         if any(map(int.__eq__, pallets, last_of_pallet)):
-            continue  # a pallet would have no boxes, so this column does not tell pallets from boxes
+            continue  # a pallet would have no boxes, so this column does not show which rows are pallets
         numbers = [sum(pallet <= row for pallet in pallets) for row in range(len(types))]
         names = [_name_in(table.rows[row], index) or str(number) for number, row in enumerate(pallets, start=1)]
         if len(set(names)) < len(names):

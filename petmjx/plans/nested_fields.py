@@ -16,12 +16,13 @@ from petmjx.plans.column_names import known_meanings, word_set, words_of
 from petmjx.plans.raw_cells import cell_number
 
 _LISTED: Final = 16
-"""A list with at most this number of members becomes separate fields, so that the 16 numbers of a 4×4 matrix do."""
+"""A list with at most this number of members becomes separate fields. So the 16 numbers of a 4×4 matrix become separate
+fields."""
 _LEAST_COLUMNS: Final = 5
 
 
 def rows_by_column(value: Mapping[str, Any]) -> list[dict[str, Any]] | None:
-    """The rows of an object that stores a table in one of three forms: a list for each column; an object for each
+    """The rows of an object that stores a table. There are three forms: a list for each column; an object for each
     column, with one value per row; or the names of all columns in one field, and in another field a list of values for
     each row (such as ``columns`` and ``data`` of pandas). The result is None if the object has another form.
 

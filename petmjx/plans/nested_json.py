@@ -102,7 +102,7 @@ _TYPES: Final[Mapping[str, type | tuple[type, ...]]] = {
     "arrayValue": dict,
 }  # fmt: skip
 """Databases export a value as an object with a single field, whose name states the type of the value, such as
-{"$numberInt": "5"}. Name of such a field → Python type of its value. The names are those of MongoDB's extended JSON,
+{"$numberInt": "5"}. Name of such a field → Python type of its value. The names come from MongoDB's extended JSON,
 DynamoDB and Firestore."""
 _TYPED_NAME: Final = re.compile(r'\{\s*"(?:\$number\w+|\$oid|[NS]|(?:integer|double|string)Value)"\s*:')
 
@@ -290,9 +290,9 @@ _FORM_WORDS: Final = word_set(
 def _is_plan_key(value: Mapping[str, Any]) -> bool:
     """Whether the names of an object's fields are names of plans. Every field must hold a list. All lists must have
     similar members with the same fields for sizes and places; if only some lists have places, the others are lists of
-    items. A list may be empty if its name differs from that of another list only in its number. No name may say that
-    boxes are not placed. If only one list is not empty, or if the lists have rows of numbers, no name may have a word
-    of ``_FORM_WORDS``."""
+    items. A list may be empty if its name differs from the name of another list only in its number. No name may say
+    that boxes are not placed. If only one list is not empty, or if the lists have rows of numbers, no name may have a
+    word of ``_FORM_WORDS``."""
     lists = [inner for inner in value.values() if isinstance(inner, list) and inner]
     if not lists or not all(isinstance(inner, list) for inner in value.values()):
         return False
@@ -393,9 +393,9 @@ _KIND_FIELDS: Final = frozenset(("event", "type", "kind", "action", "record", "o
 
 
 def _other_kinds(flat: list[dict[str, Any]]) -> tuple[set[int], str]:
-    """The numbers of the members of a list that are no boxes, such as events "start" and "end" or the lights of a
-    scene; and a line for the user that these members are left out. A member is no box if it has no size (or, in a list
-    without sizes, no place), and if a field such as ``type`` gives it a kind that no box has."""
+    """Two values: the numbers of the members of a list that are no boxes, such as events "start" and "end" or the
+    lights of a scene; and a line for the user about these members, which are left out. A member is no box if it has no
+    size (or, in a list without sizes, no place), and if a field such as ``type`` gives it a kind that no box has."""
     names = list(dict.fromkeys(name for row in flat for name in row))
     geometric = _named(names, _SIZE_KINDS) or _named(names, _GEOMETRIC)
     lacking = {number for number, row in enumerate(flat) if not geometric.intersection(row)}
@@ -451,8 +451,8 @@ _FLOORS: Final = word_set("floor ground plane boden")
 
 def _with_zeros(flat: list[dict[str, Any]]) -> list[str]:
     """Fill in coordinates that are missing because they are 0, as in JSON of protocol buffers. Coordinates are filled
-    in only under these conditions: some of x, some of y and some of z must be missing, some boxes must lack only a part
-    of their coordinates, and no coordinate may be written as 0. Returns a note if coordinates were filled."""
+    in only if three conditions hold. Some of x, some of y and some of z are missing; some boxes lack only a part of
+    their coordinates; and no coordinate is written as 0. Returns a note if coordinates were filled."""
     names = list(dict.fromkeys(name for row in flat for name in row))
     by_axis: dict[str, list[str]] = {}
     for name, meaning in known_meanings(names).items():

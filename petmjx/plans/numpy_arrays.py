@@ -75,7 +75,7 @@ def _arrays_in(array: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _code_points(texts: Any) -> Any:
-    """The codes of all characters in an array of texts; the first axis is that of the texts."""
+    """The codes of all characters in an array of texts; the first axis is the axis of the texts."""
     flat = np.ascontiguousarray(texts).reshape(len(texts) if texts.ndim else 1, -1)
     return flat.view(np.dtype(np.uint32).newbyteorder(flat.dtype.byteorder))
 
@@ -182,8 +182,8 @@ def _as_plans(sources: Sequence[BoxSource]) -> list[BoxSource]:
 
 
 def column_names_known(columns: Mapping[str, Any]) -> bool:
-    """Whether the names of some arrays are known names of sizes, and those of others known names of places. An array of
-    matrices has places whatever its name is."""
+    """Whether the names of some arrays are known names of sizes, and the names of other arrays are known names of
+    places. An array of matrices has places whatever its name is."""
     names = [name if array.ndim == 1 else f"{name}[0]" for name, array in columns.items()]
     kinds = {meaning.kind for meaning in known_meanings(names).values()}
     posed = any(array.ndim == 3 for array in columns.values())

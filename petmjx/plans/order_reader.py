@@ -1,43 +1,23 @@
-"""Reads orders (``read_orders``): BED-BPP's files, which map an order id to ``item_sequence`` and ``properties``, and
-files of any other form."""
+"""Reads orders (``read_orders``) from files in BED-BPP's form (``bedbpp_orders``) and in any other form
+(``foreign_orders``)."""
 
 from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from petmjx.common.atomic_write import atomic_write
-from petmjx.common.checked_records import reason, shown_value
+from petmjx.common.checked_records import reason
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable, printable_id
+from petmjx.plans.bedbpp_orders import bedbpp_order, begins_with_plan
 from petmjx.plans.bedbpp_writer import write_orders
 from petmjx.plans.convention_checks import warn
-from petmjx.plans.file_formats import (
-    PARQUET_MAGIC,
-    NoBoxes,
-    is_of_other_tools,
-    looks_like_own_json,
-)
-from petmjx.plans.json_reader import Entry, read_text_bytes, scan_plans, unpacked_bytes
-from petmjx.plans.order_generator import MOST_ITEMS, TARGET_EXTENT_MM, Item, Order, is_target
-from petmjx.plans.plan_fields import (
-    COM_FIELDS_JSON,
-    LARGEST_KG,
-    LARGEST_MM,
-    SMALLEST_KG,
-    SMALLEST_MM,
-    com_fault,
-    first_fault,
-    kind,
-    kind_fault,
-    pallet_fault,
-    positive_fault,
-    sparse_fault,
-    text_fault,
-)
+from petmjx.plans.file_formats import PARQUET_MAGIC, NoBoxes, is_of_other_tools, looks_like_own_json
+from petmjx.plans.json_reader import read_text_bytes, scan_plans, unpacked_bytes
+from petmjx.plans.order import Order
 
 if TYPE_CHECKING:
     from petmjx.plans.item_units_and_quantities import ForeignOrders, OrderReading
@@ -45,13 +25,9 @@ if TYPE_CHECKING:
 _CONVERT: Final = "petmjx convert {file} --orders -o orders.json takes it, and writes orders that all commands read"
 """Advice that is appended to an error about two possible readings, for commands that have no options for reading
 orders."""
-OF_PLAN: Final = "is a packing plan, not an order"
 _FRAME: Final = "orders"
 """Name of a data frame in messages."""
-_SIZES: Final = ("length/mm", "width/mm", "height/mm")
 _FORMS: Final = "orders are BED-BPP's JSON, or tables of items with sizes and quantities (docs/plan-format.md#orders)"
-_MOST_DIGITS: Final = 18
-"""Largest number of digits in a sequence number."""
 
 
 def read_orders(
@@ -87,7 +63,7 @@ def read_orders(
         try:
             if entry.plan_id in order_ids:
                 raise InputError(f"{where}: repeated order id")
-            order = _order(entry, where)
+            order = bedbpp_order(entry, where)
         except InputError as error:
             if on_bad_order is None:
                 raise
@@ -104,7 +80,7 @@ def read_order_frame(
 ) -> Iterator[tuple[str, Order]]:
     """Yield (order id, order) for each order of a data frame, or of any object with Arrow's stream interface.
 
-    Arguments and errors are those of :func:`read_orders`. Messages call the frame "orders".
+    Arguments and errors are as in :func:`read_orders`. Messages call the frame "orders".
     """
     from petmjx.plans.foreign_orders import frame_orders
     from petmjx.plans.item_units_and_quantities import OrderReading
@@ -150,21 +126,7 @@ def _read(path: Path, name: str) -> tuple[bytearray, bool]:
     if fault is not None:
         raise InputError(f"{name}: {fault.partition(';')[0]}")
     like_json = data.lstrip().startswith((b"{", b"["))
-    return data, not data.strip() or (like_json and looks_like_own_json(data) and not _begins_with_plan(data))
-
-
-def _begins_with_plan(data: bytes | bytearray) -> bool:
-    """Whether the first entry of a text in BED-BPP's form is a packing plan. A text whose first entry is damaged does
-    not count."""
-    try:
-        return any(_is_plan(entry.value) for entry in islice(scan_plans(data), 1))
-    except InputError:
-        return False
-
-
-def _is_plan(record: object) -> bool:
-    """Whether an entry of a file in BED-BPP's form is a packing plan."""
-    return isinstance(record, list) and bool(record) and isinstance(record[0], dict) and "flb_coordinates" in record[0]
+    return data, not data.strip() or (like_json and looks_like_own_json(data) and not begins_with_plan(data))
 
 
 def _check_entries(data: bytearray, name: str) -> None:
@@ -189,15 +151,16 @@ def _foreign(path: Path, name: str, reading: OrderReading | None) -> ForeignOrde
         InputError: the file cannot be read as orders.
     """
     from petmjx.common.arrow_files import parquet_table
-    from petmjx.plans.foreign_orders import foreign_orders, frame_orders, orders_of_plans
+    from petmjx.plans.foreign_orders import foreign_orders, frame_orders
     from petmjx.plans.item_columns import TWO_WAYS
     from petmjx.plans.item_units_and_quantities import OrderReading
+    from petmjx.plans.plans_as_orders import orders_of_plans
 
     try:
         data, _ = unpacked_bytes(path)
         if data.startswith(PARQUET_MAGIC):
             return frame_orders(parquet_table(path), name, reading or OrderReading())
-        if looks_like_own_json(data) and _begins_with_plan(data):
+        if looks_like_own_json(data) and begins_with_plan(data):
             return orders_of_plans(path, name, reading or OrderReading())
         return foreign_orders(data, path, name, reading or OrderReading())
     except NoBoxes as error:
@@ -214,73 +177,10 @@ def _foreign(path: Path, name: str, reading: OrderReading | None) -> ForeignOrde
 def _good_orders(
     orders: ForeignOrders, on_bad_order: Callable[[InputError], None] | None
 ) -> Iterator[tuple[str, Order]]:
-    """Yield the good orders of a file. Errors are those of :func:`read_orders`."""
+    """Yield the good orders of a file. Errors are as in :func:`read_orders`."""
     for _, line in orders.refused:
         error = InputError(line)
         if on_bad_order is None:
             raise error
         on_bad_order(error)
     yield from orders.orders
-
-
-def _order(entry: Entry, where: str) -> Order:
-    record = entry.value
-    if (fault := text_fault("the order id", entry.plan_id)) is not None:
-        raise InputError(f"{where}: {fault}")
-    if not entry.plan_id:
-        raise InputError(f"{where}: the order id must not be empty")
-    if _is_plan(record):
-        raise InputError(f"{where}: {OF_PLAN}: orders have item_sequence and properties")
-    if not isinstance(record, dict):
-        raise InputError(f"{where}: must be an object, got {kind(record)}")
-    properties = record.get("properties")
-    target = properties.get("target") if isinstance(properties, dict) else None
-    if not isinstance(target, str) or not is_target(target):
-        targets = ", ".join(TARGET_EXTENT_MM)
-        raise InputError(f"{where}: properties.target must be one of {targets}, got {kind(target)}")
-    sequence = record.get("item_sequence")
-    if not isinstance(sequence, dict) or not sequence:
-        raise InputError(f"{where}: item_sequence must be an object that holds at least one item")
-    if len(sequence) > MOST_ITEMS:
-        raise InputError(f"{where}: must have at most {MOST_ITEMS:,} items, got {len(sequence):,}")
-    ranked = []
-    for key, raw in sequence.items():
-        if not (key.isdecimal() and len(key) <= _MOST_DIGITS):
-            raise InputError(f"{where}: keys of item_sequence must be whole numbers, {shown_value(key)}")
-        ranked.append((int(key), _item(raw, f"{where}, item {key}")))
-    ranked.sort(key=lambda pair: pair[0])
-    return Order(target, tuple(item for _, item in ranked), tuple(number for number, _ in ranked))
-
-
-def _item(raw: object, where: str) -> Item:
-    if not isinstance(raw, dict):
-        raise InputError(f"{where}: must be an object, got {kind(raw)}")
-    item: dict[str, Any] = {"product_group": "", **raw}
-    if (fault := _item_fault(item)) is not None:
-        raise InputError(f"{where}: {fault}")
-    com = [item.get(field) for field in COM_FIELDS_JSON]
-    stiffness = item.get("stiffness_n_mm")
-    return Item(
-        *(item["article"], item["id"], item["product_group"]),
-        *(float(item[field]) for field in (*_SIZES, "weight/kg")),
-        com_mm=None if com == [None] * 3 else (float(com[0] or 0.0), float(com[1] or 0.0), float(com[2] or 0.0)),
-        stiffness_n_mm=None if stiffness is None else float(stiffness),
-        kind=item.get("kind") or "",
-    )
-
-
-def _item_fault(item: dict[str, Any]) -> str | None:
-    """The error text for the first bad field of an item; None if the item is good."""
-    return (
-        first_fault(text_fault(field, item.get(field)) for field in ("article", "id", "product_group"))
-        or first_fault(positive_fault(field, item.get(field), SMALLEST_MM, LARGEST_MM, "mm") for field in _SIZES)
-        or positive_fault("weight/kg", item.get("weight/kg"), SMALLEST_KG, LARGEST_KG, "kg")
-        or first_fault(
-            com_fault(field, item[field], item[size])
-            for field, size in zip(COM_FIELDS_JSON, _SIZES, strict=True)
-            if item.get(field) is not None
-        )
-        or sparse_fault("stiffness_n_mm", item.get("stiffness_n_mm"))
-        or kind_fault(item.get("kind"))
-        or pallet_fault(item.get("kind"), [item[field] for field in _SIZES])
-    )

@@ -1,10 +1,10 @@
 """Reads orders from text files of numbers (``order_source``): test problems of packing research, and lists of box
 sizes.
 
-The forms are: Bischoff and Ratcliff's ``thpack`` and ``wtpack`` files of the OR-Library
-(people.brunel.ac.uk/~mastjjb/jeb, pages ``thpackinfo`` and ``conloadinfo``); files of the generator of Martello,
-Pisinger and Vigo (2000), "The three-dimensional bin packing problem", Operations Research 48(2), 256–267, which have
-the number of boxes, the bin and a line per box; and files with three lengths per line, such as RoboBPP's ``opai.txt``.
+There are three forms. Bischoff and Ratcliff's ``thpack`` and ``wtpack`` are files of the OR-Library
+(people.brunel.ac.uk/~mastjjb/jeb, pages ``thpackinfo`` and ``conloadinfo``). Files of the generator of Martello,
+Pisinger and Vigo (2000), "The three-dimensional bin packing problem", Operations Research 48(2), 256–267, have the
+number of boxes, the bin and a line per box. Other files have three lengths per line, such as RoboBPP's ``opai.txt``.
 """
 
 from __future__ import annotations
@@ -154,8 +154,8 @@ def _thpack(lines: Sequence[_Line]) -> BoxSource:
     The line of a box type has the number of the type, length, mark, width, mark, height, mark and quantity. The mark
     after a size is 1 if this size may be vertical, otherwise 0. In ``wtpack``, types have no numbers, and the quantity
     is followed by the weight in kg and by load-bearing strengths. petmjx turns boxes only about the vertical axis, so
-    it must choose which size is vertical: the first of height, width and length that has the mark 1; if none has, the
-    height.
+    it must choose which size is vertical. It chooses the first of height, width and length that has the mark 1; if none
+    has, the height.
     """
     weighted = any(len(line) - (_flags_at(line) or 0) >= 8 and _flags_at(line) == 0 for line in lines)
     rows = _Rows(("type", "length", "width", "height", "quantity", *(("weight per box",) if weighted else ())))

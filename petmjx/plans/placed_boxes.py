@@ -1,32 +1,22 @@
-"""Converts the boxes of another tool's file to millimetres and kilograms, with the deck's corner as the origin. The
-module also finds sizes, coordinates and weights that are out of range."""
+"""Converts the sizes and places of the boxes of another tool's file to millimetres, with the deck's corner as the
+origin. The module also finds rows of pallets, and sizes and coordinates that are out of range."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.common.errors import InputError
-from petmjx.common.text import count_text, printable_name, three_digits
+from petmjx.common.text import count_text
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.column_extraction import LAST_CELLS, role_of
-from petmjx.plans.column_names import DENSITY_UNITS, LENGTH_UNITS, MASS_UNITS, UNIT_WORDS, names_deck
-from petmjx.plans.input_conventions import Limits
+from petmjx.plans.column_names import LENGTH_UNITS, limits_in, names_deck
 from petmjx.plans.nested_containers import FLAT
-from petmjx.plans.plan_fields import (
-    FARTHEST_MM,
-    LARGEST_KG,
-    LARGEST_MM,
-    SMALLEST_KG,
-    SMALLEST_MM,
-    coordinate_fault,
-    positive_fault,
-)
+from petmjx.plans.plan_fields import FARTHEST_MM, LARGEST_MM, SMALLEST_MM, coordinate_fault, positive_fault
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, shared_length
 from petmjx.plans.raw_cells import cell_number, thousands_faults
 from petmjx.plans.reading_candidates import Candidate, axis_up, layout_of, level_axes
@@ -34,32 +24,17 @@ from petmjx.plans.reading_choice import container_of
 from petmjx.plans.readings import Reading, Wishes
 from petmjx.plans.size_and_place_columns import Geometry
 
-if TYPE_CHECKING:
-    from petmjx.plans.item_columns import ItemColumns
-
-USUAL_KG_M3: Final = 300.0
-"""Density of boxes if a file has no weights: that of cartons in BED-BPP's orders. Verdicts hardly depend on a density
-that is the same for all boxes."""
-_WATER_KG_M3: Final = 1000.0
-_RELATIVE: Final = 1.5
-"""If no density in a column without a unit exceeds this value, the densities are relative to the density of water."""
-_LEAST_KG_M3: Final = 25.0
-"""A column without a unit, and with a smaller median density, may be in another unit than kg/m³. Cartons of crisps have
-a density of 30 kg/m³ (1.9 lb/ft³), usual cartons 300 kg/m³ (19 lb/ft³)."""
-LIGHTEST_BOX_KG_M3, HEAVIEST_BOX_KG_M3 = 2.0, 5000.0
-"""Densities outside these limits, kg/m³, suggest wrong weights or lengths. The lower limit is below the density of
-foam, and the upper limit above the density of iron parts."""
 _OF_DECKS_MM: Final = ((380.0, 580.0), (1320.0, 1500.0))
 """Limits of the sides of a pallet, mm: the smallest short and long side, and the largest short and long side."""
 _HIGHEST_DECK_MM: Final = 250.0
 _LEAST_HEIGHT_SHARE: Final = 0.49
-"""Along the vertical axis, the coordinate of a box on a pallet is larger than that of the pallet by at least this share
-of the pallet's height. If coordinates are those of centres, the difference for a thin box is little more than half of
+"""Along the vertical axis, the coordinate of a box on a pallet is larger than the pallet's coordinate by at least this
+share of the pallet's height. If coordinates describe centres, the difference for a thin box is little more than half of
 the pallet's height."""
 _LEVEL: Final = 0.01
 """The lowest box counts as standing on the deck if the distance between its bottom and the deck is at most this share
-of the boxes' median height: 2 mm for cartons of 200 mm. The limit is above 0, because centres are often rounded to
-millimetres."""
+of the boxes' median height. For cartons of 200 mm, this is 2 mm. The limit is above 0, because centres are often
+rounded to millimetres."""
 
 
 def placed_boxes(
@@ -117,7 +92,7 @@ def _deck_heights(
 
 def rows_below_deck(low: FloatArray, plans: Mapping[str, NDArray[np.int64]], size: FloatArray) -> set[int]:
     """Numbers of the rows of boxes below the deck, whose heights are probably wrong. A plan's deck is taken to be at
-    height 0 if the boxes below 0 have, together, less than half of the base area of the boxes at 0: such boxes cannot
+    height 0 if the boxes below 0 have, together, less than half of the base area of the boxes at 0. Such boxes cannot
     carry the boxes at 0."""
     below: set[int] = set()
     area = size[:, 0] * size[:, 1]
@@ -213,104 +188,6 @@ def named_decks(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]]) -> 
         axes &= {axis for axis, index in (("y", 1), ("z", 2)) if ahead[:, index].all()}
         decks.add(deck)
     return (decks, axes.pop()) if len(axes) == 1 else (set(), "")
-
-
-def assumed_density(columns: BoxColumns, wishes: Wishes) -> float | None:
-    """Density of boxes that have no weight, kg/m³; None: all boxes have weights."""
-    weight = columns.weight
-    lacks_weights = weight is None or (wishes.density_kg_m3 is not None and bool(np.isnan(weight).any()))
-    return (wishes.density_kg_m3 or USUAL_KG_M3) if lacks_weights else None
-
-
-def masses_kg(
-    columns: BoxColumns | ItemColumns,
-    unit: str,
-    size: FloatArray,
-    wishes: Wishes,
-    faults: dict[int, str],
-    notes: list[str],
-    *,
-    length_unit: str,
-    usual_kg_m3: float = USUAL_KG_M3,
-    counts: NDArray[np.int64] | None = None,
-) -> FloatArray:
-    """(n,) for each row, the mass of one box, kg. Missing masses are computed from the density. Adds faults of masses
-    to ``faults``, and notes to ``notes``.
-
-    Args:
-        unit: unit of the weights.
-        size: (n, 3) sizes of the boxes, mm.
-        length_unit: unit of the file's sizes.
-        usual_kg_m3: density of boxes without weights if the caller gives none.
-        counts: (n,) number of boxes of each row, if a weight is that of all these boxes; None: it is that of one box.
-
-    Raises:
-        InputError: densities have no unit, and may be in kg/m³ or in another unit.
-    """
-    volume: FloatArray = size.prod(axis=1) / 1e9
-    density = wishes.density_kg_m3 or usual_kg_m3
-    if columns.weight is None:
-        notes.append(f"no weights: {density:g} kg/m³ (--density)")
-        return np.asarray(volume * density)
-    if columns.weight_is_density:
-        return np.asarray(volume * columns.weight * _density_factor(columns, length_unit, notes))
-    name = columns.columns["total weight" if "total weight" in columns.columns else "weight"]
-    mass = columns.weight * MASS_UNITS[unit]
-    if counts is not None:
-        notes.append("weights are those of whole rows")
-        mass = mass / np.maximum(counts, 1)
-    empty = np.isnan(mass) | ~(mass > 0)
-    if wishes.density_kg_m3 is not None and empty.any():
-        notes.append(f"{count_text(int(empty.sum()), 'missing weight')}: {density:g} kg/m³")
-        for row in np.flatnonzero(empty).tolist():
-            if columns.faults.get(row, ("", ""))[0] == name:
-                faults.pop(row, None)
-        return np.asarray(np.where(empty, volume * density, mass))
-    limits = limits_in(SMALLEST_KG, LARGEST_KG, unit, MASS_UNITS)
-    for row in np.flatnonzero((mass < SMALLEST_KG) | (mass > LARGEST_KG)).tolist():
-        fault = positive_fault(name, float(columns.weight[row]), *limits)
-        if fault is None and counts is not None:
-            fault = f"{name} must be the weight of {counts[row]:,} boxes"
-        if fault is not None:
-            faults.setdefault(row, fault)
-    return np.asarray(mass)
-
-
-def _density_factor(columns: BoxColumns | ItemColumns, length_unit: str, notes: list[str]) -> float:
-    """The unit of a column of densities, in kg/m³. Adds a note that tells the unit.
-
-    Raises:
-        InputError: the unit is unknown.
-    """
-    assert columns.weight is not None
-    densities = columns.weight[~np.isnan(columns.weight)]
-    largest, median = (densities.max(), float(np.median(densities))) if len(densities) else (math.inf, math.inf)
-    if columns.weight_unit:
-        notes.append(f"weights from densities in {columns.weight_unit.replace('3', '³')}")
-        return DENSITY_UNITS[columns.weight_unit]
-    if largest <= _RELATIVE:
-        notes.append("weights from densities relative to water")
-        return _WATER_KG_M3
-    imperial = LENGTH_UNITS[length_unit] in (LENGTH_UNITS["in"], LENGTH_UNITS["ft"])
-    if imperial or median < _LEAST_KG_M3:
-        name = printable_name(columns.columns["density"])
-        raise InputError(
-            f"{name} has densities in an unknown unit, {median:g} in the median; write their unit into the name of the "
-            f'column, such as "{name} [kg/m3]" or "{name} [lb/ft3]"'
-        )
-    notes.append("weights from densities in kg/m³")
-    return 1.0
-
-
-def density_lines(columns: BoxColumns, size: FloatArray, mass: FloatArray) -> tuple[str, ...]:
-    """Lines that report implausible densities: densities that no load of a pallet can have."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        density = mass / (size.prod(axis=1) / 1e9)
-    density = density[np.isfinite(density)]
-    if columns.weight is None or not len(density) or LIGHTEST_BOX_KG_M3 <= np.median(density) <= HEAVIEST_BOX_KG_M3:
-        return ()
-    line = f"boxes have {three_digits(float(np.median(density)))} kg/m³ in the median"
-    return (f"{line}: weights or lengths in another unit? (--units)",)
 
 
 # Values out of range.
@@ -462,13 +339,6 @@ def _size_names(geometry: Geometry, columns: Mapping[str, str]) -> list[str]:
 def _place_names(columns: Mapping[str, str]) -> list[str]:
     """The names of the columns of the three coordinates."""
     return [columns.get(axis, columns.get("position", axis)) for axis in "xyz"]
-
-
-def limits_in(low: float, high: float, unit: str, units: Mapping[str, float] = LENGTH_UNITS) -> Limits:
-    """Limits of a value in a unit, from the limits in millimetres or kilograms. ``units``: name of a unit → its length
-    in millimetres, or its mass in kilograms."""
-    factor = units[unit]
-    return Limits(low / factor, high / factor, UNIT_WORDS.get(unit, unit))
 
 
 def fault_of_rows(rows: Sequence[int], faults: Mapping[int, str], place_of: Callable[[int], str]) -> str | None:

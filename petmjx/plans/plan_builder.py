@@ -33,7 +33,7 @@ def fields_from_boxes(
     more: Mapping[str, Any],
     given: InputConventions,
 ) -> PlanFields:
-    """The checked fields of a plan. Arguments are those of ``Plan.from_boxes``.
+    """The checked fields of a plan. Arguments are as in ``Plan.from_boxes``.
 
     Raises:
         InputError: a field is missing, unknown or unusable, or fields have different lengths.
@@ -74,7 +74,7 @@ def fields_from_boxes(
 def fields_of_units(
     plan_id: str, loads: Sequence[Any], corner_mm: Any, pallet: str, pallet_kg: float, material: str
 ) -> dict[str, Any]:
-    """The fields of a plan made from loaded pallets. Arguments are those of ``Plan.of_units``; ``loads`` are plans.
+    """The fields of a plan made from loaded pallets. Arguments are as in ``Plan.of_units``; ``loads`` are plans.
 
     Raises:
         InputError: an argument is unusable.

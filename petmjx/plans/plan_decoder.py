@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.common.processes import no_collection
+from petmjx.common.garbage_collection import no_collection
 from petmjx.common.units import FloatArray
 from petmjx.plans.input_conventions import InputConventions
 from petmjx.plans.json_reader import LONGEST_VALUE, Entry, MalformedPlans, scan_plans
@@ -141,7 +141,7 @@ def _decode(
     """Decode the entries of some plans, in order.
 
     Args:
-        colons: for each text, the number of its colons: those after names of fields, and those inside strings.
+        colons: for each text, the number of its colons, both after names of fields and inside strings.
     """
     plain = {
         number: placements

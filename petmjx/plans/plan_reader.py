@@ -60,8 +60,8 @@ FRAME: Final = "data frame"
 OBJECT: Final = "python"
 """Names in messages: ``FRAME`` stands for a data frame, ``OBJECT`` for any other Python object."""
 _MOSTLY_OWN: Final = 4
-"""If a table has more than this number of petmjx's own column names, but no sizes or places, its error is that of
-petmjx's own reader (``_likelier``)."""
+"""If a table has more than this number of petmjx's own column names, but no sizes or places, petmjx's own reader
+reports the error (``_likelier``)."""
 OPTIONS_OF_OTHERS: Final = (
     ("up", "--up"), ("sizes", "--sizes"), ("columns", "--columns"), ("density", "--density"), ("items", "--items"),
     ("reading", "--as"),
@@ -443,7 +443,7 @@ class _PlanLoader:
         self, source: str, read: Callable[[], Table], otherwise: Callable[[], InputError | None] | None
     ) -> None:
         """Read a table of a file. If the table cannot be read, the file is skipped (see :meth:`_skip`). Arguments are
-        those of :meth:`_table_fault`."""
+        as in :meth:`_table_fault`."""
         if (fault := self._table_fault(source, read, otherwise)) is not None:
             self._skip(source, None, f"{source}: {fault}", fault)
 
@@ -453,7 +453,7 @@ class _PlanLoader:
         """Read a table. Returns an error if the table cannot be read, else None.
 
         Args:
-            otherwise: function that reads the table as one of another tool, if it has none of petmjx's forms. The
+            otherwise: function that reads the table as a table of another tool, if it has none of petmjx's forms. The
                 function returns an error if it could not read the table, else None.
         """
         from petmjx.plans.placement_table import TableError
@@ -593,8 +593,8 @@ def _likelier(own: TableError, other: InputError) -> InputError:
     """The error to report for a table that could be read neither as a table of petmjx nor as one of another tool.
 
     Usually, the error of the reader for other tools is reported, such as a bad cell or two possible readings. The error
-    of petmjx's own reader, which names the missing columns, is reported only if the other reader finds no boxes at all,
-    or if it finds no sizes or places and the table has more than ``_MOSTLY_OWN`` of petmjx's column names.
+    of petmjx's own reader names the missing columns. It is reported only if the other reader finds no boxes at all, or
+    if that reader finds no sizes or places and the table has more than ``_MOSTLY_OWN`` of petmjx's column names.
     """
     lacks_columns = isinstance(other, NoBoxes) or (own.n_known > _MOSTLY_OWN and isinstance(other, NoGeometry))
     return own if lacks_columns else other

@@ -133,8 +133,8 @@ class PalletSearch:
 
 def plan_names(columns: BoxColumns, source: str, notes: list[str]) -> list[str]:
     """(n,) the name of the plan of each row. If the names are numbers of containers, the file's name comes before
-    them, so that plans of different files have different names. Numbers are those of containers if a column has them
-    (its name has a word for containers), or if they count without gaps from 0 or 1. Other numbers are ids.
+    them, so that plans of different files have different names. Numbers are the numbers of containers if a column has
+    them (its name has a word for containers), or if they count without gaps from 0 or 1. Other numbers are ids.
     """
     parts, column = columns.source.boxes.parts, columns.plan
     if column is not None and len(set(column)) * 2 > columns.n_boxes + 2 and len(set(column)) > 1:

@@ -157,8 +157,8 @@ def check_layout(
 
 
 def odd_layouts(plans: Sequence[Plan], carrier_extent_mm: tuple[float, float] | None = None) -> list[PlanWarnings]:
-    """The results of ``check_layout`` for those of many plans that have odd boxes, in order. Plans with equal numbers
-    of boxes are checked together, which halves the time."""
+    """The results of ``check_layout``, in order, for all plans that have odd boxes. Plans with equal numbers of boxes
+    are checked together, which halves the time."""
     numbers = defaultdict[int, list[int]](list)
     for number, plan in enumerate(plans):
         numbers[plan.n_boxes].append(number)

@@ -46,7 +46,7 @@ _LARGE_MM: Final = 1000.0
 """The footprint of a load counts as evidence only for carriers at least this long. Smaller carriers are no larger than
 two cartons, so a footprint of their size may be chance."""
 _NEAR: Final = 0.03
-"""A deck counts as a usual deck if its sides differ from those of the usual deck by at most this share."""
+"""A deck counts as a usual deck if its sides differ from the sides of the usual deck by at most this share."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,17 +214,17 @@ of the top, if y is the vertical axis."""
 
 
 def are_other_points(layout: Layout, mm: float, point: FloatArray) -> bool:
-    """Whether coordinates that were read as those of one point of each box, such as a corner, are probably those of
-    another point of each box. The vertical axis may be z or y.
+    """Whether coordinates that were read as one point of each box, such as a corner, probably describe another point of
+    each box. The vertical axis may be z or y.
 
-    Two conditions must hold. If coordinates are read as those of the other point, the load begins at a corner of the
-    deck, or is symmetric to the origin, along both horizontal axes. If coordinates are read as those of the given
-    point, neither is true of the load. The origin may be a corner of the deck, or the middle of a deck.
+    Two conditions must hold. If coordinates describe the other point, the load begins at a corner of the deck, or is
+    symmetric to the origin, along both horizontal axes. If coordinates describe the given point, neither is true of the
+    load. The origin may be a corner of the deck, or the middle of a deck.
 
     Args:
         mm: the unit of the layout's lengths, in millimetres.
-        point: the point of a box that the coordinates were assumed to describe, as shares of the box's extents along
-            x, y and z: 0 is the near end of the box, 1 the far end.
+        point: the point of a box that the coordinates were assumed to describe, as shares of the box's extents along x,
+            y and z. 0 is the near end of the box, 1 the far end.
     """
     tolerance = _tolerance_of(layout)
     decks = [(long / mm, short / mm) for long, short in _DECKS_MM[:_PALLETS]]
@@ -247,13 +247,13 @@ def are_other_points(layout: Layout, mm: float, point: FloatArray) -> bool:
 
 def order_cost(layouts: Sequence[Layout]) -> float:
     """How implausible it is that the boxes of each layout were placed in the order in which they are listed, or in the
-    reversed order, since some files list boxes from the top down.
+    reversed order. Some files list boxes from the top down.
 
     Packers mostly place boxes from the ground up. From one box to the next, the height falls in 14 % of the steps in
-    plans of the packer ``baseline``, and in 25 % in plans of the packer ``balanced``; each level coordinate falls in
-    30 % and 39 % of the steps (200 plans each, ``petmjx samples -n 200 --seed 33901``). If a level coordinate falls
-    less often than the height, its axis may be the vertical. A box is hardly ever placed below one that is listed
-    before it. In lists in any other order, such as that of articles, all axes have about the same cost.
+    plans of the packer ``baseline``, and in 25 % in plans of the packer ``balanced``. Each level coordinate falls in 30
+    % and 39 % of the steps (200 plans each, ``petmjx samples -n 200 --seed 33901``). If a level coordinate falls less
+    often than the height, its axis may be the vertical. A box is hardly ever placed below a box that is listed before
+    it. In lists in any other order, such as the order of articles, all axes have about the same cost.
     """
     return min(_cost_in_order(layouts, 1), _cost_in_order(layouts, -1))
 
@@ -276,8 +276,9 @@ def _cost_in_order(layouts: Sequence[Layout], direction: int) -> float:
 
 _LARGEST_ORDER_COST: Final = 2.4
 """Largest cost of the order in which a file lists boxes. The cost is limited because some packers build loads up from
-one side. In 14 of the 200 plans of ``baseline`` with which ``order_cost`` was measured, and in 7 of the 200 plans of
-``balanced``, the height falls more often from one box to the next than a level coordinate does."""
+one side. ``order_cost`` was measured with 200 plans of ``baseline`` and 200 plans of ``balanced``. In 14 plans of
+``baseline`` and in 7 plans of ``balanced``, the height falls more often from one box to the next than a level
+coordinate does."""
 _FALL_COST: Final = 1.5
 """Cost of the order in which boxes are listed, for each standard deviation by which the height falls more often than a
 level coordinate."""
@@ -312,7 +313,7 @@ _LEAST_OF_WALL: Final = 4  # fewer boxes may be a bridge, which people build to 
 
 
 def begin_at_different_heights(layouts: Sequence[Layout]) -> bool:
-    """Whether the lowest boxes of several plans are at different heights, and those of no plan at 0."""
+    """Whether the lowest boxes of several plans are at different heights, and no plan has its lowest box at 0."""
     bottoms = [float(layout.low[:, 2].min()) for layout in layouts if np.isnan(layout.container[2])]
     tolerance = max(map(_tolerance_of, layouts))
     return bool(bottoms) and max(bottoms) - min(bottoms) > tolerance and min(map(abs, bottoms)) > tolerance
@@ -438,8 +439,9 @@ _OF_PALLET_MM: Final = (580.0, 1500.0, 380.0, 1320.0)
 
 
 def load_fit(side_mm: float, load_mm: FloatArray, deck_mm: FloatArray, known: bool, free_mm: float, unit: str) -> int:
-    """How well boxes and a load fit a carrier if lengths are in a certain unit: 0 not at all; 1 they fit a carrier of
-    unusual size; 2 they fit a usual carrier that is known or that the load fills. Masses do not matter for the fit.
+    """How well boxes and a load fit a carrier if lengths are in a certain unit. 0: they do not fit. 1: they fit a
+    carrier of unusual size. 2: they fit a usual carrier that is known or that the load fills. Masses do not matter for
+    the fit.
 
     Args:
         side_mm: geometric mean of the boxes' sides.

@@ -30,8 +30,8 @@ _FRAME: Final = re.compile(rf"\s*+\{{\s*+(?:\w++\s*+:\s*+)?+(?:\w++\s++{_NUMBER}
 """A frame of KUKA's robot language: "{X 600, Y 0, Z 150, A 90, B 0, C 0}"."""
 _AXES: Final = ("X", "Y", "Z")
 _ANGLES: Final = ("C", "B", "A")
-"""A KUKA frame's angles about x, y and z, in degrees. The turn about z comes first, and each further turn is about an
-axis that has already been turned, so that the matrix is the product of the turns about z, y and x."""
+"""A KUKA frame's angles about x, y and z, in degrees. The turn about z comes first. Each further turn is about an axis
+that has already been turned, so the matrix is the product of the turns about z, y and x."""
 _RIGHT: Final = 0.02
 """Largest deviation of a rotation's columns from unit vectors at right angles. Numbers in files are rounded."""
 

@@ -201,7 +201,8 @@ def _turned(extraction: ColumnExtraction, geometry: Geometry, rotation: FloatArr
 
 
 def _roles(role: str, names: Sequence[str]) -> dict[str, str]:
-    """Entries for columns that together have one role, such as a rotation: a numbered role (``rotation``,
-    ``rotation (2)``, …) → name of a column. Columns that are members of one list count as one column."""
+    """Several columns may have one role together, such as a rotation. The result maps a numbered role (``rotation``,
+    ``rotation (2)``, …) to the name of each of these columns. Columns that are members of one list count as one
+    column."""
     names = list(dict.fromkeys(name.rpartition("[")[0] or name for name in names))
     return {role if number == 1 else f"{role} ({number})": name for number, name in enumerate(names, start=1)}

@@ -142,7 +142,7 @@ def _repeated_names(value: Any) -> set[str]:
 
 def _with_lists(value: Any, names: Collection[str]) -> Any:
     """A copy of a nested value in which each single object under one of these names is replaced by a list with this
-    object, so that all values under the name are lists."""
+    object. All values under the name are then lists."""
     if isinstance(value, list):
         return [_with_lists(inner, names) for inner in value]
     if not isinstance(value, dict):

@@ -261,7 +261,7 @@ _TRIPLE: Final = re.compile(r"^\s*([\d.,]+)\s*[x×X*/;|]\s*([\d.,]+)\s*[x×X*/;|
 
 
 _MANY: Final = 10
-"""If the numbers with a point are more than this many times as frequent as the numbers with a comma, the commas are no
+"""If numbers with a point are more frequent than numbers with a comma by more than this factor, the commas are no
 decimal signs."""
 
 
@@ -296,7 +296,7 @@ def decimal_of(rows: Sequence[Sequence[Any]]) -> str:
     if commas or points:
         return "," if commas > points else "."
     if maybe["."] > _MANY * maybe[","] > 0:
-        return "."  # the commas are those of a few damaged cells
+        return "."  # the commas come from a few damaged cells
     if maybe[","]:
         return "," if long_whole and not maybe["."] else ""
     return "" if beside_whole and not long_whole else "."

@@ -1,5 +1,5 @@
-"""Raw tables (``RawTable``): rows of text files and sheets with their column names, before anything is interpreted; and
-lists of boxes (``BoxList``): raw tables with information from the objects around them in the file."""
+"""Raw tables (``RawTable``): rows of text files and sheets with their column names, before anything is interpreted.
+Lists of boxes (``BoxList``): raw tables with information from the objects around them in the file."""
 
 from __future__ import annotations
 

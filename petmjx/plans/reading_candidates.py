@@ -32,7 +32,7 @@ _OTHER_CORNER_COST: Final = 3.0  # cost of a reading with coordinates of a corne
 _GUESSED_TURNS: Final = 2.0
 """Cost of a reading in which a column of unknown meaning has rotations."""
 _TURNED_ARRAY: Final = 0.6
-"""Cost of a reading in which sizes are those before boxes are turned, for an array without column names. Arrays mostly
+"""Cost of a reading with the sizes of boxes before they are turned, for an array without column names. Arrays mostly
 come from programs that train packers, and have sizes as placed."""
 _FIRM_COST: Final = 3.0
 """Cost of a reading that contradicts what is known from the form of the file, the names of its columns, or the
@@ -188,8 +188,8 @@ def candidates_on_side(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidat
 
 
 def candidates_of_corners(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
-    """Yield the readings in which coordinates are those of a corner that ``candidates`` does not try. Yield none if
-    names, the form or the caller say which point of a box coordinates describe."""
+    """Yield the readings in which coordinates describe a corner that ``candidates`` does not try. Yield none if names,
+    the form or the caller say which point of a box coordinates describe."""
     free = [geometry for geometry in columns.geometries if not geometry.anchor and geometry.turn is None]
     is_known = not free or wishes.anchor or columns.source.form.anchor
     for corner in () if is_known else ANCHORS.keys() - _ANCHOR_PRIOR.keys():
@@ -295,8 +295,8 @@ def _rules(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tupl
 
 
 def _sizes_by_article(columns: BoxColumns, geometry: Geometry) -> str:
-    """Whether sizes are those of the placed box or those of the item. Boxes of one article in different orientations
-    show which of the two is true. The result is "" if this is unknown."""
+    """Whether sizes are given for the placed box or for the item. Boxes of one article in different orientations show
+    which of the two is true. The result is "" if this is unknown."""
     turns, names = columns.turns, columns.article
     if turns is None or names is None:
         return ""
@@ -319,15 +319,15 @@ def _sizes_by_article(columns: BoxColumns, geometry: Geometry) -> str:
 
 _LEAST_BY_LENGTH: Final = 3
 """Least number of turned boxes, and of unturned boxes, with different lengths and widths. With fewer such boxes,
-lengths and widths do not show whether sizes are those of placed boxes or of items."""
+lengths and widths do not show whether sizes are given for placed boxes or for items."""
 _LONGER_SHARE: Final = 0.9
-"""Lengths and widths show whether sizes are those of placed boxes or of items only if the length exceeds the width in
+"""Lengths and widths show whether sizes are given for placed boxes or for items only if the length exceeds the width in
 at least this share of the unturned boxes."""
 
 
 def _sizes_by_length(columns: BoxColumns, geometry: Geometry) -> str:
-    """Whether sizes are those of the placed box or those of the item. The length of an item is rarely smaller than its
-    width. So if lengths are larger than widths even for turned boxes, sizes are those of items. The result is "" if
+    """Whether sizes are given for the placed box or for the item. The length of an item is rarely smaller than its
+    width. So if lengths are larger than widths even for turned boxes, sizes are given for items. The result is "" if
     this is unknown."""
     turns = columns.turns
     if turns is None or not {"length", "width"} <= set(geometry.axes):

@@ -51,12 +51,12 @@ WEAK_LEAD: Final = 3.0
 """A weak reading (see ``WEAK``) wins only if its cost is lower than the cost of every other reading by at least this
 value. If a plan really has odd boxes, even more boxes are odd in wrong readings."""
 _OTHER_POINT_COST: Final = 3.6
-"""Cost of a reading in which coordinates are those of corners, if they are probably those of other points
-(``are_other_points``). For a reading with coordinates of centres, the cost is half as large: such coordinates may be
-those of the middles of tops, if y is the vertical axis."""
+"""Cost of a reading in which coordinates describe corners, if they probably describe other points
+(``are_other_points``). For a reading with coordinates of centres, the cost is half as large: such coordinates may
+describe the middles of tops, if y is the vertical axis."""
 _WALL_COST: Final = 2.0
 """Cost of a reading in which boxes form a wall (``is_wall``). If y is as likely to be the vertical as z, and the file
-has more than a few boxes, the reading as a flat layer wins; else the user is asked for the vertical axis."""
+has more than a few boxes, the reading as a flat layer wins. Otherwise, the user is asked for the vertical axis."""
 _MOST_BOXES: Final = 400
 _MOST_PLANS: Final = 12
 """Largest number of boxes, and largest number of plans, that are used to judge readings. The chosen reading applies to
@@ -329,9 +329,9 @@ def _may_be_turned(best: _Judged, other: _Judged) -> bool:
 
 
 def _is_doubtful(best: _Judged) -> bool:
-    """Whether another axis may be the vertical, or coordinates may be those of another corner. This may be
-    so if, in the most plausible reading, boxes overlap, float, are outside or are listed from one side to the other, or
-    if the sizes do not lie along the axes that name them."""
+    """Whether another axis may be the vertical, or coordinates may describe another corner. This may be so if, in the
+    most plausible reading, boxes overlap, float, are outside or are listed from one side to the other. It may also be
+    so if the sizes do not lie along the axes that name them."""
     is_exchanged = best.candidate.geometry.axes == XYZ and best.candidate.pair != (0, 1, 2)
     return best.evidence.n_odd > 0 or is_exchanged or best.order_cost > 0
 
@@ -389,8 +389,9 @@ def _within_reach(judged: _Judged) -> bool:
 def _likely_units(best: _Judged, wishes: Wishes) -> list[_Units]:
     """The units of a reading. If two units are a tie, both are returned.
 
-    Two units of lengths are a tie if boxes and load fit a carrier equally well in both, whatever the masses, or if the
-    costs of the units are almost equal. Units of masses are never a tie, because they do not change verdicts.
+    Two units of lengths are a tie in two cases. Boxes and load fit a carrier equally well in both units, whatever the
+    masses; or the costs of the units are almost equal. Units of masses are never a tie, because they do not change
+    verdicts.
     """
     first, *others = best.units
     rivals = [choice for choice in others if choice.length != first.length and choice.cost < first.cost + TIE]

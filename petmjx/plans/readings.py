@@ -18,9 +18,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
-from petmjx.common.checked_records import read_toml, reason, shown_value
+from petmjx.common.checked_records import reason, shown_value
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable, printable_name, three_digits
+from petmjx.common.toml_files import read_toml
 from petmjx.common.units import LENGTHS_MM, MASSES_KG
 from petmjx.options.run_options import RunOptions
 from petmjx.plans.column_extraction import LAST_CELLS, ROLES
@@ -295,7 +296,7 @@ def tie_text(readings: Sequence[Reading], weak: bool) -> str:
 def overlap_text(reading: Reading) -> str:
     """The line about a file in whose most plausible reading most boxes overlap."""
     return (
-        f"no reading is plausible; the best is coordinates of {_ANCHOR_WORDS[reading.anchor]}, {reading.up} upwards "
+        f"no reading is plausible; the best has coordinates of {_ANCHOR_WORDS[reading.anchor]}, {reading.up} upwards "
         f"({reading.evidence}); {_SEVERAL}if boxes really overlap, say --anchor {reading.anchor}"
     )
 

@@ -49,7 +49,7 @@ def source_of_scene(text: str) -> BoxSource:
     import mujoco  # MuJoCo itself interprets all of MJCF: defaults, angles, densities
 
     plain = _COMMENT.sub(lambda comment: blanked(comment[0]), text)
-    if (bad := _NO_NUMBER.search(plain)) is not None:  # MuJoCo reads such a mass as one that is not given
+    if (bad := _NO_NUMBER.search(plain)) is not None:  # MuJoCo treats such a mass as if it were not given
         fault = "must be finite, got nan" if bad[2] else "is missing"
         raise InputError(f"line {1 + text.count(chr(10), 0, bad.start(1))}: {bad[1]} {fault}")
     try:
@@ -231,8 +231,8 @@ def _instances(node: Mapping[str, Any], place: str) -> list[FloatArray]:
 
 
 def source_of_gltf(value: Mapping[str, Any]) -> BoxSource:
-    """The boxes of a glTF scene: nodes with a mesh. The extents of a mesh are those of its positions, as its accessor
-    gives them; if the accessor gives none, the mesh is a unit cube.
+    """The boxes of a glTF scene: nodes with a mesh. The extents of a mesh are the extents of its positions, as its
+    accessor gives them; if the accessor gives none, the mesh is a unit cube.
 
     Raises:
         InputError: the pose of a node is damaged, or no node has a mesh.

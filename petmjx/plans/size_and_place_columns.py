@@ -59,7 +59,7 @@ class Geometry:
         axes: names of the axes of the sizes: words, or x, y, z, or "0", "1", "2" if they have no names.
         size_unit, place_unit: unit according to names or cells; "": none is given.
         anchor: the point of a box according to the names; "": none is given.
-        placed: whether the sizes are known to be those of the box as placed.
+        placed: whether the sizes are known to be given for the box as placed.
         columns: role → name of its column.
         prior: how unlikely this choice of columns is, before any numbers are considered; 0: usual.
         turn: (n, 3, 3) rotations of poses; None: no poses.
@@ -103,7 +103,7 @@ class Places(NamedTuple):
 
 def sizes_in(extraction: ColumnExtraction) -> Sizes | None:
     """The sizes of the boxes; None if there are no columns with sizes. If there are several sets of columns with sizes,
-    those of placed boxes are preferred to those of items."""
+    sizes of placed boxes are preferred to sizes of items."""
     header, fixed = extraction.table.header, extraction.fixed
     if "sizes" in fixed:
         values, unit = extraction.triples(fixed["sizes"])
@@ -216,9 +216,9 @@ def places_in(extraction: ColumnExtraction) -> Places | None:
 
 
 def _still_columns(extraction: ColumnExtraction) -> set[int]:
-    """Columns that seem to have places, but do not have those of boxes: their cells are equal in nearly all rows, while
-    those of other columns of places vary. Such columns describe something that all boxes have, such as the centre of a
-    collider ("collider.center.x")."""
+    """Columns that seem to have places, but not the places of boxes: their cells are equal in nearly all rows, while
+    the cells of other columns of places vary. Such columns describe something that all boxes have, such as the centre
+    of a collider ("collider.center.x")."""
     header = extraction.table.header
     varying: dict[str, bool] = {}
     columns: dict[str, list[int]] = {}
@@ -389,8 +389,8 @@ def _same_stems(header: Sequence[str], picked: Sequence[Sequence[int]]) -> Itera
 
 
 def _stem(name: str) -> str:
-    """The part of a column's name that the columns of one object have in common: the name without a digit at its end
-    ("sp_size_1" → "sp_size_"), or else the part before the last dot ("dimensions.length" → "dimensions")."""
+    """The part of a column's name that the columns of one object have in common. It is the name without a digit at its
+    end ("sp_size_1" → "sp_size_"), or else the part before the last dot ("dimensions.length" → "dimensions")."""
     path, dot, last = name.rpartition(".")
     return f"{path}{dot}{last[:-1]}" if last[-1:].isdigit() else path
 

@@ -319,8 +319,8 @@ _BOXES_OF_TITLES: Final = word_set(
     "cajas articulo articulos scatola scatole articolo articoli pudelko pudelka artykul artykuly list of the not "
     "placed packed"
 )
-"""Words that may stand in the title of a section of boxes that are not placed, in addition to the words that say that
-the boxes are not placed."""
+"""Words for boxes, and further words that may stand in the title of a section of boxes that are not placed. Other words
+of the title say that the boxes are not placed."""
 
 
 def _n_numbers(row: Sequence[Any], geometric: Sequence[int]) -> int:

@@ -202,8 +202,8 @@ def _shown_turn(cell: Any, kind: str) -> str:
 
 
 def tilt(rotation: FloatArray) -> FloatArray:
-    """(n,) how far each of the rotations (n, 3, 3) is from right angles: the largest difference from 1 of the cosine of
-    the angle between an axis of the box and the nearest coordinate axis."""
+    """(n,) how far each of the rotations (n, 3, 3) is from right angles: 1 minus the cosine of the angle between an
+    axis of the box and the nearest coordinate axis, for the axis with the largest angle."""
     largest: FloatArray = np.abs(np.abs(rotation).max(axis=2) - 1).max(axis=1)
     return largest
 

@@ -166,7 +166,7 @@ class _PageRows(HTMLParser):
 
     def _copy_from_above(self, row: list[Any]) -> None:
         """Add the cells of rows above that extend over the next columns of a row. Numbers are left out: a weight beside
-        several boxes may be that of all of them."""
+        several boxes may be the weight of all these boxes."""
         while (span := self.spans.pop(len(row), None)) is not None and self.n_copies < MOST_ROWS:
             above, n_more = span
             if n_more > 1:

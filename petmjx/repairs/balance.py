@@ -18,9 +18,11 @@ import numpy as np
 from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.options.simulation import Simulation
 from petmjx.repairs.drafts import TOLERANCE_MM, BoolArray, Draft, IntArray
-from petmjx.world.edge_distances import ROUNDING_M, bearing_in_order, building_loads_of, depends_on_sharing
+from petmjx.world.balanced_loads import ROUNDING_M
+from petmjx.world.bearings import Bearing
+from petmjx.world.building_edges import bearing_in_order, building_loads_of, depends_on_sharing
 from petmjx.world.scene import build_scenes, has_plain_scene
-from petmjx.world.supports import Bearing, find_bearings, find_plain_bearings
+from petmjx.world.supports import find_bearings, find_plain_bearings
 
 AT_ONCE: Final = 128
 """Number of drafts whose balances are computed at once."""

@@ -18,7 +18,8 @@ from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.repairs.balance import SAFE_MM, Balance, balances
 from petmjx.repairs.changes import Change, Kind, applied, cost_of, with_change
-from petmjx.repairs.drafts import Draft, Rules, key_of
+from petmjx.repairs.draft_rules import Rules
+from petmjx.repairs.drafts import Draft, key_of
 from petmjx.repairs.proposals import MOST_TARGETS, Proposal, Target, proposals, targets
 from petmjx.repairs.rebuilds import Failure, rebuilds
 from petmjx.repairs.repair_options import RepairOptions

@@ -19,7 +19,8 @@ import numpy as np
 from petmjx.common.units import FloatArray
 from petmjx.repairs.balance import ROOM_MM, Balance
 from petmjx.repairs.changes import Change, Exchange, Kind, LeaveOut, Move, Order, Place, Sheet, Turn
-from petmjx.repairs.drafts import TOLERANCE_MM, BoolArray, Draft, IntArray, Places, Rules
+from petmjx.repairs.draft_rules import Places, Rules
+from petmjx.repairs.drafts import TOLERANCE_MM, BoolArray, Draft, IntArray
 from petmjx.repairs.repair_options import RepairOptions
 
 Proposal = tuple[Change, ...]

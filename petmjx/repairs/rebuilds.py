@@ -17,7 +17,8 @@ import numpy as np
 from petmjx.options.simulation import Simulation
 from petmjx.repairs.balance import Balance, balances, balances_with_last
 from petmjx.repairs.changes import Change, LeaveOut, Place
-from petmjx.repairs.drafts import TOLERANCE_MM, Draft, Rules, key_of
+from petmjx.repairs.draft_rules import Rules
+from petmjx.repairs.drafts import TOLERANCE_MM, Draft, key_of
 from petmjx.repairs.proposals import Proposal, Target, resting_corners
 
 MOST_CAUSES: Final = 2

@@ -3,33 +3,38 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from itertools import islice
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import pandas as pd
 
 from petmjx.common.checked_records import shown_value
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable_name
-from petmjx.options.run_options import READING, Confidence, RunOptions, sorted_options
+from petmjx.options.confidence import Confidence
+from petmjx.options.run_options import READING, RunOptions
 from petmjx.options.simulation import Simulation
+from petmjx.options.sorted_options import sorted_options
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_sources import PathArgument, PlanSource, usable_plans, without_built_plans
 from petmjx.plans.plan_writer import save_plans
 from petmjx.repairs.candidates import State
 from petmjx.repairs.changes import Change, Kind, applied, cost_of, with_turns_told
 from petmjx.repairs.drafts import Draft
+from petmjx.repairs.expected_time import size_of
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.requests import Asked, Trial
 from petmjx.repairs.search import Search
-from petmjx.repairs.search_processes import SearchProcesses, most_processes
+from petmjx.repairs.search_processes import OnEnd, SearchProcesses, most_processes
 from petmjx.repairs.trials import OF_RUN, SEARCHED, Question, Share, TimeLimit, TrialStream
 from petmjx.results.notebook_tables import ShownColumn, block_as_html, table_as_html
 from petmjx.results.plan_lookup import plans_in_place
 from petmjx.results.share_statistics import wilson_interval
+from petmjx.runs.notebook_progress import watching
+from petmjx.runs.simulate import RunStart
 from petmjx.world.option_lint import notes_about
 
 OF_READING: Final = (*READING, "articles", "limit", "strict")
@@ -256,6 +261,16 @@ class Repairs:
         save_plans(self.plans, path)
 
 
+class SearchWatcher(Protocol):
+    """An object whose methods are called as repairs proceed, such as the progress bar of the command line."""
+
+    def begin(self, start: RunStart) -> None:
+        """Called before the first simulation."""
+
+    def world_done(self, plan_id: str) -> None:
+        """Called when the search of one more plan has ended."""
+
+
 class RepairInterrupted(KeyboardInterrupt):
     """An interrupt of ``petmjx.repair``.
 
@@ -271,7 +286,8 @@ class RepairInterrupted(KeyboardInterrupt):
 def repair(
     plans: PlanSource | None = None,
     *,
-    watch: Callable[[int, int], object] | None = None,
+    watcher: SearchWatcher | None = None,
+    progress: bool = False,
     **options: Any,
 ) -> Repairs:
     """Find for each plan the smallest change with which the plan stands, also in a sufficient share of simulations with
@@ -286,7 +302,9 @@ def repair(
 
     Args:
         plans: as for ``petmjx.score``.
-        watch: function that is called with the number of plans whose search has ended, and the number of all plans.
+        watcher: an object whose methods are called as the searches proceed. Without a watcher, notebooks show a
+            progress bar.
+        progress: in a script, print the progress on standard error every few seconds.
         options: ``forbid``, ``built``, ``most_move_mm``, ``max_height_mm``, ``most_changes``, ``trials``, ``seconds``,
             ``worlds``, ``share``, ``sheet_mm``, ``sheet_kg_m2``, ``profile``, ``level``, ``direction_deg``,
             ``most_turns`` (docs/repair.md); ``errors``, a sweep file; fields of ``petmjx.Simulation``; ``engine``,
@@ -318,11 +336,21 @@ def repair(
         weak = _weak_note(results, repair_options.share)
         return Repairs(tuple(results), skipped, shown, (*plan_set.notes, *about, *weak))
 
+    waiting = {plan.plan_id for plan in plan_set.plans}  # plans whose search has not ended
     try:
-        for repaired in _repaired(plan_set.plans, question, repair_options):
-            results.append(repaired)
-            if watch is not None:
-                watch(len(results), len(plan_set.plans))
+        with watching(watcher, progress) as follows:
+
+            def on_end(plan_id: str) -> None:
+                if plan_id in waiting and follows is not None:
+                    follows.world_done(plan_id)
+                waiting.discard(plan_id)
+
+            if follows is not None:
+                size = size_of(plan_set.plans, question.sim, repair_options, question.choice.name, question.threads)
+                follows.begin(RunStart("plan", len(plan_set.plans), size, question.choice, question.progress))
+            for repaired in _repaired(plan_set.plans, question, repair_options, on_end):
+                results.append(repaired)
+                on_end(repaired.before.plan_id)
     except KeyboardInterrupt:
         raise RepairInterrupted(repairs()) from None
     finally:
@@ -330,7 +358,7 @@ def repair(
     return repairs()
 
 
-def _repaired(plans: Iterable[Plan], question: Question, options: RepairOptions) -> Iterator[Repaired]:
+def _repaired(plans: Iterable[Plan], question: Question, options: RepairOptions, on_end: OnEnd) -> Iterator[Repaired]:
     """The repair of each plan. The searches of several plans share runs of the engine."""
     limit = TimeLimit(math.inf if options.seconds is None else options.seconds)
     waiting = iter(plans)
@@ -343,11 +371,14 @@ def _repaired(plans: Iterable[Plan], question: Question, options: RepairOptions)
                 if question.is_wide and options.profile is None:
                     _judge(searches, question)
                     processes.begin([search for search in searches if not search.complete])
+                    for search in searches:
+                        if search.complete:
+                            on_end(search.plan.plan_id)
                     _score(searches, question)
                     stream.scores = {one.plan.plan_id: one.before for one in searches if one.before is not None}
                 else:
                     processes.begin(searches)
-                processes.run(stream)
+                processes.run(stream, on_end)
             _score(searches, question)
             results = _with_shares(searches, question, options, limit)
         except KeyboardInterrupt:  # the engine was stopped at an unknown point, so it simulates nothing more

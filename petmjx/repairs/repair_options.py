@@ -14,7 +14,7 @@ from petmjx.repairs.changes import Kind
 
 LEAST_WORLDS: Final = 4
 MOST_WORLDS: Final = 100_000
-"""Smallest and largest number of worlds with errors, the same as in ``petmjx.options.run_options.Confidence``."""
+"""Smallest and largest number of worlds with errors, the same as in ``petmjx.options.confidence.Confidence``."""
 
 KINDS: Final = ", ".join(Kind)
 

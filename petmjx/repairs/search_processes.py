@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import pickle
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Any, Final, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 from petmjx.engines.subprocess.task_pipe import Child, Forks, PipedProcess, next_of, own_pipes
 from petmjx.repairs.requests import Asked, OutOfTime, Steps, Together, TrialAnswer
@@ -44,6 +44,11 @@ REQUEST_WAIT_S: Final = 0.005
 """While all processes are busy, and the engine is idle, messages are looked for at intervals of this length, s."""
 
 
+OnEnd = Callable[[str], object]
+"""A function that is called with the plan id of each search that has ended. If a process dies, its searches begin anew,
+so the function may be called twice for them."""
+
+
 class Simulator(Protocol):
     """Simulates drafts while further ones are requested (``TrialStream``)."""
 
@@ -61,7 +66,7 @@ class _Task:
 
     Attributes:
         whole: the task of which this task is a part; None for a whole search.
-        place: position among the parts of ``whole``.
+        place: position among the parts of ``whole``, or of a whole search among all searches.
         results: the results of the parts of this task that run side by side.
         n_running: number of these parts that have not ended.
     """
@@ -77,17 +82,21 @@ class Tasks:
     """Runs searches in turns: a search, or a part of a search, runs until it needs trials, and continues when these
     trials are known.
 
+    Args:
+        on_end: function that is called with the number of each search that has ended.
+
     Attributes:
         requests: (ticket, drafts) of each request for trials that was not sent to a simulator yet. The ticket is the
             number of the request.
     """
 
-    def __init__(self, searches: Iterable[Steps[Any]]) -> None:
+    def __init__(self, searches: Iterable[Steps[Any]], on_end: Callable[[int], object] = lambda number: None) -> None:
         self.requests: list[tuple[int, list[Asked]]] = []
+        self._on_end = on_end
         self._waiting: dict[int, _Task] = {}
         self._n_requests = 0
-        for steps in searches:
-            self._go_on(_Task(steps), None)
+        for number, steps in enumerate(searches):
+            self._go_on(_Task(steps, place=number), None)
 
     def take(self, answer: TrialAnswer) -> None:
         """Continue the task whose request is answered."""
@@ -112,7 +121,9 @@ class Tasks:
                     wants = task.steps.send([])
             except StopIteration as end:
                 whole = task.whole
-                if whole is not None:
+                if whole is None:
+                    self._on_end(task.place)
+                else:
                     whole.results[task.place] = end.value
                     whole.n_running -= 1
                     if not whole.n_running:
@@ -168,13 +179,13 @@ class SearchProcesses:
         for child, part in zip(self._working, self._parts, strict=False):
             child.tasks.put(pickle.dumps(part))
 
-    def run(self, simulator: Simulator) -> None:
+    def run(self, simulator: Simulator, on_end: OnEnd = lambda plan_id: None) -> None:
         """Run the searches to their ends, or until the time is up."""
         if not self._working:
-            _run_here(self._parts[0], simulator)
+            _run_here(self._parts[0], simulator, on_end)
             return
-        for number in _Server(self._working, self._parts, simulator).serve():
-            _run_here(self._parts[number], simulator)
+        for number in _Server(self._working, self._parts, simulator, on_end).serve():
+            _run_here(self._parts[number], simulator, on_end)
 
     def close(self) -> None:
         """End the processes."""
@@ -190,9 +201,10 @@ class SearchProcesses:
         return self._children[-1]
 
 
-def _run_here(searches: Sequence[Search], simulator: Simulator) -> None:
+def _run_here(searches: Sequence[Search], simulator: Simulator, on_end: OnEnd) -> None:
     """Run searches side by side in this process."""
-    tasks = Tasks(search.run() for search in searches if not search.complete)
+    open_ones = [search for search in searches if not search.complete]
+    tasks = Tasks((search.run() for search in open_ones), lambda number: on_end(open_ones[number].plan.plan_id))
     tasks.send_to(simulator)
     with suppress(OutOfTime):
         for answer in simulator.answers():
@@ -208,8 +220,10 @@ class _Server:
     have ended, the interrupt is raised again. A second interrupt is raised at once.
     """
 
-    def __init__(self, children: Sequence[PipedProcess], parts: Sequence[list[Search]], simulator: Simulator) -> None:
-        self._children, self._parts, self._simulator = children, parts, simulator
+    def __init__(
+        self, children: Sequence[PipedProcess], parts: Sequence[list[Search]], simulator: Simulator, on_end: OnEnd
+    ) -> None:
+        self._children, self._parts, self._simulator, self._on_end = children, parts, simulator, on_end
         self._working = set(range(len(children)))
         self._dead: list[int] = []
 
@@ -249,19 +263,19 @@ class _Server:
                 any_message = True
         return any_message
 
-    def _take(self, number: int, message: Any) -> None:
+    def _take(self, number: int, message: _Message | None) -> None:
         if message is None:  # the process has died
             self._dead.append(number)
             self._working.discard(number)
             return
-        content, has_ended = message
-        if has_ended:
-            for search, ended in zip(self._parts[number], content, strict=True):
+        for ticket, drafts in message.requests:
+            self._simulator.put((number, ticket), drafts)
+        for plan_id in message.ended:
+            self._on_end(plan_id)
+        if message.searches is not None:
+            for search, ended in zip(self._parts[number], message.searches, strict=True):
                 search.take(ended)
             self._working.discard(number)
-        else:
-            for ticket, drafts in content:
-                self._simulator.put((number, ticket), drafts)
 
     def _send(self, number: int, message: TrialAnswer | None) -> None:
         self._children[number].tasks.put(pickle.dumps(message))
@@ -274,13 +288,32 @@ class _Server:
             self._collect(wait=True)
 
 
+class _Message(NamedTuple):
+    """A message from a process that runs searches.
+
+    Attributes:
+        requests: (ticket, drafts) of each request for trials since the last message.
+        ended: plan ids of the searches that have ended since the last message.
+        searches: all searches of the process, in the last message; None before.
+    """
+
+    requests: Sequence[tuple[int, Sequence[Asked]]]
+    ended: Sequence[str]
+    searches: Sequence[Search] | None
+
+
 class _PipedSimulator:
     """The simulator in a process that runs searches. The simulator sends drafts to the process that has the engine, and
-    receives the trials of these drafts."""
+    receives the trials of these drafts.
+
+    Attributes:
+        ended: plan ids of the searches that have ended since the last message.
+    """
 
     def __init__(self) -> None:
         self._tasks, self._answers = own_pipes(NICE)
         self._requests: list[tuple[int, Sequence[Asked]]] = []
+        self.ended: list[str] = []
         self._n_open = 0
 
     def searches(self) -> list[Search] | None:
@@ -296,19 +329,20 @@ class _PipedSimulator:
     def answers(self) -> Iterator[TrialAnswer]:
         """See ``Simulator``."""
         while self._n_open:
-            if self._requests:
-                self.send(self._requests, has_ended=False)
-                self._requests = []
+            if self._requests or self.ended:
+                self.send(None)
             answer: TrialAnswer | None = next_of(self._tasks)
             if answer is None:
                 raise OutOfTime
             self._n_open -= 1
             yield answer
 
-    def send(self, content: Any, *, has_ended: bool) -> None:
-        """Send a message: requests, or the searches once they have ended."""
-        pickle.dump((content, has_ended), self._answers)
+    def send(self, searches: Sequence[Search] | None) -> None:
+        """Send a message. ``searches``: see ``_Message``."""
+        pickle.dump(_Message(self._requests, self.ended, searches), self._answers)
         self._answers.flush()
+        self._requests.clear()
+        self.ended.clear()
 
 
 def main() -> None:
@@ -317,5 +351,5 @@ def main() -> None:
     simulator = _PipedSimulator()
     searches = simulator.searches()
     if searches is not None:
-        _run_here(searches, simulator)
-        simulator.send(searches, has_ended=True)
+        _run_here(searches, simulator, simulator.ended.append)
+        simulator.send(searches)

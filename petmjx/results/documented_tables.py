@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from petmjx.common.arrow_files import open_for_arrow
 from petmjx.common.overwrite_guard import IsOurs, check_outputs
 from petmjx.common.safe_read import read_regular
-from petmjx.results.run_folder import Write, csv, parquet, write_together
+from petmjx.results.result_files import Write, csv, parquet, write_together
 
 Described = Mapping[str, tuple[str, str]]
 """Name of a column → the column's unit and description."""

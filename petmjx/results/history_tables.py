@@ -21,8 +21,6 @@ from petmjx.results.schema import RANK
 from petmjx.world.history import Contacts, History
 from petmjx.world.job import ACCELERATION, FORCE
 
-_KEY = ("plan_id", "variant")
-
 _DRIVES: Final = ((FORCE, "drive_force", "_n"), (ACCELERATION, "drive_acc", ""))
 """Kind of drive (force on the carrier, or acceleration of the carrier) → prefix and suffix of the names of its columns
 in ``frames``."""

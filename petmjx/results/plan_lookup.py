@@ -19,11 +19,11 @@ from petmjx.plans.bundled import bundled_path
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet, Skipped
 from petmjx.plans.plan_sources import PlanSource, gather_plans
-from petmjx.results.placements_table import kept_plans
 from petmjx.results.plan_digests import PlanRecord, plan_digest
 from petmjx.results.run_folder import RUN_FILE
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import RunResults, load_run
+from petmjx.results.stored_plans import kept_plans
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class PlanLookup:
     """Which plans of a run were found, which are missing, and which have changed since the run.
 
     Attributes:
-        plans: plan id → plan, for the plans that were found and equal those that the run simulated.
+        plans: plan id → plan, for the plans that were found and are equal to the simulated plans.
         missing: ids of the plans that were not found, sorted.
         changed: ids of the plans that exist but differ from the simulated plan, sorted.
         gone: files from which the run read plans, but which no longer exist.

@@ -1,5 +1,5 @@
-"""Which worlds of a run are recorded, and which of the recorded histories are kept (``Recording``): all, those of some
-plans, or those of worlds that fail."""
+"""Which worlds of a run are recorded, and which of the recorded histories are kept (``Recording``): all histories, the
+histories of some plans, or the histories of worlds that fail."""
 
 from __future__ import annotations
 

@@ -99,7 +99,7 @@ class CompletedWorlds:
         return {} if self._table is None else self._table.to_pydict()
 
 
-def engine_of_run(folder: Path) -> str | None:
+def engine_of_earlier_run(folder: Path) -> str | None:
     """The name of the engine of the run in a folder; None if the folder has no readable run of petmjx."""
     try:
         engine = read_info(folder).get("identity", {}).get("engine")

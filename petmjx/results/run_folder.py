@@ -1,4 +1,4 @@
-"""The layout of a run's folder, and how its files are written.
+"""The layout of a run's folder, and what may be written into it (petmjx.results.result_files writes the files).
 
     DIR/run.json                    options, versions, device, counts, skipped plans
     DIR/worlds/part-*.parquet       one row per world
@@ -12,26 +12,21 @@
     DIR/placements/part-*.parquet   one row per box of the run's plans, with all fields
     DIR/.lock                       exists while a run writes
 
-A file never appears half-written. Tables are written as several files, called parts. A part belongs to the run only if
-``run.json`` lists it with its digest (petmjx.results.run_table_reader). Parts that are not listed were left by a killed
-run. Parts of ``worlds``, ``boxes`` and ``attempts`` with the same number hold the same worlds. Parts of ``histories``,
-``frames`` and ``contacts`` with the same number also hold the same worlds.
+Tables are written as several files, called parts. A part belongs to the run only if ``run.json`` lists it with its
+digest (petmjx.results.run_table_reader). Parts that are not listed were left by a killed run. Parts of ``worlds``,
+``boxes`` and ``attempts`` with the same number hold the same worlds. Parts of ``histories``, ``frames`` and
+``contacts`` with the same number also hold the same worlds.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
-import os
 import re
-import secrets
-import shutil
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import Final
 
 import pyarrow as pa
-import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
 from petmjx.common.arrow_files import open_for_arrow
@@ -48,13 +43,6 @@ table has no file for this part."""
 
 OF_WORLDS: Final = ("worlds", "boxes", *OF_SOME_WORLDS)
 TABLES: Final = (*OF_WORLDS, "summary", "plans", "placements")
-
-ROWS_PER_GROUP: Final = 131_072
-"""Number of rows in a row group of a Parquet file. A group of ``boxes`` has a few megabytes, so that readers can
-process one group at a time. A part of ``worlds`` is a single group."""
-
-DIGEST_BYTES: Final = 16
-_BLOCK: Final = 1 << 20
 
 _PART: Final = re.compile(r"part-\d{5,}\.parquet")
 _HIDDEN: Final = re.compile(r"\.(part-\d{5,}\.parquet|run\.json)\.[0-9a-f]{32}\.tmp")
@@ -76,91 +64,6 @@ def part_number(file: Path) -> int:
 def part_files(folder: Path, table: str) -> list[Path]:
     """The files of a table, sorted by number."""
     return sorted(_own_files(folder / table, _PART), key=part_number)
-
-
-Write = Callable[[BinaryIO], object]
-"""A function that writes the content of a file into a binary stream."""
-
-
-def parquet(table: pa.Table) -> Write:
-    """A function that writes a table as Parquet. Measured values hardly repeat, so Parquet stores them without a
-    dictionary of values. A dictionary would double the time and take more space."""
-    repeats = [field.name for field in table.schema if not pa.types.is_floating(field.type)]
-    return lambda file: pq.write_table(
-        table, file, compression="zstd", compression_level=1, row_group_size=ROWS_PER_GROUP, use_dictionary=repeats
-    )
-
-
-def csv(table: pa.Table) -> Write:
-    """A function that writes a table as CSV."""
-    return lambda file: pa_csv.write_csv(table, file)
-
-
-def text(content: str) -> Write:
-    """A function that writes a text as UTF-8. Characters that UTF-8 cannot encode, as in some file names, are escaped
-    as in JSON."""
-    return lambda file: file.write(content.encode(errors="backslashreplace"))
-
-
-def write_together(files: Mapping[Path, Write]) -> dict[Path, str]:
-    """Write several files, and return the digest of each file. All files are first written under hidden names. When all
-    files are complete, they are renamed. The folders of the files must exist.
-
-    Raises:
-        OSError: a file cannot be written. If an error is raised, existing files are unchanged.
-    """
-    hidden: dict[Path, Path] = {}
-    digests: dict[Path, str] = {}
-    try:
-        for path, write in files.items():
-            hidden[path] = path.with_name(f".{path.name}.{secrets.token_hex(16)}.tmp")
-            digests[path] = _write(hidden[path], write)
-        for path, temporary in hidden.items():
-            os.replace(temporary, path)
-        for folder in {path.parent for path in hidden}:
-            _flush_folder(folder)
-    except BaseException:
-        for temporary in hidden.values():
-            temporary.unlink(missing_ok=True)
-        raise
-    return digests
-
-
-def _flush_folder(folder: Path) -> None:
-    """Flush the names of a folder's files to disk."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def write_table(table: pa.Table, path: Path) -> str:
-    """Write one Parquet file and return its digest. The file never appears half-written. If the run's folder was
-    deleted, it is not created again."""
-    path.parent.mkdir(exist_ok=True)
-    return write_together({path: parquet(table)})[path]
-
-
-def write_text(content: str, path: Path) -> None:
-    """Write one text file as UTF-8, with the escapes of :func:`text`. The file never appears half-written."""
-    write_together({path: text(content)})
-
-
-def copy_file(source: Path, path: Path) -> str:
-    """Copy one file and return its digest. The copy never appears half-written."""
-    path.parent.mkdir(exist_ok=True)
-    with source.open("rb") as original:
-        return write_together({path: lambda file: shutil.copyfileobj(original, file)})[path]
-
-
-def digest_of(stream: BinaryIO) -> str:
-    """Hexadecimal digest (BLAKE2b) of an open file, from the file's current position to its end. Reading a gigabyte
-    takes a second."""
-    digest = hashlib.blake2b(digest_size=DIGEST_BYTES)
-    while block := stream.read(_BLOCK):
-        digest.update(block)
-    return digest.hexdigest()
 
 
 def holds_run(folder: Path) -> bool:
@@ -263,16 +166,3 @@ def drop_parts(folder: Path, kept: Callable[[str], Collection[Path]]) -> None:
 def _own_files(folder: Path, pattern: re.Pattern[str]) -> list[Path]:
     """The files of a folder whose names match this pattern; an empty list if the path is not a folder."""
     return [file for file in folder.iterdir() if pattern.fullmatch(file.name)] if folder.is_dir() else []
-
-
-def _write(path: Path, write: Write) -> str:
-    """Write a new file and flush it to disk. Returns the digest of the file."""
-    # No other program can have put a file or a link at this path: its name is random, and existing files are not
-    # opened.
-    open_flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
-    with open(os.open(path, open_flags, 0o666), "w+b") as file:
-        write(file)
-        file.flush()
-        os.fsync(file.fileno())
-        file.seek(0)
-        return digest_of(file)

@@ -10,7 +10,7 @@ from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any, Final
 
-from petmjx.plans.order_matching import OrderCheck
+from petmjx.plans.order_checks import OrderCheck
 from petmjx.plans.plan_set import Skipped
 from petmjx.results.schema import SCHEMA_VERSION, Param
 from petmjx.results.stored_order_checks import orders_block

@@ -12,8 +12,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from petmjx.common.checked_records import describe
 from petmjx.common.errors import InputError
-from petmjx.plans.order_matching import OrderCounts
-from petmjx.results.run_folder import DIGEST_BYTES, RUN_FILE, TABLES, write_text
+from petmjx.plans.order_checks import OrderCounts
+from petmjx.results.result_files import DIGEST_BYTES, write_text
+from petmjx.results.run_folder import RUN_FILE, TABLES
 from petmjx.results.to_json import to_json
 
 TableName = Annotated[str, Field(pattern=rf"^({'|'.join(TABLES)})$")]

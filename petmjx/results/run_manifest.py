@@ -14,7 +14,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable, printable_name, shortened_text
 from petmjx.options.run_options import ALL
 from petmjx.options.walls import Walls
-from petmjx.plans.order_matching import PlanOrderCounts
+from petmjx.plans.order_checks import PlanOrderCounts
 from petmjx.results.plan_digests import PlanRecord
 from petmjx.results.run_folder import RUN_FILE
 from petmjx.results.run_json_checks import check_whole

@@ -32,16 +32,16 @@ from petmjx.options.run_options import WORLDS
 from petmjx.options.simulation import Simulation
 from petmjx.options.walls import Walls
 from petmjx.plans.json_reader import json_fault
-from petmjx.plans.order_matching import PlanOrderCounts
+from petmjx.plans.order_checks import PlanOrderCounts
 from petmjx.plans.plan import Plan
 from petmjx.results.notebook_tables import worlds_as_html
-from petmjx.results.placements_table import PLACEMENTS, placements_table
-from petmjx.results.plan_order import PlanOrder, rows_in_order
 from petmjx.results.run_folder import MOST_RUN_FILE_BYTES, RUN_FILE
 from petmjx.results.run_json_checks import check_run_file, write_run_file
 from petmjx.results.run_table_reader import LISTED, Parts
 from petmjx.results.schema import RANK, check_version, data_frame, placements_schema, plans_schema, schemas
-from petmjx.results.tables_in_progress import MemoryParts, Tables
+from petmjx.results.stored_plans import PLACEMENTS, placements_table
+from petmjx.results.table_parts import MemoryParts, Tables
+from petmjx.results.world_ranks import PlanOrder, rows_in_order
 
 if TYPE_CHECKING:
     import pandas as pd

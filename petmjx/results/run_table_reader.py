@@ -16,7 +16,8 @@ from petmjx.common.arrow_files import OversizedFile, decoded_bytes, open_for_arr
 from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
 from petmjx.common.safe_read import allowed_bytes, open_regular, size
-from petmjx.results.run_folder import OF_WORLDS, digest_of, part_name, part_number
+from petmjx.results.result_files import digest_of
+from petmjx.results.run_folder import OF_WORLDS, part_name, part_number
 from petmjx.results.schema import check_version, schema_version_of
 
 MOST_AT_ONCE: Final = 8

@@ -22,17 +22,15 @@ from typing import Any, Final, NamedTuple, Self
 
 import pyarrow as pa
 
+from petmjx.common.deferred_signals import defer_signals
 from petmjx.common.errors import InputError, PetmjxError
 from petmjx.common.overwrite_guard import check_folder
-from petmjx.common.processes import defer_signals
 from petmjx.common.text import one_line
 from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Attempt, Outcome
-from petmjx.plans.order_matching import OrderCheck
+from petmjx.plans.order_checks import OrderCheck
 from petmjx.plans.plan import Plan
 from petmjx.results.folder_lock import held_folder_lock
-from petmjx.results.placements_table import PLACEMENTS
-from petmjx.results.plan_order import WorldRanks, is_ranked
 from petmjx.results.resume import CompletedWorlds, resume_state
 from petmjx.results.run_folder import OF_WORLDS, RUN_FILE, check_run_folder, make_room, tidy
 from petmjx.results.run_json import RUNNING, RunInfo, now
@@ -41,9 +39,11 @@ from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import FINISHED, RunResults, load_run
 from petmjx.results.run_table_reader import LISTED, Parts
 from petmjx.results.schema import Param, schemas
-from petmjx.results.tables_in_progress import MemoryParts, Tables
+from petmjx.results.stored_plans import PLACEMENTS
+from petmjx.results.table_parts import MemoryParts, Tables
 from petmjx.results.to_json import to_json
 from petmjx.results.world_counts import COUNTED, WorldCounts
+from petmjx.results.world_ranks import WorldRanks, is_ranked
 from petmjx.results.world_rows import Part, Row
 
 WORLDS_PER_PART: Final = 5_000
@@ -93,7 +93,7 @@ class RunWriter(RunInfo):
     the error.
 
     Worlds are written in the order in which they finish. Within a part (file), rows are sorted by rank
-    (petmjx.results.plan_order).
+    (petmjx.results.world_ranks).
 
     Args:
         out_dir: folder of the run, which is created if it does not exist. If ``out_dir`` is None, a run that fits into
@@ -161,7 +161,7 @@ class RunWriter(RunInfo):
         # The queues are implemented in C, so an interruption of the main thread leaves none of them locked or half
         # changed.
         self._queue: SimpleQueue[Row | _Request] = SimpleQueue()
-        self._room: SimpleQueue[None] = SimpleQueue()  # gets an entry at each try to write; ``add`` waits for an entry
+        self._room: SimpleQueue[None] = SimpleQueue()  # one entry per try to write, for which ``add`` waits
         self._thread = threading.Thread(target=self._work, name="petmjx-writer", daemon=True)
         self._added_bytes = 0  # Changed only by the thread that adds worlds.
         self._cut_short = False  # Set only by the main thread.
@@ -375,9 +375,9 @@ class RunWriter(RunInfo):
         self._room.put(None)
 
     def _write_waiting(self, last: bool = False) -> None:
-        """Write all worlds and tables that wait. ``last`` states that no more worlds will come: a run in memory then
-        stays in memory, and a run without worlds gets a table ``worlds`` without rows, so that readers find the names
-        of the columns.
+        """Write all worlds and tables that wait. ``last`` states that no more worlds will come. A run in memory then
+        stays in memory. A run without worlds gets a table ``worlds`` without rows, so that readers find the names of
+        the columns.
 
         Raises:
             PetmjxError: a file cannot be written.

@@ -81,7 +81,7 @@ def _metrics(columns: Iterable[metrics.Column]) -> list[pa.Field]:
 
 RANK: Final = "rank"
 """A column of all tables that have rows about worlds: the position of the world in the order of the run
-(petmjx.results.plan_order)."""
+(petmjx.results.world_ranks)."""
 
 RANK_COLUMN: Final = _column(
     RANK,
@@ -165,9 +165,16 @@ _FRAME_COLUMNS = (
     *_counts(n_placed="number of placed boxes"),
     *_vector("carrier_pos", "m", "centre of the carrier", end="_m"),
     *_vector("carrier_quat", DIMENSIONLESS, "orientation of the carrier, unit quaternion", "wxyz"),
-    *_vector("drive_force", "N", "force on the carrier during the step; null without a profile of forces", end="_n"),
     *_vector(
-        "drive_acc", "m/s^2", "acceleration of the carrier during the step; null without a profile of accelerations"
+        "drive_force",
+        "N",
+        "force on the carrier in the step before the frame; null without a profile of forces",
+        end="_n",
+    ),
+    *_vector(
+        "drive_acc",
+        "m/s^2",
+        "acceleration of the carrier in the step before the frame; null without a profile of accelerations",
     ),
 )
 
@@ -263,7 +270,7 @@ def plans_schema(ordered: bool = False) -> pa.Schema:
 
     Args:
         ordered: whether the run was compared with orders. If it was, the table also has the columns of
-            ``petmjx.plans.order_matching.PlanOrderCounts``.
+            ``petmjx.plans.order_checks.PlanOrderCounts``.
     """
     texts = _texts(
         plan_id="id of the packing plan",

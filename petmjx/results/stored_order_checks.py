@@ -8,7 +8,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-from petmjx.plans.order_matching import MOST_LISTED, OrderCheck, OrderCounts, PlanOrderCounts
+from petmjx.plans.order_checks import MOST_LISTED, OrderCheck, OrderCounts, PlanOrderCounts
 from petmjx.results.run_table_reader import Parts
 
 

@@ -47,10 +47,10 @@ Factor = Annotated[StrictFloat, Field(gt=0), within(0, 100)]
 class Event(CheckedRecord):
     """One profile (motion of the carrier) that shakes the pallet during a leg."""
 
-    profile: Name = Field(description="name of a profile of accelerations, or of a family of them")
-    direction: Direction = Field(0.0, description="turn of the profile from +x to +y")
-    level: Strengths | None = Field(None, description="level of the profile, g, or {from, to}: drawn for each world")
-    scale: Strengths | None = Field(None, description="factor on the profile, or {from, to}: drawn for each world")
+    profile: Name = Field(description="name of a profile of accelerations, or of a family of such profiles")
+    direction: Direction = Field(0.0, description="angle by which the profile is turned from +x to +y")
+    level: Strengths | None = Field(None, description="level of the profile, g, or {from, to}, drawn for each world")
+    scale: Strengths | None = Field(None, description="factor on the profile, or {from, to}, drawn for each world")
 
     @property
     def drawn(self) -> bool:
@@ -79,7 +79,7 @@ class Remedy(CheckedRecord):
 
     name: Name = Field(description="name of the remedy in the results")
     leg: Name = Field(description="name of the leg that is changed")
-    wrap_turns: Turn | None = Field(None, description="turns of film from this leg on, instead of those of the leg")
+    wrap_turns: Turn | None = Field(None, description="turns of film from this leg on, instead of the leg's turns")
     factor: Factor | None = Field(None, description="factor on the levels and scales of the leg's events")
 
     @model_validator(mode="after")

@@ -16,7 +16,6 @@ import pandas as pd
 
 from petmjx.engines.metrics import DIMENSIONLESS
 from petmjx.engines.verdict import Verdict
-from petmjx.results.plan_order import rows_in_order
 from petmjx.results.run_writer import RunWriter
 from petmjx.results.schema import data_frame, summary_table
 from petmjx.results.share_statistics import (
@@ -27,6 +26,7 @@ from petmjx.results.share_statistics import (
     paired_outcomes,
     wilson_interval,
 )
+from petmjx.results.world_ranks import rows_in_order
 from petmjx.runs.chain_legs import AS_IS, PLACING
 from petmjx.runs.sweep_worlds import SweepPlan
 

@@ -20,14 +20,15 @@ from petmjx.common.errors import InputError
 from petmjx.engines.metrics import DIMENSIONLESS
 from petmjx.engines.verdict import Flag, Verdict
 from petmjx.options.placing import Way
-from petmjx.results.plan_order import rows_in_order
 from petmjx.results.run_table_reader import Parts
 from petmjx.results.run_writer import RunWriter
 from petmjx.results.schema import data_frame, summary_table
 from petmjx.results.share_statistics import ONE_PLAN, PairedCounts, holm, mcnemar_p, paired_outcomes, share_standing
+from petmjx.results.world_ranks import rows_in_order
+from petmjx.runs.ready_sweeps import find_sweep
 from petmjx.runs.sweep_axes import Axis
-from petmjx.runs.sweep_file import Sweep, find_sweep, load_sweep
-from petmjx.world.variants import Distribution
+from petmjx.runs.sweep_file import Sweep, load_sweep
+from petmjx.world.error_distributions import Distribution
 
 READY_MADE: Final = "confidence"
 """Name of the sweep file with the errors of a common robot and of corrugated cartons."""
@@ -83,8 +84,8 @@ def confidence_sweep(
     Args:
         n_worlds: number of worlds with errors for each plan, in addition to the nominal world (without errors).
         errors: a sweep file of errors, or the name of a ready-made one. If ``errors`` is None, ``READY_MADE`` is used.
-        simulation: fields of ``Simulation`` that replace those of the file.
-        exact_too: whether to simulate each world with errors twice (``petmjx.options.run_options.Confidence``).
+        simulation: fields of ``Simulation`` that replace the fields of the file.
+        exact_too: whether to simulate each world with errors twice (``petmjx.options.confidence.Confidence``).
 
     Raises:
         InputError: the file is unusable, an axis is not a single error, or ``exact_too`` is set although boxes are not
@@ -119,7 +120,7 @@ def _error_sweep_fault(sweep: Sweep) -> str:
         if not isinstance(axis.values[0], Distribution):
             return f"axes.{name} contradicts confidence: it is not an error, but the same in every world"
         if len(axis.values) > 1:
-            return f"axes.{name} must be one error for confidence, got {len(axis.values)}"
+            return f"axes.{name}: confidence needs one error, got {len(axis.values)}"
     if not any(axis.random for axis in sweep.axes.values()):
         return "axes have nothing random: every world would be the same"
     return ""
@@ -171,9 +172,9 @@ def _failures(drawn: pd.DataFrame) -> pd.DataFrame:
 
 
 def _paired_draws(carried: pd.DataFrame, exact: pd.DataFrame) -> pd.DataFrame:
-    """Compare, for each plan, carried boxes with boxes that appear at their places: count the sets of random errors
-    with which the pallet stands in only one of the two cases, and test whether the two numbers differ. If a set of
-    errors gives an invalid world in one of the two cases, the set is not counted."""
+    """Compare, for each plan, carried boxes with boxes that appear at their places. The function counts the sets of
+    random errors with which the pallet stands in only one of the two cases, and tests whether the two numbers differ.
+    If a set of errors gives an invalid world in one of the two cases, the set is not counted."""
     pairs = carried.merge(exact, on=["plan_id", "replicate"], suffixes=("_carried", "_exact"))
     one, other = (pairs[f"verdict_{way}"].astype(str) for way in ("carried", "exact"))
     stands, stands_exact = one == Verdict.STABLE.value, other == Verdict.STABLE.value

@@ -10,12 +10,12 @@ from functools import cached_property
 from petmjx.engines.simulation_loop import MOST_PENDING
 from petmjx.engines.verdict import Attempt, Flag, Outcome, Verdict, judge
 from petmjx.engines.world_results import World
-from petmjx.options.simulation import Thresholds
+from petmjx.options.thresholds import Thresholds
 from petmjx.options.walls import Side
 from petmjx.runs.chain_legs import PLACING
+from petmjx.runs.eumos_limits import load_height_m
 from petmjx.runs.study import FinishedWorld, LegEnd
 from petmjx.runs.sweep_worlds import PlacementGroup
-from petmjx.runs.transport_limits import load_height_m
 from petmjx.world.scene import Scene
 from petmjx.world.variants import LegSpec, Variant
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
-from petmjx.options.simulation import Thresholds
+from petmjx.options.thresholds import Thresholds
 
 DEFAULT_TILT_DEG = float(Thresholds().tilt_deg)
 

@@ -15,16 +15,16 @@ from petmjx.common.argument_checks import list_of, path_of
 from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable_name
-from petmjx.plans.order_matching import OrderCheck
+from petmjx.plans.order_checks import OrderCheck
 from petmjx.plans.plan_set import Skipped
-from petmjx.results.placements_table import PLACEMENTS
-from petmjx.results.plan_order import is_ranked
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import RunResults, is_chain, load_run, split_warnings
 from petmjx.results.run_writer import RunWriter
 from petmjx.results.schema import Param, summary_table
 from petmjx.results.stored_order_checks import joined_check, read_check
+from petmjx.results.stored_plans import PLACEMENTS
 from petmjx.results.world_counts import NO_VERDICT
+from petmjx.results.world_ranks import is_ranked
 from petmjx.runs.chain_summary import ChainColumns, write_chain
 from petmjx.runs.confidence import write_confidence
 from petmjx.runs.sweep_summary import ShareColumns, summarise_shares

@@ -7,14 +7,16 @@ import html
 import sys
 import threading
 import time
-from collections.abc import Callable
-from contextlib import suppress
-from typing import Any, Final
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Any, Final, TypeVar
 
+from petmjx.common.argument_checks import flag_of
+from petmjx.common.checked_records import shown_value
+from petmjx.common.errors import InputError
 from petmjx.common.progress_texts import ProgressTexts
 from petmjx.common.text import printable
 from petmjx.runs.simulate import RunStart
-from petmjx.runs.study import FinishedWorld
 
 LINE_S: Final = 5.0
 """Time between two lines that a script prints, s."""
@@ -22,6 +24,8 @@ LINE_S: Final = 5.0
 REFRESH_S: Final = 0.25
 """Shortest time between two drawings of the progress bar, s. Each drawing is sent to the browser, so more frequent
 drawings would cause much traffic."""
+
+AnyWatcher = TypeVar("AnyWatcher")
 
 
 class NotebookBar:
@@ -43,7 +47,7 @@ class NotebookBar:
         self._texts = ProgressTexts(self._left, start.what, self._clock)
         self._update = self._display(self._as_html())
 
-    def world_done(self, world: FinishedWorld) -> None:
+    def world_done(self, world: object) -> None:
         self._done += 1
         now = self._clock()
         if now - self._last >= REFRESH_S or self._done == self._left:
@@ -93,7 +97,7 @@ class ScriptLines:
         self._say(f"{start.size}; engine {start.choice.name} ({start.choice.reason})")
         threading.Thread(target=self._follow, args=(self._ended,), name="petmjx-lines", daemon=True).start()
 
-    def world_done(self, world: FinishedWorld) -> None:
+    def world_done(self, world: object) -> None:
         self._done += 1
         if self._done == self._total:
             self.end()
@@ -134,3 +138,26 @@ def notebook_bar() -> NotebookBar | None:
         return lambda new: handle.update(HTML(new))
 
     return NotebookBar(show)
+
+
+@contextmanager
+def watching(watcher: AnyWatcher | None, progress: bool) -> Iterator[AnyWatcher | NotebookBar | ScriptLines | None]:
+    """Yield the watcher of a run: the object that is told about the run's progress. A watcher from the caller is used
+    unchanged. Without a watcher from the caller, the watcher shows a progress bar in a notebook, and prints lines on
+    standard error in a script with ``progress``; in other scripts, the watcher is None.
+
+    Raises:
+        InputError: the given watcher lacks a method that watchers must have.
+    """
+    flag_of(progress, "progress")
+    if watcher is not None and not all(callable(getattr(watcher, name, None)) for name in ("begin", "world_done")):
+        raise InputError(f"watcher must have the methods begin and world_done, {shown_value(watcher)}")
+    bar = watcher if watcher is not None else notebook_bar()
+    if bar is not None or not progress:
+        yield bar
+        return
+    lines = ScriptLines()
+    try:
+        yield lines
+    finally:
+        lines.end()

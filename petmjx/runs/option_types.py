@@ -14,7 +14,9 @@ from petmjx.options.carriers import Board, Carrier, OwnCarrier
 from petmjx.options.materials import FrictionPair, LandingPair
 from petmjx.options.physics import Cone, Physics
 from petmjx.options.placing import Placing, Way
-from petmjx.options.simulation import Attempts, Check, Quiet, Schedule, Solver, Thresholds
+from petmjx.options.quiet import Quiet
+from petmjx.options.simulation import Attempts, Check, Schedule, Solver
+from petmjx.options.thresholds import Thresholds
 from petmjx.options.walls import Side, Walls
 from petmjx.options.wrap import Wrap
 
@@ -118,7 +120,7 @@ class PhysicsTable(TypedDict, total=False):
 
 
 class ThresholdsTable(TypedDict, total=False):
-    """Fields of ``petmjx.options.simulation.Thresholds``."""
+    """Fields of ``petmjx.options.thresholds.Thresholds``."""
 
     shift_m: float
     shift_floor_m: float
@@ -129,7 +131,7 @@ class ThresholdsTable(TypedDict, total=False):
 
 
 class QuietTable(TypedDict, total=False):
-    """Fields of ``petmjx.options.simulation.Quiet``."""
+    """Fields of ``petmjx.options.quiet.Quiet``."""
 
     quiet_m_s: float
     slow_m_s: float
@@ -249,7 +251,7 @@ class SimulationOptions(TypedDict, total=False):
 
 
 class ConfidenceOptions(TypedDict, total=False):
-    """Fields of ``petmjx.options.run_options.Confidence``."""
+    """Fields of ``petmjx.options.confidence.Confidence``."""
 
     confidence: int | None
     errors: str | PathLike[str] | None
@@ -257,7 +259,7 @@ class ConfidenceOptions(TypedDict, total=False):
 
 
 class TransportOptions(TypedDict, total=False):
-    """Fields of ``petmjx.options.run_options.Transport``."""
+    """Fields of ``petmjx.options.transport.Transport``."""
 
     chain: str | PathLike[str] | None
 

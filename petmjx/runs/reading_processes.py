@@ -58,7 +58,7 @@ def read_input(plans: PlanSource | None, sim: Simulation, options: RunOptions) -
     """Read the plans of a run.
 
     Raises:
-        InputError: as ``usable_plans``.
+        InputError: see ``usable_plans``.
     """
     if _suits_processes(plans, options) and (gathered := read_in_processes(plans, sim, options)) is not None:
         return gathered._replace(plan_set=usable_of(gathered.plan_set, sim, options))
@@ -69,7 +69,7 @@ def read_here(plans: PlanSource | None, sim: Simulation, options: RunOptions) ->
     """Read the plans of a run in this process.
 
     Raises:
-        InputError: as ``usable_plans``.
+        InputError: see ``usable_plans``.
     """
     plan_set = usable_plans(plans, sim, options)
     return PlanInput(plan_set, records_of(plan_set.plans, plan_set.numbers), {})
@@ -124,8 +124,9 @@ def _answers(tasks: Sequence[bytes]) -> list[ReadingAnswer] | None:
 
 def _segments(plans: PlanSource | None, options: RunOptions) -> list[Segment]:
     """Segments of the plans' file that processes can read at the same time. The list is empty if one process should
-    read all plans. This is so if there are few CPU threads, if the file is small or lacks the suffix ``.json``, and
-    with options that concern all plans of a file together (such as ``limit``) or files of other tools."""
+    read all plans. This is so if there are few CPU threads, or if the file is small or lacks the suffix ``.json``. It
+    is also so for files of other tools, and with options that concern all plans of a file together (such as
+    ``limit``)."""
     count = min(MOST_PROCESSES, cpu_threads() // THREADS_EACH, bytes_of_plans(plans) // WORTH_A_PROCESS)
     names = ["limit", "articles", *(name for name, _ in OPTIONS_OF_OTHERS)]
     if count < 2 or any(getattr(options, name) is not None for name in names):

@@ -26,18 +26,18 @@ from petmjx.engines.verdict import Reason
 from petmjx.options.physics import Physics
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
-from petmjx.plans.order_matching import OrderCheck, check_orders
+from petmjx.plans.order_checks import OrderCheck, check_orders
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.plan_sources import PlanSource, are_files
-from petmjx.results.placements_table import placements_table
 from petmjx.results.plan_digests import PlanRecord
 from petmjx.results.plan_lookup import plans_in_place
 from petmjx.results.recording import Recording, recording_of
-from petmjx.results.resume import engine_of_run
+from petmjx.results.resume import engine_of_earlier_run
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import RunResults
 from petmjx.results.run_writer import RunWriter
+from petmjx.results.stored_plans import placements_table
 from petmjx.results.to_json import to_json
 from petmjx.runs.reading_processes import read_input
 from petmjx.runs.study import FinishedWorld, Study
@@ -127,7 +127,7 @@ def simulate(
         notes = [*plan_set.notes, *about]
         plan_set = replace(plan_set, skipped=[*plan_set.skipped, *later_inputs], notes=notes)
         records = {plan.plan_id: records[plan.plan_id] for plan in study.everything}
-    earlier = engine_of_run(options.out) if options.resume and options.out is not None else None
+    earlier = engine_of_earlier_run(options.out) if options.resume and options.out is not None else None
     hands_over = not options.record_details  # only C MuJoCo records details, so C MuJoCo must simulate all worlds
     with engine_for(options, study.work, startup, hands_over=hands_over, earlier=earlier) as (engine, choice):
         recording = recording_of(options, choice.name, study.everything)
@@ -136,9 +136,8 @@ def simulate(
 
 
 def _last_permille_s(ends_s: Sequence[float]) -> float:
-    """How long the run waited for its last worlds, s: the time between the moment at which 99.9 % of the worlds have
-    ended and the moment at which all worlds have ended. With fewer than 1,000 worlds, the result is the time between
-    the ends of the last two worlds."""
+    """How long the run waited for its last worlds, s: the time from the end of 99.9 % of the worlds to the end of all
+    worlds. With fewer than 1,000 worlds, the result is the time between the ends of the last two worlds."""
     last = -(-len(ends_s) // 1000)
     return round(ends_s[-1] - ends_s[-1 - last], 3) if len(ends_s) > last else 0.0
 

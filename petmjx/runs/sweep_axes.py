@@ -30,8 +30,8 @@ from petmjx.common.checked_records import (
     shown_value,
     within,
 )
+from petmjx.world.error_distributions import Distribution, DistributionShape
 from petmjx.world.random_streams import WorldKey
-from petmjx.world.variants import Distribution, DistributionShape
 
 MAX_AXIS_VALUES: Final = 100_000
 """Largest number of values of one axis. Without a limit, a typing error in a step could fill the memory."""
@@ -114,7 +114,7 @@ class Range(CheckedRecord, Generic[Number]):
     then, every number between its ends is allowed."""
 
     low: Number = Field(alias="from", description="the first value")
-    high: Number = Field(alias="to", description="the last value, if a step ends there")
+    high: Number = Field(alias="to", description="upper end of the range, and the last value if a step ends there")
     step: Annotated[StrictFloat, Field(gt=0)] | None = Field(
         None, description="difference between a value and the next"
     )
@@ -313,7 +313,7 @@ AXIS_KINDS: Final = {
     kind.name: kind
     for kind in (
         AxisKind("profile", "", Names, "names of profiles"),
-        AxisKind("direction", "deg", Directions, "turn of the profile from +x to +y", suffix="_deg"),
+        AxisKind("direction", "deg", Directions, "angle by which the profile is turned from +x to +y", suffix="_deg"),
         AxisKind("scale", "1", Positives, "factor on the profile"),
         AxisKind("level", "g", Positives, "level of the profile", suffix="_g"),
         AxisKind("friction_factor", "1", Frictions, "factor on the friction of boxes and carrier", (_BOX, _CARRIER)),

@@ -11,11 +11,11 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from petmjx.common.units import FloatArray, seconds_to_steps
-from petmjx.engines.cost_model import STEADY_G, Work, rest_steps
+from petmjx.engines.expected_work import STEADY_G, Work, rest_steps
 from petmjx.engines.job_stream import JobBounds
 from petmjx.options.placing import Way
 from petmjx.options.simulation import Check, Schedule
-from petmjx.plans.loose_boxes import MOST_LOOKED_AT, statics_of, tipping_g
+from petmjx.plans.plan_statics import MOST_LOOKED_AT, statics_of, tipping_g
 from petmjx.runs.sweep_worlds import PlacementGroup, SweepPlan
 from petmjx.world.carrier_boards import has_walls
 from petmjx.world.profiles.profile import Profile
@@ -37,14 +37,14 @@ _GENTLE_IN_SEARCHES: Final = 0.5
 _CREEPING_BOXES, _MOST_CREEPING = 40, 3.0
 """A search tests levels near the largest level that a pallet survives. At these levels, boxes may creep for a long
 time, and the more boxes there are, the more often one of them creeps. So in a search, a drive of n boxes is expected to
-take 1 + n / ``_CREEPING_BOXES`` times as many steps as a drive after which the pallet is soon quiet, at most
-``_MOST_CREEPING`` times. In searches of EUMOS's levels, this factor was 1.1 for plans of 10 boxes, 1.7 to 3.3 for sets
+take 1 + n / ``_CREEPING_BOXES`` times as many steps as a drive after which the pallet is soon quiet. The factor is at
+most ``_MOST_CREEPING``. In searches of EUMOS's levels, this factor was 1.1 for plans of 10 boxes, 1.7 to 3.3 for sets
 of plans of about 40 boxes, and 3.4 for a plan of 238 boxes."""
 
 _FALLING_POWER: Final = 8
-"""If a leg of a chain has n times the acceleration ``tipping_g`` of a plan, n > 1, the pallet is expected to stand
-after the leg with the chance 1 / n to this power. Four plans of 21 to 54 boxes stood in 5 of 48 worlds of two chains
-after a leg with a conveyor of up to 0.3 g; 11 of these worlds are expected to stand."""
+"""A leg of a chain may have n times the acceleration ``tipping_g`` of a plan, n > 1. The probability that the pallet
+stands after the leg is then expected to be (1 / n) to this power. After a leg with a conveyor of up to 0.3 g, four
+plans of 21 to 54 boxes stood in 5 of 48 worlds of two chains; 11 of these worlds are expected to stand."""
 
 
 def work_of(worlds: SweepPlan) -> Work:
@@ -164,7 +164,8 @@ class _LegShares(NamedTuple):
 
     Attributes:
         simulated: (n,) share of the steps of all legs that are simulated.
-        filmed, gentle: (n,) share of the simulated steps in film, and of those of gentle legs (``_ShakenLeg``).
+        filmed, gentle: (n,) share of the simulated steps in film, and share of the simulated steps of gentle legs
+            (``_ShakenLeg``).
     """
 
     simulated: FloatArray

@@ -15,9 +15,10 @@ from typing import Any, Final
 from petmjx.runs.chain_legs import AS_IS, Remedy, legs_with
 from petmjx.runs.sweep_axes import AXIS_KINDS, Axis, Value
 from petmjx.runs.sweep_file import Sweep
+from petmjx.world.error_distributions import Distribution
 from petmjx.world.profiles.profile import Profile
 from petmjx.world.random_streams import WorldKey
-from petmjx.world.variants import Distribution, DriveSpec, LegSpec, PlacementChange, PlacementKey, Variant
+from petmjx.world.variants import DriveSpec, LegSpec, PlacementChange, PlacementKey, Variant
 
 MOST_KEPT: Final = 100_000
 """Largest number of variants that are made once and kept in memory for all plans. If a sweep has more variants, all
@@ -239,8 +240,8 @@ class Design:
         return (replicate,)
 
     def _sampled(self) -> Iterator[Variant]:
-        """The variants of a sample: the value of each axis is drawn at random. All plans have the same variants. The
-        replicate number of a variant differs from those of all other variants."""
+        """The variants of a sample: the value of each axis is drawn at random. All plans have the same variants. Every
+        variant has a replicate number of its own."""
         axes = [*self._axes(placement=True), *self._axes(placement=False)]
         for number in range(1, (self.sweep.sample or 0) + 1):
             key = WorldKey(self.sweep.seed, "", number)

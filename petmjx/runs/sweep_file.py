@@ -1,8 +1,4 @@
-"""Reads and checks sweep files (``sweeps/*.toml``), and finds ready-made sweep files by name.
-
-Ready-made files are in the folder ``sweeps/`` of a checkout. An installed package has a copy of them. docs/sweeps.md
-describes the contents of sweep files.
-"""
+"""Reads and checks sweep files (``sweeps/*.toml``). docs/sweeps.md describes their contents."""
 
 from __future__ import annotations
 
@@ -10,7 +6,6 @@ import itertools
 import json
 import math
 from collections.abc import Mapping
-from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
@@ -29,50 +24,18 @@ from pydantic import (
     model_validator,
 )
 
-from petmjx.common.checked_records import LIST, VALUE, CheckedRecord, complaint, read_toml, shape
+from petmjx.common.checked_records import LIST, VALUE, CheckedRecord, complaint, shape
 from petmjx.common.errors import InputError
-from petmjx.common.text import printable, printable_name
+from petmjx.common.text import printable
+from petmjx.common.toml_files import read_toml
 from petmjx.common.units import FloatArray, seconds_to_steps
 from petmjx.options.simulation import Simulation
 from petmjx.runs.chain_legs import MOST_LEGS, Leg, Remedy, check_chain, profiles_of_legs
+from petmjx.runs.ready_sweeps import find_sweep
 from petmjx.runs.sweep_axes import AXIS_KINDS, MAX_STRENGTH, Axis, read_axes
 from petmjx.world.profiles.profile import Profile, Strength
 from petmjx.world.profiles.profile_registry import resolve
 from petmjx.world.profiles.profiles_of_sweep_files import MAX_NAME, FileName, define_profiles
-
-_PACKAGE = Path(__file__).resolve().parents[1]
-_FOLDERS = (_PACKAGE / "ready_sweeps", _PACKAGE.parent / "sweeps")
-"""Folders of ready-made sweep files. The wheel has ``sweeps/`` as ``petmjx/ready_sweeps`` (pyproject.toml). In a
-checkout, ``sweeps/`` is beside the package."""
-
-
-def ready_sweeps() -> dict[str, Path]:
-    """Name → file of each ready-made sweep, sorted by name."""
-    folder = next((folder for folder in _FOLDERS if folder.is_dir()), None)
-    return {} if folder is None else {path.stem: path for path in sorted(folder.glob("*.toml"))}
-
-
-def find_sweep(name_or_path: str | Path) -> Path:
-    """The path of a sweep file. The argument is this path, or the name of a ready-made sweep such as ``eumos``.
-
-    Raises:
-        InputError: there is no such file and no ready-made sweep with this name. The message lists the ready-made
-            sweeps.
-    """
-    path = Path(name_or_path)
-    with suppress(OSError, ValueError):  # raised, for example, if the name is too long or has a null character
-        if path.is_file():
-            return path
-    files_by_name = ready_sweeps()
-    if str(name_or_path) in files_by_name:
-        return files_by_name[str(name_or_path)]
-    ready_names = ", ".join(files_by_name) or "not installed"
-    fault = "no such sweep file"
-    with suppress(OSError, ValueError):
-        if path.exists():
-            fault = f"is {'a folder' if path.is_dir() else 'a device'}, not a sweep file"
-    raise InputError(f"{printable_name(str(name_or_path))}: {fault}; ready-made sweeps are {ready_names}")
-
 
 SAMPLES: Final = "samples"
 """The value ``plans = "samples"`` in a sweep file means the bundled sample plans."""
@@ -103,7 +66,7 @@ class Search(CheckedRecord):
         ge=MIN_TOLERANCE,
         description="accuracy of the largest level survived; by default 0.01 g, or a scale of 0.02",
     )
-    sections: StrictInt = Field(3, ge=1, le=1000, description="levels tested at a time, for each direction")
+    sections: StrictInt = Field(3, ge=1, le=1000, description="number of levels tested at a time, per direction")
 
     @model_validator(mode="after")
     def _upper_above_lower(self) -> Self:
@@ -159,7 +122,7 @@ def _named_axes(tables: Any, info: ValidationInfo) -> dict[str, Axis]:
 class Sweep(CheckedRecord):
     """The content of a sweep file, after all checks."""
 
-    name: str = Field("", max_length=MAX_NAME, description="name of the sweep; by default that of the file")
+    name: str = Field("", max_length=MAX_NAME, description="name of the sweep; by default the name of its file")
     description: str = Field("", max_length=MAX_TEXT, description="the question that the sweep answers")
     plans: (
         Annotated[
@@ -396,7 +359,7 @@ def load_sweep(path: str | Path, plans_given: bool = False, simulation: Mapping[
     Args:
         plans_given: whether the caller provides plans. If the caller provides plans, the file need not name plans, and
             plans that the file names need not exist.
-        simulation: fields of ``Simulation`` that replace those of the file.
+        simulation: fields of ``Simulation`` that replace the fields of the file.
 
     Raises:
         InputError: the file is wrong. The message is one line with file and field, such as "x.toml: axes.scale must be
@@ -451,7 +414,7 @@ def _existing_files(plans: str | tuple[Path, ...] | None, folder: Path) -> str |
     for path in paths:
         try:
             exists = path.exists()
-        except (OSError, ValueError):  # raised, for example, if the name is too long or has a null character
+        except (OSError, ValueError):  # for example, the name is too long or has a null character
             exists = False
         if not exists:
             raise InputError(f"plans: no such file or folder: {printable(str(path))}")
@@ -470,7 +433,7 @@ def chain_sweep(file: str | Path, n_worlds: int | None, simulation: Mapping[str,
     Args:
         file: a sweep file with legs, or the name of a ready-made one.
         n_worlds: number of worlds with errors for each plan. If ``n_worlds`` is None, the number in the file is used.
-        simulation: fields of ``Simulation`` that replace those of the file.
+        simulation: fields of ``Simulation`` that replace the fields of the file.
 
     Raises:
         InputError: the file is unusable or has no legs.

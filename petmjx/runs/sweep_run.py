@@ -71,7 +71,7 @@ class SearchAnswer:
 
 SAME_STEP_ATTEMPTS = tuple(attempt for attempt in ATTEMPTS if attempt.timestep_divisor == 1 and not attempt.soft)
 """The attempts for placements whose states are stored, and for the simulations that start from these states. Attempts
-with half the timestep or with soft boxes are left out: a state counts time in steps of the usual timestep, and attempts
+with half the timestep or with soft boxes are left out. A state counts time in steps of the usual timestep, and attempts
 with soft boxes neither store states nor start from them."""
 
 
@@ -500,10 +500,10 @@ class SweepRun:
         return True
 
     def _recorded_rest(self, group: PlacementGroup, number: int) -> Probe:
-        """The result of a placement without a profile, according to the rows of completed worlds: the outcome in the
-        row of the search item if the pallet did not stand, otherwise a stable one. If the pallet did not stand, the
-        search item has only one row, which is about the lowest level and has 0 steps. A failed test at the lowest level
-        may also have 0 steps, but then there are also rows about tests at higher levels.
+        """The result of a placement without a profile, according to the rows of completed worlds. If the pallet did not
+        stand, the result is the outcome in the row of the search item; otherwise, it is a stable outcome. If the pallet
+        did not stand, the search item has only one row, which is about the lowest level and has 0 steps. A failed test
+        at the lowest level may also have 0 steps, but then there are also rows about tests at higher levels.
         """
         row = self._row(group, number, 0)
         first = self._bisection([Probe(Verdict.STABLE)]).next_tests(0)

@@ -17,6 +17,7 @@ from petmjx.results.schema import summary_table
 from petmjx.runs.chain_summary import ChainColumns, write_chain
 from petmjx.runs.confidence import write_confidence
 from petmjx.runs.forked_worlds import Batching
+from petmjx.runs.hopeless_profiles import hopeless_profiles
 from petmjx.runs.study import FinishedWorld, Study
 from petmjx.runs.sweep_cost import work_of
 from petmjx.runs.sweep_design import sweep_identity
@@ -31,7 +32,6 @@ from petmjx.runs.sweep_summary import (
     summary_units,
 )
 from petmjx.runs.sweep_worlds import SweepPlan
-from petmjx.runs.transport_limits import hopeless_profiles
 
 
 class SweepStudy(Study):

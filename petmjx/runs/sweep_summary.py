@@ -13,18 +13,18 @@ import pandas as pd
 
 from petmjx.engines.metrics import DIMENSIONLESS, TEXT
 from petmjx.engines.verdict import Outcome, Verdict
-from petmjx.results.plan_order import rows_in_order
 from petmjx.results.run_table_reader import Parts
 from petmjx.results.schema import Param, data_frame
 from petmjx.results.share_statistics import KEYS, by_plan_and_axis, share_standing
+from petmjx.results.world_ranks import rows_in_order
 from petmjx.runs.chain_legs import PLACING
+from petmjx.runs.eumos_limits import EUMOS_COLUMNS, EUMOS_PROFILE, eumos_assessment
 from petmjx.runs.level_search import failure_mode
 from petmjx.runs.study import FinishedWorld
 from petmjx.runs.sweep_axes import AXIS_KINDS, Axis
 from petmjx.runs.sweep_design import REMEDY
 from petmjx.runs.sweep_run import SearchAnswer
 from petmjx.runs.sweep_worlds import SweepPlan
-from petmjx.runs.transport_limits import EUMOS_COLUMNS, EUMOS_PROFILE, eumos_assessment
 from petmjx.world.profiles.accelerations import Tilt
 
 RANGE_BINS = 8

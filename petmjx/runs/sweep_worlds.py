@@ -16,10 +16,10 @@ from petmjx.options.simulation import Check, Schedule
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import Skipped
 from petmjx.runs.chain_legs import in_a_row
+from petmjx.runs.eumos_limits import EUMOS_ELASTIC_SHARE, EUMOS_PROFILE
 from petmjx.runs.study import MAX_WORLDS
 from petmjx.runs.sweep_axes import AXIS_KINDS
 from petmjx.runs.sweep_design import Design
-from petmjx.runs.transport_limits import EUMOS_ELASTIC_SHARE, EUMOS_PROFILE
 from petmjx.world.history import Record
 from petmjx.world.job import Drive, Excitation, Job
 from petmjx.world.profiles.profile import Profile, Strength, allowed_sway_m

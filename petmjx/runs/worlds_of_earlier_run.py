@@ -13,15 +13,16 @@ from petmjx.common.text import count_text, printable, printable_name
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_sources import PlanSource, find_plan, gather_plans
-from petmjx.results.placements_table import kept_plans
 from petmjx.results.plan_digests import plan_digest
 from petmjx.results.plan_lookup import how_read, plan_file
 from petmjx.results.run_folder import RUN_FILE
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import RunResults, is_chain
+from petmjx.results.stored_plans import kept_plans
 from petmjx.runs.confidence import PLACING, confidence_sweep
+from petmjx.runs.ready_sweeps import find_sweep
 from petmjx.runs.sweep_design import sweep_identity
-from petmjx.runs.sweep_file import Sweep, chain_sweep, find_sweep, load_sweep, nominal_sweep, sweep_of_tables
+from petmjx.runs.sweep_file import Sweep, chain_sweep, load_sweep, nominal_sweep, sweep_of_tables
 from petmjx.runs.sweep_worlds import SweepPlan
 
 

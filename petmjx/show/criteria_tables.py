@@ -58,8 +58,8 @@ def criteria_tables(results: CriteriaResults, out: Path | None = None) -> Iterat
 
 
 def _says_table(results: CriteriaResults) -> FittedTable:
-    """A table with one row for each criterion: how many plans and boxes the criterion accepts, the median slack and the
-    smallest slack of all plans, and the plan with the smallest slack. A slack is a number whose sign shows whether the
+    """A table with one row for each criterion: how many plans and boxes the criterion accepts; the median and the
+    smallest slack of all plans; and the plan with the smallest slack. A slack is a number whose sign shows whether the
     criterion's rule holds."""
     plans, boxes = results.plans, results.boxes
 

@@ -16,7 +16,7 @@ from petmjx.common.compile_caches import Kind, cache_folder, why_no_folder, why_
 from petmjx.common.errors import EngineUnavailable
 from petmjx.common.machine import cpu_name, cpu_threads, cuda_devices, package_versions, why_no_warp
 from petmjx.common.text import count_text
-from petmjx.engines.engine_choice import ENGINES, make_engine
+from petmjx.engines.engine_registry import ENGINES, make_engine
 from petmjx.engines.verdict import Verdict
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan

@@ -14,12 +14,13 @@ import numpy as np
 from petmjx.common.errors import InputError, PlanWarning
 from petmjx.common.text import box_in_words, count_text, first_names, printable, printable_name, three_digits
 from petmjx.options.run_options import OF_ORDERS, RunOptions
+from petmjx.plans.bedbpp_orders import OF_PLAN
 from petmjx.plans.convention_checks import densities_kg_m3, find_conventions
 from petmjx.plans.item_columns import TWO_WAYS
 from petmjx.plans.item_joins import has_named_places
 from petmjx.plans.item_units_and_quantities import OrderReading
-from petmjx.plans.order_reader import OF_PLAN, read_orders
-from petmjx.plans.placed_boxes import HEAVIEST_BOX_KG_M3, LIGHTEST_BOX_KG_M3, USUAL_KG_M3
+from petmjx.plans.masses_and_densities import HEAVIEST_BOX_KG_M3, LIGHTEST_BOX_KG_M3, USUAL_KG_M3
+from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_reader import REPEATED, load_plans
 from petmjx.plans.plan_set import PlanSet
@@ -77,7 +78,8 @@ def _orders_line(path: Path, options: Mapping[str, Any]) -> tuple[str, str]:
         line = str(error).removeprefix(f"{printable(str(path))}: ")
         return line if line.startswith(TWO_WAYS) and not has_named_places(path) else "", ""
     if not sizes or has_named_places(path):
-        of_plans = not errors or OF_PLAN in str(errors[0])  # then the record has an error of the reader of plans
+        # without an error about orders, or if the file has plans, the record already has the error of the plans' reader
+        of_plans = not errors or OF_PLAN in str(errors[0])
         return "", "" if sizes or of_plans else str(errors[0])
     plain = f"read as BED-BPP's orders; {count_text(len(sizes), 'order')}, {count_text(sum(sizes), 'box', 'boxes')}"
     line = str(notes[0].message).removeprefix(f"{printable(str(path))}: ") if notes else plain

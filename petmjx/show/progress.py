@@ -19,7 +19,6 @@ from rich.text import Text
 from petmjx.common.progress_texts import ProgressTexts
 from petmjx.common.text import count_text, printable
 from petmjx.runs.simulate import RunStart
-from petmjx.runs.study import FinishedWorld
 
 REFRESH_S: Final = 0.5
 """Time after which the bar is redrawn, s, even if no world has finished, since the bar's message may have changed."""
@@ -127,7 +126,7 @@ class _Bar(RichProgress):
     """A progress bar, with a message in the line below."""
 
     def __init__(self, total: int | None, what: str, console: Console) -> None:
-        self._message = ""  # set before ``super().__init__``, which reads it
+        self._message = ""  # ``super().__init__`` reads this attribute
         texts = self._texts = ProgressTexts(total, what)
         count, rate, left = _Words(lambda: texts.count), _Words(lambda: texts.rate), _Words(lambda: texts.left)
         super().__init__(count, BarColumn(), rate, left, console=console)
@@ -187,7 +186,7 @@ class BarWatcher(AbstractContextManager["BarWatcher"]):
         self._until_exit.callback(refresher.join)
         self._until_exit.callback(stop.set)
 
-    def world_done(self, world: FinishedWorld) -> None:
+    def world_done(self, world: object) -> None:
         self._done += 1
 
     def __exit__(self, *_: object) -> None:

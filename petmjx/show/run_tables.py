@@ -216,8 +216,8 @@ def summary_table(info: Mapping[str, Any], what: str = "plans") -> Table:
 
 
 def search_table(info: Mapping[str, Any], summary: pd.DataFrame) -> Table:
-    """The table of counts of a search: numbers of placements (finished pallets before they are shaken), of answers (one
-    for each search on a placement that stands), and of tests (levels that were simulated).
+    """The table of counts of a search: numbers of placements (finished pallets before they are shaken); numbers of
+    answers (one for each search on a placement that stands); and numbers of tests (levels that were simulated).
 
     The verdicts of tests are not counted, since they depend on the levels that the search tried.
 

@@ -46,7 +46,7 @@ _DOUBTS: Final = {
 of a footnote is the mark of doubtful answers."""
 
 _STANDARD_AXES: Final = ("profile", "direction_deg", "level_g", "scale")
-"""The axes (columns of the summary) for which the table of answers needs no additional column: the table always has
+"""The axes (columns of the summary) for which the table of answers needs no additional column. The table always has
 columns for profile and direction, and its answer is the largest level or scale survived."""
 
 _PLAN: Final = name_column("plan", "plan_id", least=20)
@@ -179,8 +179,8 @@ def confidence_table(summary: pd.DataFrame) -> FittedTable:
 
 
 def chain_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
-    """The tables of a chain (a pallet's journey in parts, called legs): a table with one row per plan if there are few
-    plans, a table with one row per leg, and a table with one row per remedy."""
+    """The tables of a chain (a pallet's journey in parts, called legs): a table of the plans if there are few plans, a
+    table of the legs, and a table of the remedies."""
     of_plans = arrivals(summary)
     if len(of_plans) <= FEW_ROWS:
         yield arrivals_table(summary, of_plans)
@@ -193,8 +193,8 @@ def chain_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
 
 
 def arrivals_table(summary: pd.DataFrame, of_plans: pd.DataFrame) -> FittedTable:
-    """A table with one row per plan: the share of worlds in which the plan arrives; for each leg, the share of worlds
-    that stand after this leg among the worlds that reached it; and the leg with the most failures."""
+    """A table with one row per plan. A row has the share of worlds in which the plan arrives; for each leg, the share
+    of worlds that stand after this leg, among the worlds that reached it; and the leg with the most failures."""
     shares = shares_by_leg(summary)
     drawn = bool(of_plans["low"].notna().any())
 
@@ -210,7 +210,7 @@ def arrivals_table(summary: pd.DataFrame, of_plans: pd.DataFrame) -> FittedTable
         *(TableColumn(leg, share_after(leg), spare=2) for leg in shares),
         TableColumn("weakest", text_of("weakest_leg"), "left", least=8),
         TableColumn("box", lambda row: "" if pd.isna(row["box"]) else str(int(row["box"])), spare=1),
-        title="worlds that arrive; by leg: that stand after it, of those that reached it",
+        title="worlds that arrive; by leg: worlds that stand after it, of the worlds that reached it",
     )
 
 

@@ -54,7 +54,7 @@ class ApproachPath(NamedTuple):
     """The paths on which the n boxes of a scene reach their places.
 
     For several scenes with arrays of equal shapes, every array has an additional first axis, with one entry per scene.
-    Positions are those of the boxes' middles, m.
+    Positions are the positions of the boxes' middles, m.
 
     Attributes:
         lift: (n, 3) vector from each box's place to the end of its path, m. The box is released at the end of its path.
@@ -114,8 +114,8 @@ def approach_paths_of(scenes: Sequence[Scene], sim: Simulation) -> ApproachPath 
 def _between_walls(
     room: Room, end: FloatArray, offset: FloatArray, reaches: FloatArray, aside: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """(…, n, 2) horizontal vectors from the ends of the paths to starts that are between the walls, m, and (…, n, 2, 2)
-    the distances by which these starts may still be moved aside, m (``ApproachPath.aside``).
+    """Two arrays: (…, n, 2) horizontal vectors from the ends of the paths to starts that are between the walls, m; and
+    (…, n, 2, 2) the distances by which these starts may still be moved aside, m (``ApproachPath.aside``).
 
     A box that does not fit between the walls starts in the middle between them.
 
@@ -214,8 +214,8 @@ def _overlap(
 
 
 def _approaches(beside: NDArray[np.bool_], approaches: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-    """(…, n, 2) horizontal directions in which boxes move to their places, and (…, n, 2) the forward directions that
-    the boxes would have on tines: a unit vector along x or y for each box.
+    """Two arrays: (…, n, 2) horizontal directions in which boxes move to their places; and (…, n, 2) the forward
+    directions that the boxes would have on tines, each a unit vector along x or y.
 
     A box starts beside its place, at the horizontal distance (length of its direction) × (option ``placing.side_mm``).
     If the plan gives no direction, a box moves along x towards the side that has a neighbour, provided that the

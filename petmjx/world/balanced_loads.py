@@ -24,8 +24,12 @@ from numpy.typing import NDArray
 
 from petmjx.common.linear_programmes import minimised
 from petmjx.common.units import FloatArray
+from petmjx.world.bearings import Bearing
 from petmjx.world.pushing_forces import IntArray
-from petmjx.world.supports import Bearing
+
+ROUNDING_M: Final = 1e-9
+"""Distance beyond an edge, m, up to which a load counts as on the edge, since sums of millimetres have rounding
+errors."""
 
 FAR_M: Final = 0.1
 """The linear programme moves no load further inside the edges than this distance, m."""
@@ -115,7 +119,7 @@ def _solved_loads(
     """(n, 3) loads of one scene, and (n,) distances by which these loads are beyond edges, m. The result is None if the
     linear programme has no solution.
 
-    The programme determines the loads of the boxes ``changed``. The loads of all other boxes are those in ``load``. The
+    The programme determines the loads of the boxes ``changed``. The loads of all other boxes are as in ``load``. The
     unknowns of the programme are
 
     - the forces at the four corners of each contact in ``contacts``,
@@ -178,3 +182,28 @@ def _edges_of(bearing: Bearing, boxes: IntArray) -> tuple[IntArray, FloatArray, 
     normal = np.concatenate([np.tile(_ALONG, (len(one), 1)), bearing.hulls.normal[number[hull], edge]])
     along = np.concatenate([bearing.low[contact], -bearing.high[contact]], axis=1).ravel()
     return place, normal, np.concatenate([along, bearing.hulls.offset[number[hull], edge]])
+
+
+def rebalanced_loads(
+    bearing: Bearing, load: FloatArray, edge_m: FloatArray, placed: NDArray[np.bool_]
+) -> tuple[FloatArray, FloatArray]:
+    """Two arrays: (n, 3) loads of one scene, if supports share loads so that the loads are as far inside the edges as
+    possible; and (n,) the distances of these loads from edges, m.
+
+    Args:
+        bearing: the contacts between boxes and their supports.
+        load: (n, 3 or 4) loads if supports share loads like springs. Some of these loads are beyond edges.
+        edge_m: (n,) distances of these loads from edges, m.
+        placed: (n,) whether each box is already placed.
+    """
+    result = balanced_loads(bearing, load, edge_m, placed)
+    if result is None:
+        return load[:, :3], edge_m
+    balancing, beyond = result
+    # If no forces balance all boxes, loads inside the edges keep their distances in ``edge_m``. If forces balance all
+    # boxes, only loads that the programme has not changed keep their distances in ``edge_m``.
+    is_unchanged = (edge_m >= 0) if (beyond > BEYOND_M).any() else (balancing == load[:, :3]).all(axis=1)
+    balanced_m = bearing.edges_m(balancing)
+    edges = np.where(~placed | is_unchanged, edge_m, np.maximum(balanced_m, 0.0))
+    edges = np.where(beyond > BEYOND_M, np.minimum(balanced_m, -beyond), edges)
+    return balancing, edges

@@ -73,8 +73,8 @@ class Body:
     def with_walls(
         self, center: FloatArray, half_size: FloatArray, mass: FloatArray, friction: FloatArray, sides: Sequence[Side]
     ) -> Body:
-        """This body with additional walls, one for each of ``sides``. The other arguments are those of ``of_boards``,
-        with one row per wall."""
+        """This body with additional walls, one for each of ``sides``. The other arguments are as in ``of_boards``, with
+        one row per wall."""
         boards = self.pos + self.shape_pos
         body = Body.of_boards(
             np.vstack([self.pos, center]),
@@ -91,8 +91,8 @@ class Body:
         )
 
     def shapes_at(self, pos: FloatArray, quat: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(s, 3) centres, (s, 3, 3) rotation matrices and (s, 3) half extents of the shapes if the body has the
-        position ``pos``, m, and the orientation ``quat``, a quaternion (w, x, y, z)."""
+        """Three arrays for a body with the position ``pos``, m, and the orientation ``quat``, a quaternion (w, x, y,
+        z): (s, 3) centres, (s, 3, 3) rotation matrices and (s, 3) half extents of its shapes, m."""
         turns = np.tile(rotations(quat[None]), (len(self.half_size), 1, 1))
         return pos + np.einsum("sij,sj->si", turns, self.shape_pos), turns, self.half_size
 
@@ -197,15 +197,15 @@ class Room:
         return depth
 
     def _inwards(self, place: FloatArray, half: FloatArray, least_m: float) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """(…, n, 2, 2) distances of boxes' middles from walls' inner faces, m, positive between the walls, and
-        (…, n, 2, 2) whether each box reaches below the top of each wall."""
+        """Two arrays (…, n, 2, 2): the distances of boxes' middles from walls' inner faces, m, positive between the
+        walls; and whether each box reaches below the top of each wall."""
         inwards = (place[..., None, :2] - self.face[..., None, :, :]) * np.array([[1.0], [-1.0]])
         return inwards, (place - half)[..., None, None, 2] < self.top[..., None, :, :] - least_m
 
 
 @dataclass(frozen=True, eq=False)
 class Shapes:
-    """The shapes of a scene's bodies: first those of the carrier, then those of each box in packing order.
+    """The shapes of a scene's bodies: first the shapes of the carrier, then the shapes of each box in packing order.
 
     Attributes:
         body: (s,) number of the box to which each shape belongs, or ``CARRIER``.

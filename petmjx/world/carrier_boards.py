@@ -121,7 +121,7 @@ def _rollcontainer_grid() -> Pallet:
     """The base of a roll container: 14 bars of 8 mm with gaps of 53 mm, on four tubes of 30 mm. The base is 200 mm high
     and weighs 25 kg.
 
-    The bars are typical ones: no source was found for the bars of a certain maker. Length and width are those of the
+    The bars are typical ones: no source was found for the bars of a certain maker. Length and width are as for the
     target ``rollcontainer`` in plans. Castors are modelled as blocks that do not roll, like the feet of a pallet.
     """
     length, width, bar, tube, castor, top = 800.0, 700.0, 8.0, 30.0, 60.0, 200.0

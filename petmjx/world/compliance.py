@@ -24,10 +24,11 @@ import numpy as np
 
 from petmjx.common.units import FloatArray
 from petmjx.options.physics import Physics, Triple
+from petmjx.world.bearings import TOUCH_M
 from petmjx.world.contact_laws import CONTACTS_PER_FACE
 from petmjx.world.history import CARRIER
 from petmjx.world.scene import Scene
-from petmjx.world.supports import TOUCH_M, bearing_of
+from petmjx.world.supports import bearing_of
 
 LEAST_IMPEDANCE: Final = 0.5
 """Smallest impedance. With a smaller impedance, friction would give way: boxes on a slope would creep by tenths of a
@@ -52,9 +53,9 @@ OUTWARD: Final = 0.6
 """Factor by which the pressure on a face moves outward if only a small share of the face is pressed. If the pressed
 share of a face is below ``EDGE_SHARE``, the pressure moves towards the deepest edge, by this factor × (``EDGE_SHARE`` /
 share − 1) × the distance to that edge. If a quarter of the face is pressed, the pressure reaches the edge. The angle
-between the two faces is then 12 F / (k·L), rad, for a contact with the force F, whose common area has the width L, and
-whose stiffness is k if the whole common area is pressed. At this angle, of the nine points at which Simpson's rule
-evaluates the pressure, only those at one edge carry load."""
+between the two faces is then 12 F / (k·L), rad. F is the force of the contact, L the width of its common area, and k
+its stiffness if the whole common area is pressed. At this angle, of the nine points at which Simpson's rule evaluates
+the pressure, only those at one edge carry load."""
 
 FACE_COSINE: Final = 0.5
 """Two faces press on one another if the cosine of the angle between one face's normal and the other face's reversed
@@ -85,8 +86,8 @@ def compliances(stiffness_n_m: FloatArray, half_size: FloatArray) -> FloatArray:
 
 def shared_area_m2(one: Face, two: Face) -> float:
     """Area in which two shapes overlap, seen from above, at their planned places, m². If they overlap by less than
-    ``LEAST_SHARE`` of the smaller shape, the area is this share. If neither shape is above the other, the area is that
-    of the smaller shape."""
+    ``LEAST_SHARE`` of the smaller shape, the area is this share. If neither shape is above the other, the area of the
+    smaller shape is used."""
     (ax, ay, az), (bx, by, bz) = one.middle, two.middle
     (al, aw, ah), (bl, bw, bh) = one.half, two.half
     smaller = 4.0 * min(al * aw, bl * bw)
@@ -114,8 +115,8 @@ def spring_law(physics: Physics, spring_n_m: float, inverse_mass: float) -> tupl
 
 
 def _spring_terms(physics: Physics, spring_n_m: Any, inverse_mass: Any) -> tuple[Any, Any, Any]:
-    """The two numbers of ``solref`` and the impedance, with which contacts act at rest like the given springs: three
-    numbers for one contact, (p,) arrays for p contacts."""
+    """The two numbers of ``solref``, and the impedance, with which contacts act at rest like the given springs: three
+    numbers for one contact, three arrays (p,) for p contacts."""
     time_s, damping = physics.solref
     time_s = time_s if time_s < 0 else max(time_s, 2 * physics.timestep_s)
     # stiffness of the contact's spring at rest × (1 − impedance) × sum of the inverse masses, in 1/s²
@@ -163,7 +164,7 @@ def sinks_m(scene: Scene, gravity_m_s2: float) -> FloatArray | None:
     """(n,) distance by which each box is expected to sink once all boxes are placed, m; None if no box is compliant.
 
     A box sinks by the compression of the springs below it, plus the distance by which its supports sink (the largest,
-    if they differ). The loads on the springs are those of the complete plan.
+    if they differ). The loads on the springs are the loads of the complete plan.
     """
     if scene.stiffness is None:
         return None

@@ -91,8 +91,8 @@ def pulls_m_s2(solref: tuple[float, float], solimp: Triple, timestep_s: float) -
 
 
 def cone_factor(physics: Physics, one: FloatArray | float, two: FloatArray | float) -> FloatArray:
-    """The factor by which contacts with pyramidal friction cones are softer than those with elliptic cones. ``one`` and
-    ``two`` are the coefficients of sliding friction of the two shapes.
+    """The factor by which contacts with pyramidal friction cones are softer than contacts with elliptic cones. ``one``
+    and ``two`` are the coefficients of sliding friction of the two shapes.
 
     Each of the four edges of a pyramid has 2μ²(1 + μ²) times the regularisation of the elliptic cone's normal, and all
     four edges act together.
@@ -144,9 +144,9 @@ LEAST_M_S2: Final = ENOUGH_M_S2 / 10
 changes are within the solver's tolerance."""
 
 MOST_LEFT: Final = 0.6
-"""Upper limit of the estimate of how much of the change of a slip excess still remains to be made after an iteration
-(``next_share``), as a share of the change before the iteration. If a larger share remains, other contacts have changed
-the slip excess."""
+"""After an iteration, ``next_share`` estimates which share of the change of a slip excess still remains to be made.
+This number is the upper limit of the estimate, as a share of the change before the iteration. If a larger share
+remains, other contacts have changed the slip excess."""
 
 
 def slack_m_s2(physics: Physics) -> float:
@@ -190,8 +190,8 @@ AT_REST: Final = 2.0
 """Depth of contacts at the end of a landing, as a multiple of ``solimp``'s width. The depth of contacts at rest is 1.3
 times the width. At the end of a landing, contacts are deeper than at rest, since they still push a little while the box
 rises out of them. With ``AT_REST``, the restitution of boxes that fall 10 mm differs by at most 0.03 from the
-restitution that was set (0.1 to 0.3), at whatever moment of a timestep the boxes land. With a restitution of 0.1, a box
-that fell 10 mm rises by a tenth of a millimetre."""
+restitution that was set (0.1 to 0.3). It does not matter at which moment of a timestep the boxes land. With a
+restitution of 0.1, a box that fell 10 mm rises by a tenth of a millimetre."""
 
 _LONGER: Final = 2.0
 """Duration of a landing as a multiple of ``landing_s``. The multiple exceeds 1, since a second corner of the box may

@@ -103,8 +103,8 @@ def find_surfaces(plan: Plan, sim: Simulation) -> Surfaces | None:
 
     The result is None if no box has a material and no board has a coefficient of its own. The result is also None if
     the physics uses pyramidal friction cones, since pyramidal cones allow no friction of pairs. Between a box and a
-    board, the coefficient of the board is used if it has one, otherwise that of the two materials. If a box has no
-    material, the larger coefficient of the two shapes is used.
+    board, the coefficient of the board is used if it has one, otherwise the coefficient of the two materials. If a box
+    has no material, the larger coefficient of the two shapes is used.
 
     Raises:
         InputError: the friction between two of the materials is unknown, or there are too many surfaces.

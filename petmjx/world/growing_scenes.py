@@ -110,7 +110,7 @@ _ONE_MM: Final = np.full((1, 3), 100.0)
 
 @dataclass(frozen=True, eq=False)
 class NextBoxes:
-    """One box for each of m worlds. Units are those of ``Scene``.
+    """One box for each of m worlds. Units are as in ``Scene``.
 
     Attributes:
         half_size: (m, 3) half extents of the boxes, m.
@@ -184,7 +184,7 @@ class EmptyCarrier:
         self.surface = 0 if self._one.surface is None else int(self._one.surface[0])
 
     def with_box(self, scene: Scene, boxes: NextBoxes, row: int) -> Scene:
-        """The scene with one more box: the box ``row`` of ``boxes``. The box's extents, place and mass are those in
+        """The scene with one more box: the box ``row`` of ``boxes``. The box's extents, place and mass are as in
         ``boxes``. All other properties of the box are the same as for all added boxes."""
         place = boxes.target[row]
         box_values = {"half_size": boxes.half_size[row], "mass": boxes.mass[row], "target": place, "start_pos": place}

@@ -36,8 +36,8 @@ too high by the neighbour's height, or, if the box tilts, by half of this height
 
 LOWERING_RATE_1_S: Final = 400.0
 MOST_LOWERING_PER_STEP: Final = 0.8
-"""The damper that slows a box while it is set down. Its rate (damping constant / mass) is ``LOWERING_RATE_1_S``, 1/s.
-The product of rate and timestep is at most ``MOST_LOWERING_PER_STEP``, since semi-implicit Euler is only stable below
+"""A damper slows a box while it is set down. Its rate (damping constant / mass) is ``LOWERING_RATE_1_S``, 1/s. The
+product of rate and timestep is at most ``MOST_LOWERING_PER_STEP``, since semi-implicit Euler is only stable below
 2. The box sinks at 9.81 m/s² / (400 / s) = 25 mm/s. If a box lands at 25 mm/s, a contact of the physics ``pallet``
 gives way by a quarter of a millimetre."""
 

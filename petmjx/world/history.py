@@ -71,7 +71,7 @@ class Contacts:
         return f"Contacts({count_text(len(self.frame), 'contact')})"
 
     def then(self, later: Contacts) -> Contacts:
-        """The contacts of this object, followed by those of ``later``."""
+        """The contacts of this object, followed by the contacts of ``later``."""
         names = [field.name for field in fields(self)]
         return Contacts(**{name: np.concatenate((getattr(self, name), getattr(later, name))) for name in names})
 
@@ -80,13 +80,13 @@ class Contacts:
 class History:
     """The history of one world: f frames of n boxes, in packing order. The values of a box are NaN until it is placed.
 
-    A frame is taken after a step. The poses are those after the step. The forces, accelerations, contacts and drive
-    (what shakes the carrier) are those during the step; MuJoCo evaluates them at the beginning of the step. If a box
-    was placed directly after the step, its forces and accelerations in this frame are 0.
+    A frame is taken after a step. The poses are the poses after the step. The forces, accelerations, contacts and drive
+    (what shakes the carrier) are the values during the step; MuJoCo evaluates them at the beginning of the step. If a
+    box was placed directly after the step, its forces and accelerations in this frame are 0.
 
     Attributes:
-        time_s: (f,) time since the soft start (the phase in which gravity grows), s. The first frame is that of the
-            first placement or, with check ``static``, that at time 0.
+        time_s: (f,) time since the soft start (the phase in which gravity grows), s. The first frame is taken at the
+            first placement or, with check ``static``, at time 0.
         n_placed: (f,) number of boxes placed so far.
         pos: (f, n, 3) centres of the boxes, m.
         quat: (f, n, 4) orientations of the boxes as quaternions (w, x, y, z).
@@ -123,7 +123,7 @@ class History:
     def then(self, later: History) -> History:
         """This history up to the first frame of ``later``, followed by the history ``later``.
 
-        If both histories have a frame at the same time, the frame of this history is kept: the later simulation started
+        If both histories have a frame at the same time, the frame of this history is kept. The later simulation started
         at that time, so its first frame lacks the forces of the step before.
         """
         is_before, is_after = self.time_s <= later.time_s[0], later.time_s > later.time_s[0]

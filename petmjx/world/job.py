@@ -24,8 +24,8 @@ class Excitation:
     Attributes:
         name: name of the profile, for messages.
         kind: "force" or "acceleration". Samples that are forces act on the carrier; their unit is total mass × 9.81
-            m/s². Samples that are accelerations are those of the carrier; their unit is m/s². The engine clamps the
-            carrier and subtracts the acceleration from gravity.
+            m/s². Samples that are accelerations are accelerations of the carrier; their unit is m/s². The engine clamps
+            the carrier and subtracts the acceleration from gravity.
         samples: (n_steps, 3) vectors. Row i acts during step i + 1 of the profile. Nothing acts after the last row.
     """
 
@@ -64,7 +64,7 @@ class Drive:
         """Factor that converts the excitation's samples to N (forces) or to m/s² (accelerations; the factor is 1).
 
         The factor for forces is ``total_mass`` (boxes and carrier, kg) × 9.81 m/s², even if the simulation uses another
-        gravity: a push must not become weaker because boxes weigh less in this gravity. The factor is the same on all
+        gravity. A push must not become weaker because boxes weigh less in this gravity. The factor is the same on all
         engines. The reference implementation also uses the weight of boxes and carrier at 9.81 m/s².
         """
         return total_mass * STANDARD_GRAVITY if self.excitation.kind == FORCE else 1.0
@@ -104,10 +104,10 @@ class KeptState:
 class Job:
     """One world to simulate.
 
-    With early stop, a world in which places of boxes have errors (``has_errors``) ends not only when a box has dropped,
-    but also when a box is *lost*: tilted by more than the threshold. The verdict depends on the largest tilt, so the
-    verdict is known once a box is lost. Simulating further after a box is lost would be the most expensive part of the
-    simulation. A large shift does not end a world, since it may be temporary: a board that tips when one box is placed
+    With early stop, a world in which places of boxes have errors (``has_errors``) ends when a box has dropped, and also
+    when a box is *lost*: tilted by more than the threshold. The verdict depends on the largest tilt, so the verdict is
+    known once a box is lost. Simulating further after a box is lost would be the most expensive part of the simulation.
+    A large shift does not end a world, since it may be temporary. For example, a board that tips when one box is placed
     on it may become level again when the next box is placed. A world with a drive ends when the culprit (the box that
     failed first) is lost, since only then is it known how the culprit failed.
 

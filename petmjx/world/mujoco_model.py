@@ -68,7 +68,7 @@ def build_spec(
 
     Bodies are in this order: world (with the floor), carrier, box_0, box_1, … A carrier that is not clamped has the
     first free joint (qpos 0…6, qvel 0…5). The boxes' free joints follow in the order of boxes. The initial poses are
-    those of the boxes at release. The geoms are the floor, and then the scene's shapes, body after body;
+    the poses of the boxes at release. The geoms are the floor, and then the scene's shapes, body after body;
     ``geom_bodies`` returns the body of each geom.
 
     Args:
@@ -291,7 +291,7 @@ def _set_inertia(body: mujoco.MjsBody, scene: Scene, physics: Physics, number: i
     """Set the mass and the moments of inertia of a body.
 
     For a solid box whose geom is not larger than the box (``Physics.skin_m`` is 0), MuJoCo computes the moments, as in
-    the reference implementation. MuJoCo's moments differ from those of petmjx in the last digits.
+    the reference implementation. MuJoCo's moments differ from petmjx's moments in the last digits.
     """
     mass = scene.carrier.mass if number == CARRIER else float(scene.mass[number])
     carrier = scene.carrier

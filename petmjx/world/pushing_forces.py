@@ -1,9 +1,9 @@
 """Pushing forces: the forces with which several supports carry a box, if supports can push but not pull.
 
-The pressure of a box on a bed of equal springs is a linear function of x and y (petmjx.world.supports), called the
+The pressure of a box on a bed of equal springs is a linear function of x and y (petmjx.world.bearings), called the
 pressure plane in this module. If a load is far from the middle of the supports, this pressure is negative at the
 opposite end, where springs would pull. Real supports only push. So this module computes pushing forces, each within its
-contact area: of all such forces that balance the load, those with the least energy of the springs (Menabrea 1858,
+contact area. Of all such forces that balance the load, these have the least energy of the springs (Menabrea 1858,
 "Nouveau principe sur la distribution des tensions dans les systèmes élastiques"). If the pressure plane is nowhere
 negative, its forces already have the least energy.
 
@@ -32,8 +32,8 @@ from petmjx.world.rectangle_hulls import HullTable
 IntArray = NDArray[np.intp]
 
 PULL: Final = 1e-9
-"""Largest pulling force of a support, as a share of the load, and largest distance of a force outside the support's
-area, m, that count as rounding errors. A support whose force pulls more, or acts farther outside, counts as pulling."""
+"""Tolerance for rounding errors of a support: its pulling force, as a share of the load, and the distance of its force
+outside its area, m, may be as large. A support whose force pulls more, or acts farther outside, counts as pulling."""
 
 ON_EDGE_M: Final = 1e-6
 """Distance from an edge of the supports' convex hull, m, within which a load counts as on the edge. For a load on an
@@ -73,7 +73,7 @@ def pushes(load: FloatArray, owner: IntArray, low: FloatArray, high: FloatArray)
 
     Args:
         load: (p, 3) load of each box: force, and first moments along x and y (force × coordinate).
-        owner: (c,) number of the load on each contact, rising. Each load has at least one contact.
+        owner: (c,) number of the load on each contact, in ascending order. Each load has at least one contact.
         low, high: (c, 2) lowest and highest corners (x, y) of the contacts' areas, m.
     """
     begins = np.flatnonzero(np.diff(owner, prepend=-1))
@@ -135,8 +135,8 @@ def _projected_planes(to_cone: FloatArray, owner: IntArray, begins: IntArray, un
 
 
 def _cone_projection(point: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(c, 3) the point of the cone |z₁|, |z₂| ≤ √3 z₀ nearest to each given point, and (c, 3, 3) the derivative of the
-    nearest point with respect to the given point."""
+    """Two arrays for the given points: (c, 3) the nearest point of the cone |z₁|, |z₂| ≤ √3 z₀, and (c, 3, 3) the
+    derivative of the nearest point with respect to the given point."""
     size, height = np.abs(point[:, 1:]), point[:, 0]
     first_is_large = size[:, 0] >= size[:, 1]
     large, small = np.maximum(size[:, 0], size[:, 1]), np.minimum(size[:, 0], size[:, 1])

@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from petmjx.common.units import FloatArray
 from petmjx.options.simulation import Check, Simulation
 from petmjx.plans.plan_warnings import meets, shared_length
+from petmjx.world.bearings import TOUCH_M
 from petmjx.world.compliance import bed_depth_m, sinks_m
 from petmjx.world.contact_laws import CONTACTS_PER_FACE, cone_factor, depth_m
 from petmjx.world.growing_scenes import NextBoxes, Stacks
 from petmjx.world.history import CARRIER
 from petmjx.world.scene import Scene
 from petmjx.world.scene_arrays import stacked_values
-from petmjx.world.supports import TOUCH_M
 
 NOTHING: Final = -2
 """Number that stands for the support of a box without support: a box that hangs in the air or falls into its place."""
@@ -239,8 +239,8 @@ def _separation(place: FloatArray, half_size: FloatArray) -> FloatArray:
 def _widest(
     place: FloatArray, half_size: FloatArray, yaw: FloatArray, first: NDArray[np.intp], second: NDArray[np.intp]
 ) -> tuple[FloatArray, FloatArray]:
-    """(m, p, 2) unit vector along which the gap between the two boxes of each pair is largest, from the first box to
-    the second, and (m, p) this gap, m; negative if the boxes overlap.
+    """Two arrays: (m, p, 2) the unit vector along which the gap between the two boxes of each pair is largest, from the
+    first box to the second; and (m, p) this gap, m (negative if the boxes overlap).
 
     The vector is along one of the four axes of the two boxes: if two rectangles do not overlap, one of these axes
     separates them.

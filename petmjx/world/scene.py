@@ -27,8 +27,8 @@ from petmjx.world.body_shapes import Body, Shapes
 from petmjx.world.carrier_boards import body_of, floor_z_m, has_walls, pallet, with_walls
 from petmjx.world.friction_pairs import find_surfaces
 from petmjx.world.history import CARRIER
-from petmjx.world.item_pieces import Pieces, pieces_of_sheets, with_pallets
 from petmjx.world.rotation import rotated_vectors
+from petmjx.world.sheets_and_pallets import Pieces, pieces_of_sheets, with_pallets
 
 IDENTITY_QUAT = (1.0, 0.0, 0.0, 0.0)
 
@@ -95,7 +95,7 @@ class Scene:
             is soft.
         wrap: the film around the pallet while the pallet is shaken (petmjx/world/film.py).
         pieces: shapes of the bodies that consist of several shapes: interlayer sheets, which carry load only above
-            other bodies, and pallets among the boxes (petmjx/world/item_pieces.py).
+            other bodies, and pallets among the boxes (petmjx/world/sheets_and_pallets.py).
     """
 
     half_size: NDArray[np.float64]
@@ -250,7 +250,7 @@ def carrier_of(plan: Plan, sim: Simulation) -> Body:
 
 def build_scenes(plans: Iterable[Plan], sim: Simulation) -> Iterator[Scene]:
     """The scene of each plan, in order, as from ``build_scene``. Many plans are computed together; the scenes are
-    bit-identical to those of ``build_scene``."""
+    bit-identical to the scenes of ``build_scene``."""
     slabs, source = _is_slab(sim), iter(plans)
     while batch := list(islice(source, AT_A_TIME)):
         alike = [plan for plan in batch if slabs and _is_plain(plan)]

@@ -1,6 +1,6 @@
 """Arrays with the values of several scenes. The arrays of these scenes have equal shapes, so that they can be stacked.
 
-The worlds of stacked scenes are computed together. The results are bit-identical to those of each world alone.
+The worlds of stacked scenes are computed together. The results are bit-identical to the results of each world alone.
 """
 
 from __future__ import annotations

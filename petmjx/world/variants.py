@@ -15,7 +15,6 @@ import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from enum import StrEnum
 from functools import cached_property
 from typing import Final
 
@@ -25,63 +24,11 @@ from numpy.typing import NDArray
 from petmjx.common.units import MM_PER_M, FloatArray, mm_to_m
 from petmjx.options.placing import Placing, Way
 from petmjx.options.walls import Side
+from petmjx.world.error_distributions import Distribution
 from petmjx.world.friction_pairs import scaled_pairs
 from petmjx.world.random_streams import WorldKey, rngs
 from petmjx.world.release_places import make_room
 from petmjx.world.scene import Scene
-
-
-class DistributionShape(StrEnum):
-    """The family of a distribution of errors."""
-
-    FIXED = "fixed"
-    NORMAL = "normal"
-    UNIFORM = "uniform"
-
-
-@dataclass(frozen=True)
-class Distribution:
-    """The distribution of an error, in the unit of the sweep's axis that sets the error.
-
-    A ``fixed`` error is always ``centre``. A ``normal`` error has the mean ``centre`` and the standard deviation
-    ``spread``. A ``uniform`` error is between ``centre − spread`` and ``centre + spread``.
-    """
-
-    shape: DistributionShape = DistributionShape.FIXED
-    centre: float = 0.0
-    spread: float = 0.0
-
-    @property
-    def random(self) -> bool:
-        return self.shape is not DistributionShape.FIXED and self.spread > 0
-
-    @property
-    def zero(self) -> bool:
-        return self.centre == 0 and not self.random
-
-    def draw(self, rngs: Iterable[np.random.Generator], shape: tuple[int, ...]) -> FloatArray:
-        """(m, …) an array of errors for each of m generators. If the error is not random, the result is a single array,
-        (1, …), and no generator is used.
-
-        Standard random numbers are drawn and then scaled. So with the same generator, twice the spread gives each box
-        twice the error, and worlds at two levels of a sweep can be compared pair by pair.
-        """
-        if self.random and self.shape is DistributionShape.NORMAL:
-            return self.centre + self.spread * np.array([rng.standard_normal(shape) for rng in rngs])
-        if self.random and self.shape is DistributionShape.UNIFORM:
-            return self.centre + self.spread * (2.0 * np.array([rng.random(shape) for rng in rngs]) - 1.0)
-        return np.full((1, *shape), self.centre)
-
-    def label(self) -> str:
-        """Text that stands for the distribution in results, if an axis has distributions of several families."""
-        if self.zero:
-            return "0"
-        if self.shape is DistributionShape.FIXED:
-            return f"fixed({self.centre:g})"
-        if self.shape is DistributionShape.NORMAL:
-            return f"normal({self.centre:g}, {self.spread:g})"
-        return f"uniform({self.centre - self.spread:g}, {self.centre + self.spread:g})"
-
 
 ZERO = Distribution()
 
@@ -190,7 +137,7 @@ class LegSpec:
             drives, the pallet rests for ``pause_s``.
         pause_s: duration of a pause, s.
         wrap_turns: turns of film around the pallet during the leg. If ``wrap_turns`` is None, the options apply.
-        open_walls: walls of the carrier that are open during the leg, in addition to those that the options open.
+        open_walls: walls of the carrier that are open during the leg, in addition to the walls that the options open.
     """
 
     name: str
@@ -241,9 +188,8 @@ MIN_FRICTION_FRACTION = 0.1
 positive."""
 
 STEP_TOLERANCE_M = 0.01
-"""In the plan, the top of a box A may be above the bottom of a box B by up to this length, m, and A still counts as
-below B. So if A and B overlap seen from above, B is set down on A. If the top of A is still higher, A counts as
-standing beside B."""
+"""Box A counts as below box B if, in the plan, A's top is above B's bottom by at most this length, m. So if A and B
+overlap seen from above, B is set down on A. If the top of A is still higher, A counts as standing beside B."""
 
 MOST_SPREADS: Final = 5.0
 """``_farthest_m`` assumes that no random error differs from its mean by more than this number of standard deviations.
@@ -456,11 +402,11 @@ def _lower(scene: Scene) -> NDArray[np.bool_]:
 def _set_down(scene: Scene, half_size: FloatArray, start_pos: FloatArray, yaw: FloatArray) -> FloatArray:
     """(m, n) heights of the boxes' middles, m, after boxes are set down on the actual tops of the boxes below.
 
-    Boxes are set down from the bottom up. Box A is below box B if A's planned top is not above B's planned bottom (with
-    a tolerance of ``STEP_TOLERANCE_M``), and the two overlap seen from above, at their planned or actual places. The
-    planned gap between a box and the highest box below is kept. The planned gap is 0.1 mm because of the reduction of
-    sizes, or more for a box that floats in the plan. If the two boxes overlap vertically in the plan, they do not
-    overlap afterwards.
+    Boxes are set down from the bottom up. Box A is below box B under two conditions: A's planned top is not above B's
+    planned bottom (with a tolerance of ``STEP_TOLERANCE_M``), and the two overlap, seen from above, at their planned or
+    actual places. The planned gap between a box and the highest box below is kept. The planned gap is 0.1 mm because of
+    the reduction of sizes, or more for a box that floats in the plan. If the two boxes overlap vertically in the plan,
+    they do not overlap afterwards.
     """
     planned_bottom = scene.target[:, 2] - scene.half_size[:, 2]
     planned_top = scene.target[:, 2] + scene.half_size[:, 2]

@@ -18,8 +18,9 @@ from support.command_line import (
 )
 
 from petmjx.common.checked_records import CheckedRecord, CliFlag
-from petmjx.options.run_options import Confidence
-from petmjx.options.simulation import Simulation, Thresholds
+from petmjx.options.confidence import Confidence
+from petmjx.options.simulation import Simulation
+from petmjx.options.thresholds import Thresholds
 from petmjx.plans.plan_reader import load_plans
 from petmjx.show.doctor_report import examine
 

@@ -8,10 +8,11 @@ import signal
 from pathlib import Path
 
 import pytest
-from support.command_line import INTERRUPT_AFTER, OVERHANG, TOWER, only_line, run, run_interrupted, write
+from support.command_line import OVERHANG, TOWER, only_line, run, write
+from support.interrupted_commands import INTERRUPT_AFTER, run_interrupted
 from support.outcomes import make_outcome, make_plan
 
-from petmjx.results import run_folder
+from petmjx.results import result_files
 from petmjx.results.run_reader import load_run
 from petmjx.results.run_writer import RunWriter
 
@@ -55,7 +56,7 @@ def test_ctrl_c_in_the_end_is_put_off_until_the_last_part_is_written(
     def end_under_fire() -> None:
         with RunWriter(tmp_path, {}) as writer:
             writer.add(make_plan("a"), 0, "fixed", make_outcome())
-            monkeypatch.setattr(run_folder.os, "replace", replace)
+            monkeypatch.setattr(result_files.os, "replace", replace)
 
     with pytest.raises(KeyboardInterrupt):
         end_under_fire()

@@ -146,7 +146,7 @@ def test_compare_of_simulators_points_to_packers(results: Path, capsys: pytest.C
         (("compare", "--packers", "A={0}", "A={0}"), "compare --packers A: two entries have this name"),
         (("compare", "--packers", "A={0}", "B=nowhere"), "nowhere: no such folder"),
         (("score", "--name", "plans.json"), "--name: must be NAME=PLANS"),
-        (("score", "--name", "../a=b.json"), "the name must be usable as that of a folder"),
+        (("score", "--name", "../a=b.json"), "the name must be usable as the name of a folder"),
         (("score", "--name", "a=b.json", "c.json"), "--name: give a name to each path (NAME=PATH), or to none"),
         (
             ("score", "--name", "a={0}/run.json", "b=nothing.json", "-o", "never"),

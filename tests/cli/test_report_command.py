@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from support.command_line import only_line, run
-from support.reported import scored
+from support.report_runs import scored
 
 
 @pytest.fixture

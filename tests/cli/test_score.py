@@ -10,17 +10,8 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
-from support.command_line import (
-    INTERRUPT_AFTER,
-    TOWER,
-    only_line,
-    placement,
-    run,
-    run_interrupted,
-    run_process,
-    run_with_closed,
-    write,
-)
+from support.command_line import TOWER, only_line, placement, run, run_process, run_with_closed, write
+from support.interrupted_commands import INTERRUPT_AFTER, run_interrupted
 
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.protocol import Progress

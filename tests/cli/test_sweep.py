@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
-from support.command_line import INTERRUPT_AFTER, TOWER, only_line, run, run_interrupted, write
+from support.command_line import TOWER, only_line, run, write
+from support.interrupted_commands import INTERRUPT_AFTER, run_interrupted
 
 from petmjx.results.run_reader import load_run
 

@@ -12,7 +12,7 @@ from support.plans import make_plan, make_world, stack
 
 import petmjx
 from petmjx.engines.attempt_settings import ATTEMPTS
-from petmjx.engines.engine_choice import make_engine
+from petmjx.engines.engine_registry import make_engine
 from petmjx.engines.simulation_loop import score_worlds
 from petmjx.options.simulation import Simulation
 
@@ -29,7 +29,7 @@ import numpy as np
 from support.plans import make_plan, make_world, stack
 from petmjx.options.simulation import Simulation
 from petmjx.engines.attempt_settings import ATTEMPTS
-from petmjx.engines.engine_choice import make_engine
+from petmjx.engines.engine_registry import make_engine
 from petmjx.engines.simulation_loop import score_worlds
 from petmjx.engines.warp.cpu_engine import MjxWarpCpuEngine
 

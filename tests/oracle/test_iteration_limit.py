@@ -1,7 +1,7 @@
 """Tests of ``Simulation.iteration_limit``: a world that needs more iterations of the solver ends, without a verdict
 unless a box has failed for good.
 
-``test_warp_rules.py`` compares this rule on random states. ``test_continued_worlds.py`` tests worlds that leave a GPU.
+``test_warp_rules.py`` compares this rule on random states. ``test_long_worlds.py`` tests worlds that leave a GPU.
 """
 
 from __future__ import annotations

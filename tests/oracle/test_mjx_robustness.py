@@ -14,9 +14,10 @@ import pytest
 from support.fake_stepper import FakeEngine, FakeStepper, assert_same, fake_scene, run_all
 from support.histories import assert_equal
 
+from petmjx.common.errors import is_out_of_memory
 from petmjx.engines.mjx.batch_step import Memory, PaddedModel, StepResult
 from petmjx.engines.mjx.engine import Program
-from petmjx.engines.mjx.host_to_device import Batch, is_out_of_memory
+from petmjx.engines.mjx.host_to_device import Batch
 from petmjx.engines.mjx.padded_template import FIRST_BOX_BODY
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.options.simulation import Simulation

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import functools
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -42,11 +41,8 @@ from support.tiny_worlds import (
 from support.worlds import simulate
 
 from petmjx.engines.mjx.host_to_device import load
-from petmjx.engines.mjx.padded_template import MAX_ITERATIONS
 from petmjx.engines.mjx.timetable import build_timetable
 from petmjx.engines.mjx.world_state import fresh_state
-from petmjx.engines.warp import compiled_programs
-from petmjx.engines.warp import time_slices as rollouts
 from petmjx.engines.warp.engine import MjxWarpEngine
 
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")
@@ -146,26 +142,6 @@ def test_drives_as_in_c_and_forks_as_whole_runs(kind: str) -> None:
         assert (full_run.n_steps, full_run.sim_time_s) == (twin.n_steps, twin.sim_time_s)
         np.testing.assert_allclose(full_run.boxes.max_sway_m, twin.boxes.max_sway_m, rtol=0.01, atol=SAME_SWAY_M)
     assert twins[0].boxes.max_sway_m.max() > 2e-3
-
-
-@pytest.mark.slow
-def test_a_drive_has_an_iteration_limit_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The limit does not change the placing of boxes. An iteration limit of the user replaces it."""
-    jobs = [Job(tiny("hand-bridge"), pushes("force", LEVELS["force"])), Job(tiny("hand-bridge"))]
-
-    monkeypatch.setattr(
-        rollouts, "programs", compiled_programs.programs.__wrapped__
-    )  # not cached, as they depend on the limit
-
-    def found(driven: int, **options: Any) -> list[Outcome]:
-        monkeypatch.setattr(compiled_programs, "DRIVEN_ITERATIONS", driven)
-        return run_all(engine(), jobs, SHORT.changed(**options))
-
-    few, many, custom = found(1), found(MAX_ITERATIONS), found(1, solver_iterations=MAX_ITERATIONS)
-    assert not np.array_equal(few[0].boxes.max_sway_m, many[0].boxes.max_sway_m)
-    assert_same(few[1], many[1])
-    for one, other in zip(custom, many, strict=True):
-        assert_same(one, other)
 
 
 @pytest.mark.slow

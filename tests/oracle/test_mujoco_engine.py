@@ -32,7 +32,8 @@ from petmjx.engines.step_clock import Clock
 from petmjx.engines.verdict import Flag, Reason, Verdict, judge
 from petmjx.options.carriers import Carrier
 from petmjx.options.physics import PHYSICS, Cone
-from petmjx.options.simulation import Schedule, Simulation, Thresholds
+from petmjx.options.simulation import Schedule, Simulation
+from petmjx.options.thresholds import Thresholds
 from petmjx.world.job import Drive, Excitation, Job
 from petmjx.world.mujoco_model import build_spec, to_mjcf
 from petmjx.world.scene import Scene

@@ -13,7 +13,8 @@ from petmjx.common.errors import InputError
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.open_world_protocol import OpenWorlds
 from petmjx.engines.verdict import Flag, Outcome, Verdict
-from petmjx.options.simulation import Quiet, Schedule, Simulation
+from petmjx.options.quiet import Quiet
+from petmjx.options.simulation import Schedule, Simulation
 from petmjx.world.job import FORCE, Drive, Excitation, Job
 from petmjx.world.scene import Scene, build_scene
 

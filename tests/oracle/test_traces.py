@@ -24,7 +24,8 @@ from petmjx.common.units import STANDARD_GRAVITY
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.protocol import Engine
 from petmjx.engines.verdict import Flag, Reason
-from petmjx.options.simulation import Check, Quiet, Schedule, Simulation
+from petmjx.options.quiet import Quiet
+from petmjx.options.simulation import Check, Schedule, Simulation
 from petmjx.world.job import ACCELERATION, FORCE, Drive, Excitation, Job
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("ranks_may_differ")]

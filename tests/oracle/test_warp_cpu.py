@@ -27,7 +27,7 @@ from support.worlds import simulate
 
 import petmjx
 from petmjx.common.errors import EngineUnavailable, InputError
-from petmjx.engines.engine_choice import make_engine
+from petmjx.engines.engine_registry import make_engine
 from petmjx.engines.verdict import Outcome
 from petmjx.engines.warp import block_launch, kernel_launcher
 from petmjx.engines.warp.block_launch import Call

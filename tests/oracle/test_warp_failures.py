@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from petmjx.common.errors import InputError
-from petmjx.engines.mjx.host_to_device import GRANULE
+from petmjx.engines.mjx.padded_sizes import GRANULE
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job

@@ -16,9 +16,10 @@ from petmjx.repairs.drafts import Draft
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.requests import Asked, Trial
 from petmjx.repairs.trials import Lane, Question, TrialStream
+from petmjx.world.error_distributions import Distribution
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene, build_scene
-from petmjx.world.variants import Distribution, PlacementChange, Variant, apply
+from petmjx.world.variants import PlacementChange, Variant, apply
 
 pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 

@@ -27,7 +27,7 @@ from support.plans import Box, heap, on_boards
 from support.worlds import make_plan
 
 from petmjx.common.warp_setup import set_up_warp
-from petmjx.engines.mjx.host_to_device import GRANULE
+from petmjx.engines.mjx.padded_sizes import GRANULE
 from petmjx.engines.mujoco.slip import SlipLaw
 from petmjx.engines.warp import block_launch, block_sizes
 from petmjx.engines.warp.block_launch import Launch

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from support.plans import Box, make_scene, stack
+from support.plans import Box, make_plan, make_scene, stack
 
+import petmjx
 from petmjx.common.units import FloatArray
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.verdict import Outcome, Verdict
@@ -51,6 +52,24 @@ def test_every_box_of_a_tower_bears_what_stands_on_it(physics: str) -> None:
     above_kg = np.array([sum(masses[k + 1 :]) for k in range(len(masses))])
     assert outcome.verdict is Verdict.STABLE
     np.testing.assert_allclose(outcome.boxes.rest_top_force_n, above_kg * G, rtol=LOAD_RELATIVE, atol=0.01)
+
+
+@pytest.mark.parametrize("engine", ["mujoco", "mjx-warp-cpu"])
+def test_a_plank_that_leans_on_a_plate_with_a_higher_middle_bears_on_it(engine: str) -> None:
+    """The plank leans from the carrier to the edge of a plate. The plank's middle is lower than that of the plate, but
+    the plank lies on the plate."""
+    plank, edge_mm, kg = 600.0, 460.0, 2.0
+    boxes = [
+        ((300.0, 200.0, 10.0), (500.0, 10.0, 0.0), 1.2),
+        ((400.0, 300.0, 5.0), (edge_mm, 0.0, 10.0), 2.3),
+        ((plank, 200.0, 5.0), (0.0, 70.0, 15.0), kg),
+    ]
+    results = petmjx.score(make_plan(boxes=boxes), engine=engine)
+    middle_z = results.boxes.pos_z_m
+    assert middle_z[2] < middle_z[1]
+    on_plate = kg * G * plank / 2 / edge_mm
+    np.testing.assert_allclose(results.boxes.rest_top_force_n, [2.3 * G + on_plate, on_plate, 0], rtol=LOAD_RELATIVE)
+    assert results.boxes.rest_edge_m[2] == pytest.approx(0.1, abs=1e-3)
 
 
 def test_a_bridge_loads_both_supports_alike() -> None:

@@ -21,7 +21,7 @@ from petmjx.options.materials import friction_between, kinetic_share_between
 from petmjx.options.simulation import Check, Schedule, Simulation
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_fields import PALLETS
-from petmjx.runs.transport_limits import slide_m
+from petmjx.runs.hopeless_profiles import slide_m
 from petmjx.show.file_info import file_infos
 from petmjx.world.carrier_boards import pallet
 from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
@@ -65,7 +65,7 @@ def level(level_g: float, axis: int, ramp: int = 150, hold: int = 150) -> np.nda
 
 
 def engine_of(name: str) -> Engine:
-    from petmjx.engines.engine_choice import make_engine
+    from petmjx.engines.engine_registry import make_engine
 
     return make_engine(name)
 

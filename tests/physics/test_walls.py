@@ -10,29 +10,31 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from support.edges import edges_of
+from support.plan_edges import edges_of
 from support.plans import Box, make_plan, make_scene, stack
 from support.sweeps import write_sweep
 
 import petmjx
 from petmjx.common.errors import InputError
-from petmjx.engines.engine_choice import make_engine
+from petmjx.engines.engine_registry import make_engine
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Check, Schedule, Simulation
 from petmjx.options.walls import Side
 from petmjx.plans.plan_sources import usable_plans
-from petmjx.repairs.drafts import Draft, Rules
+from petmjx.repairs.draft_rules import Rules
+from petmjx.repairs.drafts import Draft
 from petmjx.world.approach_paths import ApproachPath, approach_path_of, approach_paths_of, reach
-from petmjx.world.edge_distances import building_edges
+from petmjx.world.building_edges import building_edges
+from petmjx.world.error_distributions import Distribution, DistributionShape
 from petmjx.world.history import Record
 from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
 from petmjx.world.option_lint import notes_about
 from petmjx.world.profiles.accelerations import eumos_40509
 from petmjx.world.scene import build_scene
 from petmjx.world.supports import bearings_of
-from petmjx.world.variants import Distribution, DistributionShape, PlacementChange, Variant, apply_all
+from petmjx.world.variants import PlacementChange, Variant, apply_all
 
 G = 9.81
 KG = 10.0

@@ -34,7 +34,7 @@ from petmjx.common.errors import InputError
 from petmjx.results.run_folder import OF_WORLDS, TABLES
 from petmjx.results.run_writer import RunWriter
 from petmjx.results.to_json import to_json
-from support.damage import damaged as damaged_bytes
+from support.damaged_files import damaged as damaged_bytes
 from support.plan_files import order_for, placement, tower
 
 PLANS: Final = {

@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from petmjx.engines.margin import margin_of
 from petmjx.engines.metrics import BoxMetrics
-from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict, margin_of
-from petmjx.options.simulation import Thresholds
+from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.options.thresholds import Thresholds
 from petmjx.plans.plan import Plan
 from support import plans
 

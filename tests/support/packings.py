@@ -12,7 +12,7 @@ from shapely import MultiPoint, Point
 from petmjx.packers.baseline_packer import MAX_HEIGHT_MM, PlacedBox
 from petmjx.packers.packing_state import LEAST_SUPPORT
 from petmjx.packers.pile_balance import MARGIN_M, MARGIN_SHARE
-from petmjx.plans.order_generator import TARGET_EXTENT_MM, Item
+from petmjx.plans.order import TARGET_EXTENT_MM, Item
 
 EPS = 1e-6
 EURO = (1200.0, 800.0)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from petmjx.results.run_folder import digest_of
+from petmjx.results.result_files import digest_of
 
 
 def edit_info(folder: Path, edit: Callable[[dict[str, Any]], object]) -> None:

@@ -20,7 +20,8 @@ from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.time_slices import Rollout, Slice
 from petmjx.engines.warp.world_arrays import most_panels
 from petmjx.engines.warp.world_table import TableRun, WorldTable
-from petmjx.options.simulation import Quiet, Simulation
+from petmjx.options.quiet import Quiet
+from petmjx.options.simulation import Simulation
 from petmjx.world.scene import Scene, build_scene
 from support.fake_stepper import assert_same
 from support.worlds import boxes_by_plan, make_plan, simulate

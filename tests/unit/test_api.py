@@ -16,7 +16,8 @@ import petmjx
 from petmjx.common.errors import InputError
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.options.run_options import RunOptions
-from petmjx.options.simulation import Simulation, Thresholds
+from petmjx.options.simulation import Simulation
+from petmjx.options.thresholds import Thresholds
 from petmjx.plans.plan_set import PlanSet, Skipped
 from petmjx.plans.plan_sources import find_plan, gather_plans, usable_plans
 from petmjx.runs.simulate import RunStart

@@ -23,7 +23,8 @@ from petmjx.packers.baseline_packer import PackRules, PlacedBox, pack_best
 from petmjx.packers.left_out_items import LeftOutItems
 from petmjx.packers.pile_balance import MARGIN_M, Balance, hull_planes
 from petmjx.packers.sample_plans import as_placements, generate, generate_one, pack_orders
-from petmjx.plans.order_generator import TARGET_EXTENT_MM, Item, draw_order
+from petmjx.plans.order import TARGET_EXTENT_MM, Item
+from petmjx.plans.order_generator import draw_order
 
 
 @settings(max_examples=60, deadline=None)

@@ -16,7 +16,7 @@ import petmjx
 from petmjx.analysis.carton_walls import walls_of
 from petmjx.common.units import STANDARD_GRAVITY
 from petmjx.options.carriers import Carrier
-from petmjx.options.stacking import Stacking
+from petmjx.options.strength_losses import Stacking
 from petmjx.plans.plan import Plan
 from petmjx.world.carrier_boards import pallet
 

@@ -14,7 +14,8 @@ from support.outcomes import dropped_outcome, make_outcome, make_plan
 from petmjx.analysis.run_comparison import FORCE_FLOOR_N, compare_runs, thresholds_of
 from petmjx.common.errors import InputError
 from petmjx.engines.verdict import Outcome, Reason, Verdict
-from petmjx.options.simulation import Simulation, Thresholds
+from petmjx.options.simulation import Simulation
+from petmjx.options.thresholds import Thresholds
 from petmjx.results.run_reader import load_run
 from petmjx.results.run_writer import RunWriter
 from petmjx.results.schema import Param

@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 from rich.console import Console
 from support.command_line import write
-from support.kills import assert_same, tables
+from support.equal_runs import assert_same, tables
 from support.outcomes import make_outcome
 from support.plans import make_plan, stack
 
@@ -29,7 +29,7 @@ from petmjx.plans.bundled import bundled_path
 from petmjx.plans.plan_reader import load_plans
 from petmjx.results.run_writer import RunWriter
 from petmjx.runs.confidence import READY_MADE, confidence_sweep, contradiction_mask, write_confidence
-from petmjx.runs.sweep_file import ready_sweeps
+from petmjx.runs.ready_sweeps import ready_sweeps
 from petmjx.runs.sweep_worlds import SweepPlan
 from petmjx.show.run_tables import run_tables
 from petmjx.show.table_layout import print_renderables
@@ -188,7 +188,7 @@ REFUSED = {
     "sample": ("mode = 'sample'\nsample = 3\n[axes]\nyaw_error_deg = 2", 'mode = "sample" contradicts confidence'),
     "several": (
         "[axes]\nplacement_error_mm = [2, 3]",
-        "axes.placement_error_mm must be one error for confidence, got 2",
+        "axes.placement_error_mm: confidence needs one error, got 2",
     ),
     "factor": (SLOPPY + "friction_factor = 0.8", "axes.friction_factor contradicts confidence: it is not an error"),
     "calm": ("[axes]\ndrop_height_mm = 5", "axes have nothing random: every world would be the same"),

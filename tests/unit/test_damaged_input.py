@@ -19,7 +19,7 @@ import pyarrow
 import pyarrow.parquet
 import pytest
 from support.command_line import write
-from support.damage import try_one
+from support.damaged_files import try_one
 from support.plan_files import order, placement, tower
 from support.sound_files import KINDS
 
@@ -45,7 +45,7 @@ QUICK_S = 2.0
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
 def test_a_sample_of_damaged_files_costs_at_most_a_line_each(kind: str, tmp_path: Path) -> None:
-    """A sample of damaged files. ``PYTHONPATH=.:tests python -m support.damage`` tries 50,000 damaged files."""
+    """A sample of damaged files. ``PYTHONPATH=.:tests python -m support.damaged_files`` tries 50,000 damaged files."""
     messages = [(seed, try_one(kind, seed, tmp_path)[1]) for seed in range(N_EACH)]
     assert [(seed, message) for seed, message in messages if message is not None] == []
 
@@ -359,7 +359,7 @@ def test_what_costs_more_than_a_line_is_found(tmp_path: Path, monkeypatch: pytes
             pass
         return []
 
-    monkeypatch.setattr("support.damage.SLOW_S", 0.01)
+    monkeypatch.setattr("support.damaged_files.SLOW_S", 0.01)
     for load, line in ((crash, "traceback: KeyError"), (linger, "slow: "), (lambda path: ["a\x1b[2J"], "line with")):
         monkeypatch.setitem(KINDS, "psd", replace(KINDS["psd"], load=load))
         assert (try_one("psd", 0, tmp_path)[1] or "").startswith(line)

@@ -13,7 +13,7 @@ import pytest
 from rich.console import Console
 from support.outcomes import make_outcome
 from support.plans import Box, make_plan, make_scene, stack
-from test_fallback import Scripted, never, scored
+from test_attempt_with_fallback import Scripted, never, scored
 from test_supports import random_heap
 
 import petmjx
@@ -25,7 +25,8 @@ from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.options.simulation import Simulation
 from petmjx.show.run_tables import worlds_table
 from petmjx.world import edge_distances
-from petmjx.world.edge_distances import EdgeRisk, building_edges, edge_risks
+from petmjx.world.building_edges import building_edges
+from petmjx.world.edge_distances import EdgeRisk, edge_risks
 from petmjx.world.job import Job
 from petmjx.world.supports import bearings_of
 

@@ -10,19 +10,19 @@ import pytest
 from support.plans import make_scene
 
 from petmjx.common.errors import EngineUnavailable, InputError
-from petmjx.engines.cost_model import (
+from petmjx.engines.cost_model import MEASURED, SHAKEN_STEPS
+from petmjx.engines.engine_choice import Choice, choose
+from petmjx.engines.engine_of_run import engine_for, resolve_engine
+from petmjx.engines.engine_registry import ENGINES, make_engine
+from petmjx.engines.expected_work import (
     CARRIED_STEPS,
     COST_SHARE,
     DISPLACED_STEPS,
     FAILING_BOXES,
-    MEASURED,
-    SHAKEN_STEPS,
     WAY_STEPS,
     Work,
     rest_steps,
 )
-from petmjx.engines.engine_choice import ENGINES, Choice, choose, make_engine
-from petmjx.engines.engine_of_run import engine_for, resolve_engine
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.protocol import Progress
 from petmjx.engines.verdict import Outcome
@@ -105,7 +105,7 @@ def test_a_pallet_has_time_to_come_to_rest_and_needs_less() -> None:
 
 
 def test_placements_with_errors_take_more_steps_and_each_costs_more(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("petmjx.engines.cost_model.FAILING_BOXES", 1e-9)
+    monkeypatch.setattr("petmjx.engines.expected_work.FAILING_BOXES", 1e-9)
     planned, seventeen = Work(SIM, [10], ties=[1.0]), Work(SIM, [10], placements=17, ties=[1.0])
     exact, by_hand = replace(seventeen, displaced=16), replace(seventeen, carried=16)
     # of ten boxes with a second support each, places with errors take some away

@@ -10,7 +10,8 @@ import pytest
 
 from benchmarks.result_fields import read_lines
 from benchmarks.time_estimates import OF_PLANS
-from petmjx.engines.cost_model import MEASURED, Work
+from petmjx.engines.cost_model import MEASURED
+from petmjx.engines.expected_work import Work
 from petmjx.options.simulation import SOFT_START_STEPS, Simulation
 
 RESULTS = Path(__file__).parents[2] / "benchmarks" / "results"

@@ -13,7 +13,7 @@ from support.plans import make_plan, make_scene, stack
 
 import petmjx
 from petmjx.common.errors import InputError
-from petmjx.engines.engine_choice import make_engine
+from petmjx.engines.engine_registry import make_engine
 from petmjx.engines.mujoco import world_run as cpu_world
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict

@@ -10,38 +10,37 @@ import pytest
 from support.plans import Box, make_plan
 
 from benchmarks.time_estimates import cut, shelf_plan
-from petmjx.engines.cost_model import (
+from petmjx.engines.cost_model import GENTLE_COST, MEASURED, STATIC_FALL_BOXES
+from petmjx.engines.engine_choice import choose
+from petmjx.engines.expected_work import (
     DRIVEN_SWAY,
     FALL_BOXES,
     FALL_STEPS,
     FALLING_SWAY_MM,
-    GENTLE_COST,
     GIVING_STEPS,
     LOST,
-    MEASURED,
     MOST_SWAY_STEPS,
     SOFT_STARTS,
-    STATIC_FALL_BOXES,
     STATIC_FALL_STEPS,
     STEP_SHARE,
     SWAY_MM,
     SWAY_STEPS,
     Work,
 )
-from petmjx.engines.engine_choice import choose
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.protocol import Progress
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Check, Simulation
 from petmjx.packers.sample_plans import generate_one
-from petmjx.plans.loose_boxes import MOST_LOOKED_AT, loose_and_ties, mean_sink_mm, statics_of, tipping_g
 from petmjx.plans.plan import Plan
+from petmjx.plans.plan_statics import MOST_LOOKED_AT, loose_and_ties, mean_sink_mm, statics_of, tipping_g
 from petmjx.plans.plan_validation import parse_plan
 from petmjx.results.recording import Recording
 from petmjx.results.resume import CompletedWorlds
+from petmjx.runs.ready_sweeps import find_sweep
 from petmjx.runs.study import Nominal
 from petmjx.runs.sweep_cost import work_of
-from petmjx.runs.sweep_file import find_sweep, load_sweep
+from petmjx.runs.sweep_file import load_sweep
 from petmjx.runs.sweep_worlds import SweepPlan
 from petmjx.world.edge_distances import EdgeRisk
 from petmjx.world.supports import deck_mm
@@ -175,7 +174,7 @@ def test_of_many_plans_some_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> No
         seen.append(plan.plan_id)
         return 0, 1
 
-    monkeypatch.setattr("petmjx.plans.loose_boxes.loose_and_ties", look)
+    monkeypatch.setattr("petmjx.plans.plan_statics.loose_and_ties", look)
     plans = [boxes((0, 0, 0), (0, 0, 200))] * (3 * MOST_LOOKED_AT)
     statics = statics_of(plans)
     assert statics.placed_share.tolist() == statics.ties.tolist() == [0.5] * len(plans)

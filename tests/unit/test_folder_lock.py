@@ -19,7 +19,7 @@ from support.waiting import wait_for
 
 from petmjx.cli.run_command import folder_of_run
 from petmjx.common.errors import InputError, PetmjxError
-from petmjx.results import folder_lock, run_folder
+from petmjx.results import folder_lock, result_files
 from petmjx.results.folder_lock import LOCK_FILE, held_folder_lock
 from petmjx.results.run_reader import load_run
 from petmjx.results.run_writer import RunWriter
@@ -189,10 +189,10 @@ def test_parts_without_run_json_are_not_mixed_with_a_new_run(tmp_path: Path) -> 
 def test_temporary_files_cannot_be_planted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     victim = tmp_path / "victim"
     victim.write_text("mine")
-    monkeypatch.setattr(run_folder.secrets, "token_hex", lambda n: "0" * 2 * n)
+    monkeypatch.setattr(result_files.secrets, "token_hex", lambda n: "0" * 2 * n)
     (tmp_path / f".x.{'0' * 32}.tmp").symlink_to(victim)
     with pytest.raises(FileExistsError):
-        run_folder.write_text("theirs", tmp_path / "x")
+        result_files.write_text("theirs", tmp_path / "x")
     assert victim.read_text() == "mine"
 
 
@@ -216,7 +216,7 @@ def test_a_disk_that_is_full_for_run_json_too(tmp_path: Path, monkeypatch: pytes
     def fill() -> None:
         with RunWriter(tmp_path, {}) as run:
             run.add(make_plan(), 0, "fixed", make_outcome())
-            monkeypatch.setattr(run_folder.os, "fsync", full)
+            monkeypatch.setattr(result_files.os, "fsync", full)
 
     with pytest.raises(PetmjxError, match="cannot write results: No space"):
         fill()

@@ -13,8 +13,8 @@ import openpyxl
 import pytest
 
 import petmjx
-from petmjx.common.checked_records import read_toml
 from petmjx.common.errors import InputError
+from petmjx.common.toml_files import read_toml
 from petmjx.packers.sample_plans import pack_orders
 from petmjx.plans.articles import read_articles
 from petmjx.plans.file_formats import number_hint

@@ -23,10 +23,10 @@ from petmjx.loop.episode_orders import Orders, order_reading
 from petmjx.options.run_options import RunOptions
 from petmjx.packers.pack import orders_of, reading_of
 from petmjx.packers.sample_plans import pack_orders
-from petmjx.plans.item_units_and_quantities import SET_KG_M3, OrderReading
-from petmjx.plans.order_generator import Order, target_extent_mm, target_named
+from petmjx.plans.item_units_and_quantities import OrderReading
+from petmjx.plans.masses_and_densities import SET_KG_M3, USUAL_KG_M3
+from petmjx.plans.order import Order, target_extent_mm, target_named
 from petmjx.plans.order_reader import keep_orders, read_orders
-from petmjx.plans.placed_boxes import USUAL_KG_M3
 
 Boxes = list[tuple[float, float, float, float]]
 

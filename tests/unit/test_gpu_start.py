@@ -18,8 +18,9 @@ import pytest
 from petmjx.common.errors import InputError
 from petmjx.common.machine import own_environment
 from petmjx.engines import gpu_start, machine_speed
-from petmjx.engines.cost_model import MEASURED, Work
+from petmjx.engines.cost_model import MEASURED
 from petmjx.engines.engine_warmup import WORTH_A_GPU, engine_warmup
+from petmjx.engines.expected_work import Work
 from petmjx.engines.remote import ray_cluster as of_clusters
 from petmjx.engines.remote import worker_startup as of_workers
 from petmjx.engines.remote.ray_actor import Recipe

@@ -25,14 +25,15 @@ from support.programs import run_program
 import petmjx.gym
 from benchmarks.episodes import SETTINGS, episodes
 from petmjx.common.errors import InputError, PlanWarning
-from petmjx.engines.engine_choice import make_engine
+from petmjx.engines.engine_registry import make_engine
 from petmjx.gym.actions import _in_turn
 from petmjx.gym.item_queues import Queues
 from petmjx.gym.single_env import PalletizingEnv
 from petmjx.gym.vector_env import PalletizingVectorEnv
 from petmjx.loop.episode_orders import STRENGTH, Boxes, Orders
-from petmjx.plans.item_units_and_quantities import SET_KG_M3
-from petmjx.plans.order_generator import Item, Order, draw_order
+from petmjx.plans.masses_and_densities import SET_KG_M3
+from petmjx.plans.order import Item, Order
+from petmjx.plans.order_generator import draw_order
 from petmjx.show.pictures.picture_files import why_nothing_is_drawn
 
 NAME = "petmjx/Palletizing-v0"

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from support.equal_runs import assert_same, tables
 from support.histories import Forgetful, assert_equal, history_of
-from support.kills import assert_same, tables
 from support.plans import make_plan, make_scene, make_world, stack
 from support.programs import run_program
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from petmjx.common.processes import no_collection
+from petmjx.common.garbage_collection import no_collection
 
 LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"_version", "version", "common"}),

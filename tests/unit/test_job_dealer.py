@@ -12,7 +12,8 @@ from support.fake_stepper import fake_scene
 
 from petmjx.common.errors import EngineUnavailable, InputError
 from petmjx.common.units import FloatArray
-from petmjx.engines.cost_model import CREEPING, DISPLACED_COST, MEASURED
+from petmjx.engines.cost_model import MEASURED
+from petmjx.engines.expected_work import CREEPING, DISPLACED_COST
 from petmjx.engines.remote.job_dealer import MOST_JOBS, MOST_ON_DEVICE, JobDealer, WorkerJobs
 from petmjx.engines.remote.worker_resources import Node, WorkerResources, threads_beside, worker_resources
 from petmjx.options.simulation import Simulation

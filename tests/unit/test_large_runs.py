@@ -18,7 +18,7 @@ import petmjx
 from petmjx.engines.protocol import Progress
 from petmjx.engines.verdict import Outcome
 from petmjx.options.simulation import Simulation
-from petmjx.results import tables_in_progress
+from petmjx.results import table_parts
 from petmjx.results.run_writer import RunWriter
 from petmjx.runs import forked_worlds
 from petmjx.world.job import Job
@@ -80,13 +80,13 @@ def assert_ranked(folder: Path, plans: Sequence[petmjx.Plan] = PLANS) -> None:
 def writes(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Names of the parts of the table ``worlds`` that are written."""
     names: list[str] = []
-    write = tables_in_progress.write_table
+    write = table_parts.write_table
 
     def noted(table: Any, path: Path) -> str:
         names.extend([path.name] if path.parent.name == "worlds" else [])
         return write(table, path)
 
-    monkeypatch.setattr(tables_in_progress, "write_table", noted)
+    monkeypatch.setattr(table_parts, "write_table", noted)
     return names
 
 

@@ -140,7 +140,7 @@ def test_what_makes_no_leaderboard_is_one_line(tmp_path: Path, board: Path) -> N
     refused: list[tuple[Any, dict[str, Any], str]] = [
         ([board / "plans" / "careful.json"], {}, "at least two packers"),
         ([tmp_path / "none.json"] * 2, {}, "no such file or folder"),
-        ({"a/b": board}, {}, "usable as that of a folder"),
+        ({"a/b": board}, {}, "usable as the name of a folder"),
         ([board, 2], {}, r"packers\[1\] must be a path, got 2"),
         ({"a": board, "b": None}, {}, r"packers\['b'\] must be a path, got None"),
         (3, {}, "packers must be a list of runs or files of plans, got 3"),

@@ -32,7 +32,8 @@ from petmjx.packers.packing_state import Packing
 from petmjx.packers.policy_network import Network, likely
 from petmjx.packers.sample_plans import generate
 from petmjx.packers.stability_features import NAMES as STABILITY_NAMES
-from petmjx.plans.order_generator import TARGET_EXTENT_MM, Item, Order, draw_order
+from petmjx.plans.order import TARGET_EXTENT_MM, Item, Order
+from petmjx.plans.order_generator import draw_order
 
 DRAWN = draw_order(5, 3)
 EXTENT = TARGET_EXTENT_MM[DRAWN.target]

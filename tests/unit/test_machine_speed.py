@@ -15,9 +15,10 @@ import pytest
 from petmjx.common import compile_caches
 from petmjx.common.errors import EngineUnavailable
 from petmjx.engines import kernel_notes, machine_speed
-from petmjx.engines.cost_model import MEASURED, Work
+from petmjx.engines.cost_model import MEASURED
 from petmjx.engines.engine_choice import Choice
 from petmjx.engines.engine_of_run import resolve_engine
+from petmjx.engines.expected_work import Work
 from petmjx.engines.kernel_notes import CPU_KERNEL, are_noted, note_kernels
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.verdict import Verdict

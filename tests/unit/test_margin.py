@@ -15,9 +15,11 @@ from support.plans import make_plan, stack
 
 import petmjx
 from petmjx.analysis.run_comparison import compare_runs
+from petmjx.engines.margin import margin_of
 from petmjx.engines.metrics import BoxMetrics
-from petmjx.engines.verdict import Flag, Reason, Verdict, judge, margin_of
-from petmjx.options.simulation import Simulation, Thresholds
+from petmjx.engines.verdict import Flag, Reason, Verdict, judge
+from petmjx.options.simulation import Simulation
+from petmjx.options.thresholds import Thresholds
 from petmjx.runs.forked_worlds import SettledPlacement
 from petmjx.runs.sweep_file import nominal_sweep
 from petmjx.runs.sweep_worlds import SweepPlan

@@ -19,7 +19,7 @@ from petmjx.common.units import FloatArray
 from petmjx.engines import metrics
 from petmjx.engines.metrics import BoxMetric, BoxMetrics, Reduction, SampleAt, WorldReduction, markdown, reduce_boxes
 from petmjx.engines.verdict import INVALID_FLAGS, Flag, Outcome, Reason, Verdict, judge
-from petmjx.options.simulation import Thresholds
+from petmjx.options.thresholds import Thresholds
 from petmjx.results.run_reader import load_run
 from petmjx.results.run_writer import RunWriter
 

@@ -17,7 +17,8 @@ from petmjx.engines.mjx.world_constants import upload_worlds
 from petmjx.engines.mjx.world_state import fresh_state
 from petmjx.engines.mujoco import box_motion, top_forces
 from petmjx.engines.mujoco.running_metrics import OracleMetrics
-from petmjx.options.simulation import Simulation, Thresholds
+from petmjx.options.simulation import Simulation
+from petmjx.options.thresholds import Thresholds
 from petmjx.world.job import Job
 from petmjx.world.mujoco_model import geom_bodies
 from petmjx.world.scene import build_scene
@@ -203,9 +204,7 @@ def test_top_forces_are_mujocos(cone: str, seed: int) -> None:
     np.testing.assert_allclose(forces, expected, rtol=1e-4, atol=1e-3)
 
     geom, bodies = np.asarray(contact.geom), geom_bodies(model, range(model.nbody - 2))
-    box, sign, counts = force.pressed_box(
-        jnp.asarray(bodies[geom]), jnp.asarray(data.geom_xpos[geom, 2], jnp.float32), jnp.asarray(frame_z[:, 0])
-    )
+    box, sign, counts = force.pressed_box(jnp.asarray(bodies[geom]), jnp.asarray(frame_z[:, 0]))
     np.add.at(total, np.asarray(box)[np.asarray(counts)], np.asarray(sign * forces)[np.asarray(counts)])
     np.testing.assert_allclose(
         total, top_forces.top_forces(data, bodies, model.nbody - 2, pyramidal), rtol=1e-4, atol=1e-3

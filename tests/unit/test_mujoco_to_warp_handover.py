@@ -15,9 +15,10 @@ from support.plans import make_plan, make_scene, stack
 
 import petmjx
 from petmjx.common.errors import EngineUnavailable
-from petmjx.engines.cost_model import MEASURED, Costs, Work
+from petmjx.engines.cost_model import MEASURED, Costs
 from petmjx.engines.engine_choice import Choice
 from petmjx.engines.engine_of_run import resolve_engine
+from petmjx.engines.expected_work import Work
 from petmjx.engines.job_stream import JobStream
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.mujoco_to_warp_handover import LEAST_WORLDS, HandoverEngine

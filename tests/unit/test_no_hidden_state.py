@@ -35,7 +35,7 @@ for name in missing:
     sys.modules[name] = None
 import jax, mujoco
 before = dict(os.environ), sys.stdout, list(sys.meta_path), mujoco.MjLogConfig.get().logto_console
-from petmjx.engines.engine_choice import make_engine
+from petmjx.engines.engine_registry import make_engine
 make_engine("mujoco")
 make_engine("mjx-jax", lanes=16)
 if not missing:

@@ -13,7 +13,8 @@ from support.plans import heap, make_plan
 from petmjx.engines.metrics import BoxMetrics
 from petmjx.engines.mujoco.open_models import MOST_SPARE, Templates, set_options
 from petmjx.engines.verdict import Flag, judge, judge_all
-from petmjx.options.simulation import Simulation, Thresholds
+from petmjx.options.simulation import Simulation
+from petmjx.options.thresholds import Thresholds
 from petmjx.world.growing_scenes import EmptyCarrier, NextBoxes, OpenScenes
 from petmjx.world.mujoco_model import add_boxes, build_spec
 from petmjx.world.release_places import release_of, release_of_next

@@ -15,8 +15,10 @@ from typing import get_type_hints
 import pytest
 
 from petmjx import api
-from petmjx.options.run_options import Confidence, RunOptions, Transport
+from petmjx.options.confidence import Confidence
+from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
+from petmjx.options.transport import Transport
 from petmjx.runs.option_types import ScoreOptions, SweepOptions
 from tools.option_types import TARGET, option_types
 

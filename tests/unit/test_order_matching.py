@@ -10,17 +10,9 @@ import numpy as np
 import pytest
 
 from petmjx.plans.articles import Article, Articles, with_articles
-from petmjx.plans.order_generator import Item, Order
-from petmjx.plans.order_matching import (
-    MASS_TOLERANCE,
-    SIZE_TOLERANCE_MM,
-    OddBoxes,
-    counts_of,
-    difference_in_words,
-    match,
-    on_target,
-    with_properties,
-)
+from petmjx.plans.order import Item, Order
+from petmjx.plans.order_checks import OddBoxes, counts_of, difference_in_words
+from petmjx.plans.order_matching import MASS_TOLERANCE, SIZE_TOLERANCE_MM, match, on_target, with_properties
 from petmjx.plans.plan import Plan
 
 Box = tuple[str, str, Sequence[float], float]

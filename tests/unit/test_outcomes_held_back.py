@@ -15,7 +15,7 @@ from support.failing_engine import FailingEngine, outcome_of, worlds_failing
 from support.outcomes import make_outcome, make_plan
 
 import petmjx
-import petmjx.results.tables_in_progress as tables_module
+import petmjx.results.table_parts as tables_module
 from petmjx.common.errors import InputError
 from petmjx.engines import attempt_settings
 from petmjx.engines.mujoco.engine import MujocoEngine

@@ -25,7 +25,7 @@ from petmjx.analysis.packer_rating import ratings
 from petmjx.analysis.packer_runs import plans_of
 from petmjx.common.errors import InputError, PlanWarning
 from petmjx.options.carriers import Carrier
-from petmjx.plans.order_generator import Item, Order
+from petmjx.plans.order import Item, Order
 from petmjx.plans.plan import Plan
 from petmjx.results.plan_lookup import PlanLookup
 from petmjx.show.leaderboard import entries

@@ -19,7 +19,7 @@ import petmjx
 from petmjx.common.arrow_files import open_for_arrow, read_within
 from petmjx.common.errors import InputError
 from petmjx.plans.articles import read_articles
-from petmjx.results.run_folder import digest_of
+from petmjx.results.result_files import digest_of
 from petmjx.results.run_writer import RunWriter
 
 MOST_MB = 320

@@ -31,11 +31,12 @@ from petmjx.packers.beam_search import search
 from petmjx.packers.finalists import Evaluation, Finalist, choose, finalists, order_evaluation
 from petmjx.packers.left_out_items import FALLS, NO_PLACE
 from petmjx.packers.pack_flow import WorldsOfPlans
-from petmjx.packers.pack_options import PhysicalOptions
 from petmjx.packers.packed_orders import PackedOrder
 from petmjx.packers.packing_state import Packing
 from petmjx.packers.physical_packer import pack_physical
-from petmjx.plans.order_generator import TARGET_EXTENT_MM, Item, Order, draw_order
+from petmjx.packers.physical_packer_options import PhysicalOptions
+from petmjx.plans.order import TARGET_EXTENT_MM, Item, Order
+from petmjx.plans.order_generator import draw_order
 from petmjx.results.run_reader import RunResults
 from petmjx.world.job import Job
 

@@ -10,7 +10,7 @@ import pytest
 
 import petmjx
 from benchmarks.placement_bounds_check import bounds
-from petmjx.engines.engine_choice import make_engine
+from petmjx.engines.engine_registry import make_engine
 from petmjx.loop.placement_bounds import FALLS, OPEN, STANDS, _hull_edges, _margin
 
 MUJOCO: dict[str, Any] = {"engine": "mujoco", "threads": 1}

@@ -21,8 +21,9 @@ from petmjx.runs.sweep_cost import work_of
 from petmjx.runs.sweep_file import load_sweep
 from petmjx.runs.sweep_worlds import SweepPlan
 from petmjx.world.approach_paths import approach_path_of
+from petmjx.world.error_distributions import Distribution, DistributionShape
 from petmjx.world.scene import Scene, build_scene
-from petmjx.world.variants import Distribution, DistributionShape, PlacementChange, Variant, apply
+from petmjx.world.variants import PlacementChange, Variant, apply
 
 BOXES = [((300.0, 300.0, 300.0), (0.0, 0.0, 0.0), 6.0), ((300.0, 300.0, 300.0), (300.0, 0.0, 0.0), 6.0)]
 SD_2 = Distribution(DistributionShape.NORMAL, 0.0, 2.0)

@@ -15,10 +15,10 @@ import petmjx
 from petmjx.cli import main
 from petmjx.common.errors import InputError
 from petmjx.plans.plan import Plan
-from petmjx.results.placements_table import kept_plans, placements_table
 from petmjx.results.plan_digests import plan_digest, records_of
 from petmjx.results.run_table_reader import Parts
-from petmjx.results.tables_in_progress import Tables
+from petmjx.results.stored_plans import kept_plans, placements_table
+from petmjx.results.table_parts import Tables
 
 FIELDS = [name for name in Plan.__slots__ if name != "source"]
 

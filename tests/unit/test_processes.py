@@ -99,7 +99,8 @@ def test_only_the_command_leaves_lasting_objects_out_of_later_collections(is_com
     """In a user's process, garbage that exists when an engine starts must be collected later."""
     code = f"""
 import gc
-from petmjx.common.processes import claim_process, no_collection
+from petmjx.common.garbage_collection import no_collection
+from petmjx.common.processes import claim_process
 if {is_command}:
     claim_process()
 with no_collection():

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.optimize import linprog, nnls
-from support.edges import plan_edges
+from support.plan_edges import plan_edges
 from support.plans import Box, make_scene
 
 import petmjx
 from petmjx.common.units import FloatArray
 from petmjx.options.simulation import Simulation
-from petmjx.world import edge_distances
-from petmjx.world.edge_distances import building_edges, building_loads_of
+from petmjx.world import building_edges as building_edges_module
+from petmjx.world.building_edges import building_edges, building_loads_of
 from petmjx.world.history import CARRIER
 from petmjx.world.pushing_forces import on_edges, pulls, pushes
 from petmjx.world.rectangle_hulls import hull_table
@@ -219,7 +219,7 @@ def test_a_load_on_an_edge_hides_none_beyond() -> None:
 
 def test_without_a_programme_nothing_is_said_to_be_beyond(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = next(scene for scene in PILES if np.nanmin(plan_edges([scene], [scene.n_boxes])[0].by_load) >= 0)
-    monkeypatch.setattr(edge_distances, "MOST_PROGRAMMES", 0)
+    monkeypatch.setattr(building_edges_module, "MOST_PROGRAMMES", 0)
     (least,) = building_edges(bearing_of(scene), [scene.n_boxes])
     assert not least.edge_m < 0
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from petmjx.common.errors import InputError
-from petmjx.runs import sweep_file as readymade
-from petmjx.runs.sweep_file import find_sweep, ready_sweeps
+from petmjx.runs import ready_sweeps as readymade
+from petmjx.runs.ready_sweeps import find_sweep, ready_sweeps
 
 
 def test_every_sweep_of_the_checkout_is_ready_made(repository: Path) -> None:

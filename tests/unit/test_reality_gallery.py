@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from support.command_line import only_line
 
-from benchmarks import real_friction, reality, toss_study, tosses
+from benchmarks import cube_toss_study, cube_tosses, real_friction, reality
 from benchmarks.__main__ import main
-from benchmarks.tosses import Path3, Start, Tosses, read_tosses
+from benchmarks.cube_tosses import Path3, Start, Tosses, read_tosses
 
 RATE_HZ = 148.0
 N, SAMPLES = 8, 90
@@ -30,7 +30,7 @@ def made(friction: float = 0.18) -> Tosses:
     quat /= np.linalg.norm(quat, axis=1, keepdims=True)
     velocity = np.hstack([rng.uniform(-0.9, 0.9, (N, 2)), rng.uniform(-0.2, 0.2, (N, 1)), rng.uniform(-5, 5, (N, 3))])
     empty = Tosses(RATE_HZ, counts, np.zeros((N * SAMPLES, 3)), np.zeros((N * SAMPLES, 4)), np.zeros((N * SAMPLES, 6)))
-    (paths,) = tosses.simulated(empty, [Start(pos, quat, velocity, np.full(N, friction))])
+    (paths,) = cube_tosses.simulated(empty, [Start(pos, quat, velocity, np.full(N, friction))])
     places, turns = np.concatenate([path.pos for path in paths]), np.concatenate([path.quat for path in paths])
     rows = np.repeat(velocity, SAMPLES, axis=0)
     rows[:, :2] = np.repeat(velocity[:, :2], SAMPLES, axis=0)
@@ -57,7 +57,7 @@ def written(data: Tosses, path: Path) -> Path:
 
 def test_tosses_that_petmjx_made_are_met(own: Tosses, tmp_path: Path) -> None:
     data = read_tosses(written(own, tmp_path / "own.npz"))
-    comparison = toss_study.compared(data, "mujoco")
+    comparison = cube_toss_study.compared(data, "mujoco")
     assert comparison["right_face"] == 1.0
     assert comparison["place_median_mm"] < 1e-6
     assert comparison["path_mean_mm"] < 1e-6
@@ -65,8 +65,8 @@ def test_tosses_that_petmjx_made_are_met(own: Tosses, tmp_path: Path) -> None:
 
 
 def test_friction_is_found_from_each_half(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(toss_study, "FRICTIONS", (0.12, 0.21, 0.25))
-    fit = toss_study.friction(made(friction=0.21), "mujoco")
+    monkeypatch.setattr(cube_toss_study, "FRICTIONS", (0.12, 0.21, 0.25))
+    fit = cube_toss_study.friction(made(friction=0.21), "mujoco")
     assert [half["friction"] for half in fit["halves"]] == [0.21, 0.21]
     assert fit["halves"][0]["errors_of_other_half"]["place_median_mm"] < 1e-6
 
@@ -75,7 +75,7 @@ def test_noise_of_velocities_is_found_from_the_flight(own: Tosses) -> None:
     rng = np.random.default_rng(8)
     velocity = own.velocity.copy()
     velocity[own.first] += rng.normal(0.0, np.repeat([SIGMA_M_S, SIGMA_RAD_S], 3), (N, 6))
-    sigma = tosses.noise(Tosses(own.rate_hz, own.n_samples, own.pos, own.quat, velocity))
+    sigma = cube_tosses.noise(Tosses(own.rate_hz, own.n_samples, own.pos, own.quat, velocity))
     # There are only 24 numbers of each kind. Also, petmjx's steps follow another parabola than the exact one, which
     # changes the velocity by g·dt/2, 10 mm/s.
     assert sigma.vel_m_s == pytest.approx(SIGMA_M_S, rel=0.5)
@@ -87,10 +87,10 @@ def test_perturbed_starts_are_as_far_off_as_they_say() -> None:
     n = 2000
     quat = np.tile([0.5, 0.5, 0.5, 0.5], (n, 1))
     start = Start(np.zeros((n, 3)), quat, np.zeros((n, 6)), np.full(n, 0.2))
-    sigma = tosses.Noise(3e-4, 0.01, 0.02, 0.1)
-    other = tosses.perturbed(start, sigma, np.random.default_rng(1))
+    sigma = cube_tosses.Noise(3e-4, 0.01, 0.02, 0.1)
+    other = cube_tosses.perturbed(start, sigma, np.random.default_rng(1))
     assert other.pos.std() == pytest.approx(sigma.pos_m, rel=0.05)
-    angle = np.radians(tosses.angle_deg(other.quat, quat))
+    angle = np.radians(cube_tosses.angle_deg(other.quat, quat))
     assert np.sqrt((angle**2).mean() / 3) == pytest.approx(sigma.turn_rad, rel=0.05)
     assert other.velocity[:, :3].std() == pytest.approx(sigma.vel_m_s, rel=0.05)
     assert other.velocity[:, 3:].std() == pytest.approx(sigma.angvel_rad_s, rel=0.05)
@@ -99,22 +99,22 @@ def test_perturbed_starts_are_as_far_off_as_they_say() -> None:
 
 def test_a_point_drawn_like_the_others_is_within_regions_as_often_as_they_say() -> None:
     rng = np.random.default_rng(2)
-    ranks = np.array([toss_study._rank(rng.standard_t(2, (20, 2))) for _ in range(2000)])
+    ranks = np.array([cube_toss_study._rank(rng.standard_t(2, (20, 2))) for _ in range(2000)])
     for region in (0.5, 0.9):
         assert (ranks <= region).mean() == pytest.approx(region, abs=4 * np.sqrt(region * (1 - region) / 2000))
     far = np.vstack([[50.0, 0.0], rng.normal(size=(19, 2))])
-    assert toss_study._rank(far) == 1.0
+    assert cube_toss_study._rank(far) == 1.0
 
 
 def test_faces_and_time_to_rest() -> None:
     turned = np.array([np.cos(np.pi / 4), np.sin(np.pi / 4), 0.0, 0.0])
-    assert tosses.face_up(np.array([1.0, 0.0, 0.0, 0.0])) == 4
+    assert cube_tosses.face_up(np.array([1.0, 0.0, 0.0, 0.0])) == 4
     # turned by 90° about x, the cube has its y axis up
-    assert tosses.face_up(turned) == 2
-    assert tosses.face_up(np.full(4, np.nan)) == -1
+    assert cube_tosses.face_up(turned) == 2
+    assert cube_tosses.face_up(np.full(4, np.nan)) == -1
     pos = np.zeros((40, 3))
     pos[:20, 0] = np.linspace(0.1, 0.0, 20)
-    movement = tosses.wholes([Path3(pos, np.tile([1.0, 0.0, 0.0, 0.0], (40, 1)))], 100.0)
+    movement = cube_tosses.wholes([Path3(pos, np.tile([1.0, 0.0, 0.0, 0.0], (40, 1)))], 100.0)
     assert movement.way_mm[0] == pytest.approx(100.0)
     assert movement.turn_deg[0] == 0.0
     assert movement.duration_s[0] == pytest.approx(0.18)  # at this time, the cube is within 3 mm of its final place
@@ -123,7 +123,7 @@ def test_faces_and_time_to_rest() -> None:
 def test_a_toss_without_an_end_is_infinitely_far(own: Tosses) -> None:
     paths = [own.path(toss) for toss in range(N)]
     paths[0] = Path3(np.full_like(paths[0].pos, np.nan), np.full_like(paths[0].quat, np.nan))
-    errors = tosses.errors(own, paths)
+    errors = cube_tosses.errors(own, paths)
     assert not errors.right_face[0]
     assert errors.right_face[1:].all()
     assert errors.place_mm[0] == np.inf
@@ -191,7 +191,7 @@ def test_the_table_replaces_the_one_in_a_page(
     own: Tosses, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for name, small in (("RUNS", 2), ("MEMBERS", 3), ("FRICTIONS", (0.18, 0.2))):
-        monkeypatch.setattr(toss_study, name, small)
+        monkeypatch.setattr(cube_toss_study, name, small)
     page = tmp_path / "page.md"
     page.write_text(f"before\n{reality.BEGIN}\nstale rows\n{reality.END}\nafter\n")
     data = written(own, tmp_path / "own.npz")
@@ -211,7 +211,7 @@ def test_the_real_tosses_are_read_and_tell_their_noise(real_data: Path) -> None:
         pytest.skip("the measured tosses do not lie beside this checkout")
     data = read_tosses(real_data / "reality", 40)
     assert len(data) == 40
-    sigma = tosses.noise(data)
+    sigma = cube_tosses.noise(data)
     assert 2e-4 < sigma.pos_m < 5e-4
     assert 0.2 < np.degrees(sigma.turn_rad) < 0.7
     assert 0.005 < sigma.vel_m_s < 0.03

@@ -4,12 +4,15 @@ changed plan stands."""
 from __future__ import annotations
 
 import pickle
+import re
 import time
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -39,7 +42,8 @@ from petmjx.repairs.changes import (
     with_change,
     with_turns_told,
 )
-from petmjx.repairs.drafts import Draft, Rules, key_of
+from petmjx.repairs.draft_rules import Rules
+from petmjx.repairs.drafts import Draft, key_of
 from petmjx.repairs.proposals import Target, proposals
 from petmjx.repairs.rebuilds import Failure, rebuilds
 from petmjx.repairs.repair import Repaired, _weak_note
@@ -48,6 +52,7 @@ from petmjx.repairs.requests import Asked, OutOfTime, Steps, Together, Trial, Tr
 from petmjx.repairs.search import ALONE, ALONE_IF_MANY, BUILT_ANEW, MANY_FAULTS, SURPLUS, WIDE_AT_ONCE, Search
 from petmjx.repairs.search_processes import SearchProcesses, Tasks, most_processes
 from petmjx.repairs.trials import Question, Share, TimeLimit, TrialStream
+from petmjx.runs.simulate import RunStart
 
 FAST_TRIALS = {"engine": "mujoco", "threads": 1}
 FALLS = Trial("unstable", "tilt", 1, (1,), 2, 2, 0.0)
@@ -219,7 +224,12 @@ def test_plans_that_stand_are_left_as_they_are() -> None:
 
 def test_plans_are_repaired_the_same_alone_and_together() -> None:
     plans = [make_plan(str(k), boxes) for k, boxes in enumerate((COUNTERWEIGHT, LATE_SUPPORT, stack(2)))]
-    together = petmjx.repair(plans, **FAST)
+    starts, ended = list[RunStart](), list[str]()
+    together = petmjx.repair(plans, **FAST, watcher=SimpleNamespace(begin=starts.append, world_done=ended.append))
+    assert sorted(ended) == ["0", "1", "2"]
+    (start,) = starts
+    assert (start.total, start.choice.name, start.choice.reason) == (3, "mujoco", "as asked for")
+    assert re.fullmatch(r"3 plans, about .* steps, about \d+ s", start.size)
     assert [r.words for r in together.each] == [petmjx.repair(plan, **FAST).each[0].words for plan in plans]
     assert together.table[["before", "after"]].values.tolist() == [["unstable", "stable"]] * 2 + [["stable"] * 2]
     assert together.summary == "2 plans of 3 do not stand; 2 can be repaired; changes: 1 in the median"
@@ -1120,16 +1130,17 @@ def test_searches_in_several_processes_end_as_in_one(monkeypatch: pytest.MonkeyP
         good = [bool((one.draft.corner_mm[1, :2] > one.draft.plan.size_mm[0, 2] - 100).all()) for one in requests]
         return [Trial("stable" if g else "unstable", "", None if g else 1, () if g else (1,), 2, 1, 0.0) for g in good]
 
-    ends = []
+    ends, ended = [], list[str]()
     for processes, are_copies in ((1, True), (2, Forks.are_possible), (2, False)):
         monkeypatch.setattr(Forks, "are_possible", are_copies)
         searches = [Search(plan, Simulation(), RepairOptions(worlds=0)) for plan in plans]
         with closing(SearchProcesses(len(searches), processes)) as some:
             some.begin(searches)
-            some.run(Simulated(ask))
+            some.run(Simulated(ask), ended.append)
         ends.append([([state.changes for state in s.repairs], s.n_trials, s.before, s.complete) for s in searches])
     assert ends[0] == ends[1] == ends[2]
     assert all(changes for changes, *_ in ends[0])
+    assert Counter(ended) == dict.fromkeys("01234567", 3)
     searches = [Search(plan, Simulation(), RepairOptions(worlds=0)) for plan in plans]
 
     def ask_until_stopped(requests: list[Asked]) -> list[Trial]:
@@ -1308,6 +1319,14 @@ def test_simulations_without_a_verdict_are_told(capsys: pytest.CaptureFixture[st
     assert (result.row()["trials"], result.row()["invalid_trials"]) == (6, 5)
 
 
+def test_a_plan_that_is_judged_for_too_long_counts_as_one_that_falls(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The search has set the limit of iterations, so such simulations do have a verdict. Without the limit, no box need
+    be left out. Scores have no limit."""
+    monkeypatch.setattr("petmjx.repairs.trials.JUDGED_ITERATIONS", 300)
+    result = repaired(COUNTERWEIGHT, trials=6)
+    assert (result.stands, result.left_out, result.row()["invalid_trials"]) == (True, (2,), 0)
+
+
 def test_a_repair_with_few_trials_is_told_as_such() -> None:
     few = repaired(COUNTERWEIGHT, trials=3)
     assert (few.stands, few.n_trials <= 4, few.complete) == (True, True, False)
@@ -1463,6 +1482,8 @@ def test_an_interrupted_repair_keeps_the_plans_that_are_done(
         assert not out.exists()
         return
     assert f"{len(names)} of 2 plans were searched to the end" in shown.err
+    assert shown.err.startswith("2 plans, about ")
+    assert "\nengine mujoco (as asked for)\n" in shown.err
     plans = petmjx.load_plans(out).plans
     assert [plan.plan_id for plan in plans] == names
     assert [verdict(plan) for plan in plans] == ["stable"] * len(names)

@@ -18,7 +18,8 @@ from petmjx.plans.plan import Plan
 from petmjx.plans.plan_validation import parse_plan
 from petmjx.repairs.balance import Balance, balances, balances_with_last
 from petmjx.repairs.changes import Exchange, Move, Place, applied
-from petmjx.repairs.drafts import TOLERANCE_MM, Draft, Rules, key_of
+from petmjx.repairs.draft_rules import Rules
+from petmjx.repairs.drafts import TOLERANCE_MM, Draft, key_of
 from petmjx.repairs.proposals import (
     LEAST_SUPPORT,
     Proposal,

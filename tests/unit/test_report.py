@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from support.plans import make_plan
-from support.reported import CONFIG, fallen, invalid, scored, standing, write_plans, write_run
+from support.report_runs import CONFIG, fallen, invalid, scored, standing, write_plans, write_run
 from test_pages import opened_block
 
 from petmjx.common.errors import InputError

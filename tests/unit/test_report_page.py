@@ -12,7 +12,7 @@ from urllib.parse import parse_qs, urlencode, urlsplit
 import numpy as np
 import pytest
 from support.browser import Opened, OpenPage
-from support.reported import fallen, invalid, scored, standing, write_plans, write_run
+from support.report_runs import fallen, invalid, scored, standing, write_plans, write_run
 
 from petmjx.show.report.report_page import report_page
 from petmjx.show.report.report_runs import open_runs

@@ -14,8 +14,8 @@ from typing import Any
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
+from support.equal_runs import GRID, PLANS, SEARCH, assert_same, tables
 from support.fake_engine import end_without_physics
-from support.kills import GRID, PLANS, SEARCH, assert_same, tables
 from support.plan_files import placement
 from support.plans import make_plan, stack
 from support.programs import run_program
@@ -29,7 +29,7 @@ from petmjx.engines.verdict import Outcome
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
 from petmjx.results.plan_digests import records_of
-from petmjx.results.run_folder import write_table
+from petmjx.results.result_files import write_table
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import load_run
 from petmjx.results.run_writer import RunWriter
@@ -111,7 +111,7 @@ def test_what_is_there_is_not_simulated_again(
 
 def test_runs_that_are_killed_many_times_go_on(tmp_path: Path) -> None:
     """The runs are killed in a process of their own, since killing uses fork."""
-    script = Path(__file__).parents[1] / "support" / "kills.py"
+    script = Path(__file__).parents[1] / "support" / "kills_at_random.py"
     kills = {"score": 4, "grid": 2, "search": 2}
     words = [str(word) for pair in kills.items() for word in pair]
     printed = run_program(script, str(tmp_path), *words, folder=tmp_path)

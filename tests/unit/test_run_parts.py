@@ -21,7 +21,7 @@ from support.waiting import wait_for
 from test_results import part_files, write_run
 
 from petmjx.common.errors import InputError, PetmjxError
-from petmjx.results import run_folder, run_writer, tables_in_progress
+from petmjx.results import result_files, run_writer, table_parts
 from petmjx.results.plan_digests import records_of
 from petmjx.results.run_json_checks import write_run_file
 from petmjx.results.run_manifest import Manifest
@@ -41,18 +41,18 @@ class Holding:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.let_go = threading.Event()
-        write = run_folder.pq.write_table
+        write = result_files.pq.write_table
 
         def late(*args: Any, **options: Any) -> None:
             assert self.let_go.wait(20)
             write(*args, **options)
 
-        monkeypatch.setattr(run_folder.pq, "write_table", late)
+        monkeypatch.setattr(result_files.pq, "write_table", late)
 
 
 def full_once(monkeypatch: pytest.MonkeyPatch, after_s: float = 0.0) -> Iterator[int]:
     """The first table that is written fails because the disk is full. Returns a counter of written tables."""
-    real, calls = run_folder.pq.write_table, itertools.count()
+    real, calls = result_files.pq.write_table, itertools.count()
 
     def write_table(*args: Any, **options: Any) -> None:
         if next(calls) == 0:
@@ -60,7 +60,7 @@ def full_once(monkeypatch: pytest.MonkeyPatch, after_s: float = 0.0) -> Iterator
             raise OSError(28, "No space left on device")
         real(*args, **options)
 
-    monkeypatch.setattr(run_folder.pq, "write_table", write_table)
+    monkeypatch.setattr(result_files.pq, "write_table", write_table)
     return calls
 
 
@@ -98,13 +98,13 @@ def test_every_part_is_written_once(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     """Worlds end in another order than that of the plans. The rows of each part are sorted, and ranks sort the rows of
     all parts."""
     written: list[str] = []
-    write = tables_in_progress.write_table
+    write = table_parts.write_table
 
     def noted(table: Any, path: Path) -> str:
         written.append(str(path.relative_to(tmp_path)))
         return write(table, path)
 
-    monkeypatch.setattr(tables_in_progress, "write_table", noted)
+    monkeypatch.setattr(table_parts, "write_table", noted)
     manifest = Manifest({"command": "score"}, records_of([make_plan(plan_id) for plan_id in "cabed"]))
     with RunWriter(tmp_path, {}, manifest=manifest, variants=range(1), worlds_per_part=2) as run:
         add_worlds(run, *"decab")
@@ -278,7 +278,7 @@ def test_an_error_in_the_body_is_told(tmp_path: Path) -> None:
 def test_a_merge_that_is_cut_short_counts_whole_runs_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, ids in (("one", "ab"), ("two", "cd")):
         write_run(tmp_path / name, ids=tuple(ids))
-    copy = tables_in_progress.copy_file
+    copy = table_parts.copy_file
 
     def cut_short(file: Path, place: Path) -> str:
         if file.is_relative_to(tmp_path / "two/boxes"):
@@ -290,7 +290,7 @@ def test_a_merge_that_is_cut_short_counts_whole_runs_only(tmp_path: Path, monkey
             for name in ("one", "two"):
                 run.adopt(load_run(tmp_path / name).parts, ranked=True)
 
-    monkeypatch.setattr(tables_in_progress, "copy_file", cut_short)
+    monkeypatch.setattr(table_parts, "copy_file", cut_short)
     with pytest.raises(KeyboardInterrupt):
         merge()
     merged = load_run(tmp_path / "merged")
@@ -439,7 +439,7 @@ def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     def full(*_: Any, **__: Any) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(run_folder.pq, "write_table", full)
+    monkeypatch.setattr(result_files.pq, "write_table", full)
     with pytest.raises(PetmjxError, match="cannot write results: No space left"):
         write_run(tmp_path)
     assert load_run(tmp_path).info["status"] == "failed"

@@ -20,7 +20,8 @@ from petmjx.packers.left_out_items import LeftOutItems
 from petmjx.packers.sample_plans import LOOSE_SUPPORT, generate, generate_one, pack_orders, write_samples
 from petmjx.plans.bedbpp_writer import write_plans
 from petmjx.plans.bundled import bundled_path
-from petmjx.plans.order_generator import MAX_BOXES, MIN_BOXES, TARGET_EXTENT_MM, catalogue, draw_order
+from petmjx.plans.order import TARGET_EXTENT_MM
+from petmjx.plans.order_generator import MAX_BOXES, MIN_BOXES, catalogue, draw_order
 from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan_reader import load_plans
 

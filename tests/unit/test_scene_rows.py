@@ -15,10 +15,11 @@ from petmjx.engines.mjx import scene_rows, world_constants
 from petmjx.engines.mjx.scene_rows import rows_of
 from petmjx.engines.mjx.world_constants import upload_worlds
 from petmjx.options.simulation import Simulation
+from petmjx.world.error_distributions import Distribution, DistributionShape
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene, build_scene
 from petmjx.world.scene_arrays import AT_A_TIME, equal_shape_groups
-from petmjx.world.variants import Distribution, DistributionShape, PlacementChange, Variant, apply_all
+from petmjx.world.variants import PlacementChange, Variant, apply_all
 
 ERROR = Distribution(DistributionShape.NORMAL, 0.0, 3.0)
 SHARE = Distribution(DistributionShape.NORMAL, 0.0, 0.05)

@@ -14,8 +14,8 @@ from support.outcomes import make_boxes, make_outcome
 from petmjx.engines.metrics import BoxMetrics
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.results.share_statistics import ALL_PLANS, KEYS, ONE_PLAN, share_standing, wilson_interval
+from petmjx.runs.eumos_limits import eumos_assessment
 from petmjx.runs.level_search import Bisection, Probe, failure_mode
-from petmjx.runs.transport_limits import eumos_assessment
 
 
 def moved(pos: np.ndarray, max_sway_m: list[float], dropped: bool = False) -> BoxMetrics:

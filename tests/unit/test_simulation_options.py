@@ -12,7 +12,7 @@ import pytest
 from petmjx import PHYSICS, Check, Cone, Physics, Quiet, RunOptions, Schedule, Simulation, Thresholds
 from petmjx.common.checked_records import CheckedRecord
 from petmjx.common.errors import InputError
-from petmjx.options.run_options import sorted_options
+from petmjx.options.sorted_options import sorted_options
 
 
 @pytest.mark.parametrize(

@@ -10,9 +10,12 @@ import pytest
 
 import petmjx
 from petmjx.cli.main import application
+from petmjx.options.confidence import Confidence
 from petmjx.options.physics import Physics
-from petmjx.options.run_options import Confidence, RunOptions
-from petmjx.options.simulation import Quiet, Simulation, Thresholds
+from petmjx.options.quiet import Quiet
+from petmjx.options.run_options import RunOptions
+from petmjx.options.simulation import Simulation
+from petmjx.options.thresholds import Thresholds
 from tools import reference
 
 REPOSITORY = Path(__file__).resolve().parents[2]

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from support.command_line import write
-from support.kills import SEARCH, tables
+from support.equal_runs import SEARCH, tables
 from support.plan_files import order_of, tower
 from support.plans import make_plan
 from support.runs import edit_info, relisted
@@ -18,11 +18,11 @@ from test_tables import read, row
 
 import petmjx
 from petmjx.engines.mujoco.engine import MujocoEngine
-from petmjx.plans import order_matching
-from petmjx.plans.order_matching import OrderCounts, PlanOrderCounts, check_orders
+from petmjx.plans import order_checks
+from petmjx.plans.order_checks import OrderCounts, PlanOrderCounts, check_orders
 from petmjx.results.plan_digests import PlanRecord
 from petmjx.results.run_writer import RunWriter
-from petmjx.results.tables_in_progress import Tables
+from petmjx.results.table_parts import Tables
 
 A, B, C, D = (make_plan(name, boxes) for name, boxes in zip("abcd", (2, 3, 2, 1), strict=True))
 PLANS = [A, B, C, D]
@@ -114,7 +114,7 @@ def test_of_a_part_of_the_plans_it_is_not_known_which_orders_have_none(orders: P
 
 
 def test_of_long_lists_the_beginning_is_kept(orders: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(order_matching, "MOST_LISTED", 1)
+    monkeypatch.setattr(order_checks, "MOST_LISTED", 1)
     check = check_orders(orders, PLANS)
     assert check.lines == LINES[:1]
     assert check.counts == COUNTS

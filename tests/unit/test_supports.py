@@ -9,17 +9,18 @@ import numpy as np
 import pytest
 import shapely
 from shapely.geometry.polygon import orient
-from support.edges import plan_edges
+from support.plan_edges import plan_edges
 from support.plans import Box, make_plan, make_scene, stack
 
 from petmjx.engines.mujoco.live_world import LiveWorld
 from petmjx.options.physics import PHYSICS
 from petmjx.options.simulation import Simulation
+from petmjx.world.bearings import TOUCH_M
 from petmjx.world.history import CARRIER
 from petmjx.world.rectangle_hulls import hull_table
 from petmjx.world.release_places import MOST_FOLLOWED_M, NOTHING, release_of
 from petmjx.world.scene import Scene, build_scene
-from petmjx.world.supports import TOUCH_M, bearing_of, bearings_of, find_bearings
+from petmjx.world.supports import bearing_of, bearings_of, find_bearings, without_circles
 
 EXACT = Simulation(size_reduction_mm=0.0)
 MM = 1e-3
@@ -205,6 +206,13 @@ def test_a_tilted_box_bears_on_the_parts_of_its_supports_that_it_touches() -> No
     mirrored = replace(scene, target=target * [-1, 1, 1])
     other = find_bearings([mirrored], [mirrored.target], TOUCH_M, [up * [-1, 1, 1]])
     assert other.edges_m(other.loads(3))[2] == pytest.approx(tilted.edges_m(tilted.loads(3))[2], abs=1e-12)
+
+
+def test_no_box_lies_on_itself() -> None:
+    """Boxes 0, 1 and 2 lie on one another in a circle, box 3 lies on box 0, and box 2 on the carrier."""
+    upper, lower = np.array([0, 1, 2, 2, 3]), np.array([1, 2, 0, CARRIER, 0])
+    assert without_circles(upper, lower, np.array([0.3, 0.2, 0.1, 0.4])).tolist() == [True, True, False, True, True]
+    assert without_circles(upper[3:], lower[3:], np.zeros(4)).all()
 
 
 def contacts_by_pairs(scene: Scene, gap_m: float) -> list[tuple[int, int, list[float], list[float]]]:

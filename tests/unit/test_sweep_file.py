@@ -20,7 +20,8 @@ from petmjx.runs.sweep_cost import work_of
 from petmjx.runs.sweep_file import MIN_TOLERANCE, Search, Sweep, load_sweep
 from petmjx.runs.sweep_study import SweepStudy
 from petmjx.runs.sweep_worlds import SweepPlan
-from petmjx.world.variants import DistributionShape, Variant
+from petmjx.world.error_distributions import DistributionShape
+from petmjx.world.variants import Variant
 
 SWEEPS = Path(__file__).parents[2] / "sweeps"
 READY_MADE = sorted(path.name for path in SWEEPS.glob("*.toml"))

@@ -24,7 +24,8 @@ from petmjx.engines.mujoco.running_metrics import OracleMetrics
 from petmjx.engines.mujoco.world_run import WorldRun
 from petmjx.engines.protocol import Progress, takes_stream
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
-from petmjx.options.simulation import Simulation, Thresholds
+from petmjx.options.simulation import Simulation
+from petmjx.options.thresholds import Thresholds
 from petmjx.runs.forked_worlds import Batching
 from petmjx.runs.sweep_file import load_sweep
 from petmjx.runs.sweep_run import SweepRun

@@ -10,8 +10,8 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
+from petmjx.runs.hopeless_profiles import hopeless_profiles
 from petmjx.runs.sweep_file import load_sweep
-from petmjx.runs.transport_limits import hopeless_profiles
 from petmjx.show.report.chart_frame import Frame, Scale
 from petmjx.show.report.charts import histogram
 from petmjx.show.sweep_tables import answers_table, laboratory_table, levels_table, turns_table

@@ -115,7 +115,8 @@ def test_what_is_played_is_what_is_counted() -> None:
     import rollouts
 
     from petmjx.packers.learned_packer import pack_learned
-    from petmjx.plans.order_generator import TARGET_EXTENT_MM, draw_order
+    from petmjx.plans.order import TARGET_EXTENT_MM
+    from petmjx.plans.order_generator import draw_order
 
     order = draw_order(rollouts.VALIDATION, 0)
     length, width = TARGET_EXTENT_MM[order.target]

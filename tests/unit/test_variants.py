@@ -10,17 +10,9 @@ import pytest
 
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
+from petmjx.world.error_distributions import Distribution, DistributionShape
 from petmjx.world.scene import Scene, build_scene
-from petmjx.world.variants import (
-    UNCHANGED,
-    Distribution,
-    DistributionShape,
-    DriveSpec,
-    PlacementChange,
-    Variant,
-    apply,
-    apply_all,
-)
+from petmjx.world.variants import UNCHANGED, DriveSpec, PlacementChange, Variant, apply, apply_all
 
 NORMAL_5 = Distribution(DistributionShape.NORMAL, 0.0, 5.0)
 

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.equal_runs import GRID, PLANS, SEARCH, assert_same, tables
 from support.fake_stepper import fake_scene
-from support.kills import GRID, PLANS, SEARCH, assert_same, tables
 from support.plans import make_plan, stack
 
 import petmjx

@@ -12,7 +12,8 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from support.command_line import INTERRUPT_AFTER, TOWER, write
+from support.command_line import TOWER, write
+from support.interrupted_commands import INTERRUPT_AFTER
 from support.waiting import wait_for
 
 import petmjx

@@ -121,7 +121,7 @@ class PaddedModel:
         """
         if self.pyramidal:
             return self._step_of_mjx(fields, inputs, memory.forces)
-        contact, height, bodies, problem, pull, landing = jax.vmap(self._ready)(fields, inputs, faces, landing)
+        contact, bodies, problem, pull, landing = jax.vmap(self._ready)(fields, inputs, faces, landing)
         start = inputs["qacc_warmstart"]
         solution = self._slip.begin(problem, pull, start, memory.solution)
         solve = self._slip.solve_in_part if self._pausing else self._slip.solve
@@ -131,15 +131,15 @@ class PaddedModel:
         forces = jnp.where(lost | ~solution.done[:, None], memory.forces, force.reshape(len(force), -1))
         qacc = jnp.where(lost, start, qacc)
         qpos, qvel = jax.vmap(lambda bodies, qacc: bodies.after(qacc, self._sim.physics.timestep_s))(bodies, qacc)
-        top_force = self._top_force(contact, height, forces)
+        top_force = self._top_force(contact, forces)
         memory, pauses = (Memory(forces, solution), ~solution.done) if self._pausing else (Memory(forces), None)
         return StepResult(qpos, qvel, qacc, qacc, memory, top_force, solution.iterations, landing, pauses)
 
     def _ready(
         self, fields: dict[str, jax.Array], inputs: dict[str, jax.Array], faces: Faces | None, landing: Landing | None
-    ) -> tuple[Any, Float[Array, " geom"], Bodies, Problem, Float[Array, "contact 3"], Landing | None]:
-        """What the solver needs to know about one world: contacts, heights of geoms, bodies, the ``Problem``, the
-        reference accelerations of contacts, and the landing boxes."""
+    ) -> tuple[Any, Bodies, Problem, Float[Array, "contact 3"], Landing | None]:
+        """What the solver needs to know about one world: contacts, bodies, the ``Problem``, the reference
+        accelerations of contacts, and the landing boxes."""
         model, links = self.model.tree_replace(fields), self._links
         bodies = Bodies.of(model, inputs)
         data = mjx.collision(model, self._data.replace(**links.geom_places(bodies, model, inputs)))
@@ -151,7 +151,7 @@ class PaddedModel:
             rows, landing = act(rows, velocity, self._boxes, contact, landing, links, self._sim)
         rows = self._slip.with_friction(rows, velocity)
         smooth = bodies.smooth(model, inputs["xfrc_applied"][-links.bodies :])
-        return contact, data.geom_xpos[:, 2], bodies, Problem.of(model, bodies.mass, smooth, rows), rows.pull, landing
+        return contact, bodies, Problem.of(model, bodies.mass, smooth, rows), rows.pull, landing
 
     def _step_of_mjx(
         self,
@@ -170,20 +170,17 @@ class PaddedModel:
             return mjx.euler(model, data.replace(qacc=qacc, qacc_warmstart=qacc)), forces
 
         data, forces = jax.vmap(stepped)(fields, inputs, forces)
-        top_force = self._top_force(data._impl.contact, data.geom_xpos[..., 2], forces)
+        top_force = self._top_force(data._impl.contact, forces)
         iterations = data._impl.solver_niter.reshape(len(forces))
         return StepResult(data.qpos, data.qvel, data.qacc, data.qacc_warmstart, Memory(forces), top_force, iterations)
 
-    def _top_force(
-        self, contact: Any, height: Float[Array, "world geom"], forces: Float[Array, "world constraint"]
-    ) -> Float[Array, "world box"]:
-        """Force that presses on each box's top in the step, N. ``height``: z of the geoms' centres, m."""
+    def _top_force(self, contact: Any, forces: Float[Array, "world constraint"]) -> Float[Array, "world box"]:
+        """Force that presses on each box's top in the step, N."""
         # a contact has the same rows in every world; inactive contacts have no force
         rows = forces.reshape(len(forces), len(self._boxes), -1)
         rows = jnp.pad(rows, ((0, 0), (0, 0), (0, 4 - rows.shape[-1])))
         force = contact_force_z(rows, contact.frame[..., 2], contact.friction[..., :2], pyramidal=self.pyramidal)
-        geom_z = height[:, self._links.geoms]
-        body = jnp.broadcast_to(self._boxes, geom_z.shape)
-        box, sign, counts = pressed_box(body, geom_z, contact.frame[..., 0, 2])
+        normal_z = contact.frame[..., 0, 2]
+        box, sign, counts = pressed_box(jnp.broadcast_to(self._boxes, (*normal_z.shape, 2)), normal_z)
         pressed = counts[..., None] & (box[..., None] == jnp.arange(self.capacity))
         return jnp.where(pressed, (sign * force)[..., None], 0.0).sum(1)

@@ -1,7 +1,7 @@
 """Free bodies of one world in MuJoCo's coordinates, in closed form: places, accelerations, contacts, steps.
 
 MJX computes all this for trees of joints of any kind. A pallet consists of free bodies, so few lines are enough, and
-programs are half as large. The formulas are those of MuJoCo's documentation ("Computation"). A free body has six
+programs are half as large. The formulas are from MuJoCo's documentation ("Computation"). A free body has six
 velocities: three of its origin, in world axes, and three of its rotation, in its own axes. The origin of a body is its
 centre of mass, and the axes of a body are its principal axes, so the mass matrix is diagonal.
 
@@ -21,16 +21,16 @@ from numpy.typing import NDArray
 from petmjx.engines.mjx.padded_template import CONTACTS_PER_PAIR, contact_geoms
 
 TINY: Final = mujoco.mjMINVAL
-"""MuJoCo's smallest divisor."""
+"""The smallest number by which MuJoCo divides (mjMINVAL)."""
 
 Velocities = Float[Array, " velocity"]
 Rows = Float[Array, "contact 3"]
 
 
 class Bodies(NamedTuple):
-    """The moving bodies of a world: origins, m; unit quaternions; rotation matrices; velocities as in MuJoCo's qvel;
-    and ``mass``, with six values per body: three times the mass, kg, then the three principal moments of inertia,
-    kg·m²."""
+    """The moving bodies of a world: origins, m; unit quaternions; rotation matrices; and velocities as in MuJoCo's
+    qvel. ``mass`` has six values per body: the mass, kg, repeated three times, then the three principal moments of
+    inertia, kg·m²."""
 
     place: Float[Array, "body 3"]
     quat: Float[Array, "body 4"]
@@ -166,8 +166,8 @@ class Links:
 def _springs(
     contact: Any, timestep_s: Float[Array, ""]
 ) -> tuple[Float[Array, " contact"], Rows, Float[Array, " contact"]]:
-    """Stiffness along the normal (1/s²), damping of each row (1/s), and impedance of contacts. The formulas are those
-    of MuJoCo's documentation, "Modeling", section "Solver parameters"."""
+    """Stiffness along the normal (1/s²), damping of each row (1/s), and impedance of contacts. The formulas are from
+    MuJoCo's documentation, "Modeling", section "Solver parameters"."""
     differs = (contact.solreffriction != 0).any(-1, keepdims=True)
     tangent = jnp.where(differs, contact.solreffriction, contact.solref)
     law = jnp.stack([contact.solref, tangent, tangent], axis=1)
@@ -181,7 +181,7 @@ def _springs(
 
 
 def normalized(quat: Float[Array, "k 4"]) -> Float[Array, "k 4"]:
-    """Unit quaternions."""
+    """The quaternions, divided by their lengths."""
     return quat / jnp.sqrt((quat**2).sum(-1, keepdims=True))
 
 

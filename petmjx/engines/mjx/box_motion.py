@@ -6,7 +6,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from petmjx.options.simulation import Thresholds
+from petmjx.options.thresholds import Thresholds
 
 
 def shift(

@@ -10,9 +10,9 @@ from jaxtyping import Array, Float
 
 from petmjx.engines.mjx.world_constants import Worlds
 from petmjx.options.physics import Physics
+from petmjx.world.bearings import TOUCH_M
 from petmjx.world.compliance import LEAST_IMPEDANCE, LEAST_SHARE
 from petmjx.world.contact_laws import CONTACTS_PER_FACE
-from petmjx.world.supports import TOUCH_M
 
 
 def laws(

@@ -14,18 +14,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from petmjx.common.errors import is_out_of_memory
 from petmjx.common.machine import cpu_threads
 from petmjx.common.units import FloatArray
 from petmjx.engines.mjx.batch_run import BatchRun, EndedWorlds, Phase
 from petmjx.engines.mjx.batch_step import PaddedModel
 from petmjx.engines.mjx.free_bodies import paths
-from petmjx.engines.mjx.host_to_device import GRANULE, Batch, is_out_of_memory, load, round_up
+from petmjx.engines.mjx.host_to_device import Batch, load
 from petmjx.engines.mjx.jax_setup import set_up_jax
 from petmjx.engines.mjx.outcomes import outcomes
+from petmjx.engines.mjx.padded_sizes import GRANULE, padded_rows, round_up
 from petmjx.engines.mjx.rollout import BatchRollout, Program
 from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.timetable import build_timetable
-from petmjx.engines.mjx.world_constants import device_array, padded_rows
+from petmjx.engines.mjx.world_constants import device_array
 from petmjx.engines.mjx.world_state import State, Status
 from petmjx.engines.protocol import Engine, Progress, RunLock, says_at_hand
 from petmjx.engines.verdict import Flag, Outcome
@@ -36,8 +38,9 @@ from petmjx.world.job import ACCELERATION, Job
 MOST_WORLDS = 256
 """Largest number of worlds in a batch on a GPU or another accelerator if the user does not set ``lanes``.
 
-On a CPU, if ``lanes`` is not set, each world is a separate batch, and each thread simulates a batch: on a CPU, XLA
-needs eight times as long for eight worlds as for one, and worlds that do not wait for each other need fewer steps.
+On a CPU, if ``lanes`` is not set, each world is a separate batch, and each thread simulates a batch. There are two
+reasons: on a CPU, XLA needs eight times as long for eight worlds as for one; and worlds that do not wait for each other
+need fewer steps.
 """
 
 FEWEST_WORLDS = 8

@@ -37,7 +37,7 @@ def _put_at_rest(jobs: Sequence[Job], host: State) -> None:
 
 
 def _put_unplaced(paused: Mapping[int, int], host: State, fresh: State) -> None:
-    """In states on the host, replace the columns of boxes that are not placed yet by those of fresh states.
+    """In states on the host, replace the columns of boxes that are not placed yet by the columns of fresh states.
 
     Args:
         paused: row → number of placed boxes, for placements that had paused.

@@ -19,7 +19,7 @@ from petmjx.world.job import Job
 
 
 class Trail(NamedTuple):
-    """The steps of a chunk, for each world. All values are those after a step and after the rules that follow the step.
+    """The steps of a chunk, for each world. All values hold after a step, when the rules have been applied.
 
     ``ran``: whether the world took the step; ``fresh``: whether a box was placed after the step.
     """

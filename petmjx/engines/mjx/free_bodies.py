@@ -11,10 +11,11 @@ import numpy as np
 from petmjx.common.units import FloatArray
 from petmjx.engines.mjx.batch_step import PaddedModel
 from petmjx.engines.mjx.host_to_device import let_go
+from petmjx.engines.mjx.padded_sizes import padded_rows
 from petmjx.engines.mjx.rollout import BatchRollout, Program
 from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.timetable import build_timetable
-from petmjx.engines.mjx.world_constants import Worlds, padded_rows
+from petmjx.engines.mjx.world_constants import Worlds
 from petmjx.engines.mjx.world_state import State, second_axes
 from petmjx.options.simulation import Simulation
 from petmjx.world.free_bodies import FreeBodies

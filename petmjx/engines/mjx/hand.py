@@ -124,7 +124,7 @@ def _free_begin(
     stands: Bool[Array, "world box"],
     most_aside: Float[Array, "world 2 2"],
 ) -> Vector:
-    """The place at which the carried box of each world starts so that it overlaps no standing box, m: ``begin`` if this
+    """The place, m, at which the carried box of each world starts without overlapping a standing box: ``begin`` if this
     place is free, else a free place beside ``begin``, else a place above ``begin``."""
 
     def overlap(place: Vector) -> tuple[Float[Array, "world box 3"], Bool[Array, "world box"]]:

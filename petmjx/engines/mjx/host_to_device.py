@@ -15,22 +15,15 @@ from numpy.typing import NDArray
 
 from petmjx.engines.mjx.first_states import paused_start, started_states
 from petmjx.engines.mjx.frame_recorder import Recorder
+from petmjx.engines.mjx.padded_sizes import PROFILE_GRANULE, padded_rows, round_up
 from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.timetable import Timetable
-from petmjx.engines.mjx.world_constants import NEVER, Worlds, device_array, padded_rows, upload_worlds
+from petmjx.engines.mjx.world_constants import NEVER, Worlds, device_array, upload_worlds
 from petmjx.engines.mjx.world_state import State, Status, fresh_state, put_rows
 from petmjx.engines.verdict import Flag
 from petmjx.options.simulation import Check, Schedule, Simulation
 from petmjx.world.free_bodies import FreeBodies
 from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
-
-GRANULE = 4
-"""The number of box columns of a table is a multiple of this number, so that runs with different plans can share
-compiled programs."""
-
-PROFILE_GRANULE = 512
-"""The number of steps of a table of profiles is a multiple of this number, so that the legs of a chain can share
-compiled programs, although the legs differ in length."""
 
 MOST_KEPT = 16
 """Number of results that ``_going_on`` (compiled programs) and ``_state_shapes`` each keep for later calls."""
@@ -193,17 +186,3 @@ def put_into(table: Table, rows: NDArray[np.intp], values: Table, put: Callable[
     padded = np.full(length, end, np.int32)  # rows beyond the end of the table are dropped
     padded[: len(rows)] = rows
     return put(table, device_array(padded), values)
-
-
-def round_up(n: int, granule: int = GRANULE) -> int:
-    """The smallest multiple of ``granule`` that is at least n."""
-    return -(-n // granule) * granule
-
-
-def is_out_of_memory(error: Exception) -> bool:
-    """Whether an error reports that memory ran out: device memory in an error of JAX, XLA or Warp, host memory in an
-    error of Python."""
-    text = str(error).lower()
-    return isinstance(error, MemoryError) or any(
-        words in text for words in ("resource_exhausted", "out of memory", "failed to allocate")
-    )

@@ -22,7 +22,7 @@ MIN_COMPILE_S = 0.0
 about a hundred small programs, which together take some seconds to compile."""
 
 CPU_COMPILER_OPTIONS = {
-    # With the scheduler that is optimised for concurrency, programs of mjx-jax hang in XLA's thread pool: with jaxlib
+    # With the scheduler that is optimised for concurrency, programs of mjx-jax hang in XLA's thread pool. With jaxlib
     # 0.10.2 on two cores, 7 of 7 runs hung with this scheduler, and none of 4 runs without it.
     "xla_cpu_enable_concurrency_optimized_scheduler": False,
     # With the newer emitters of fused loops, compiling the programs of 12 plans takes 91 s of CPU time. Without these

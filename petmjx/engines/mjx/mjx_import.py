@@ -35,8 +35,8 @@ class _SilentLoader(SourceFileLoader):
 
 
 class _SilentFinder(MetaPathFinder):
-    """An import finder for a single module: the one that prints the message. ``hides_warp``: whether Warp counts as not
-    installed.
+    """An import finder for a single module: the module that prints the message. ``hides_warp``: whether Warp counts as
+    not installed.
     """
 
     def __init__(self, hides_warp: bool) -> None:

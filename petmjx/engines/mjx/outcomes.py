@@ -78,8 +78,8 @@ def outcomes(
 
 def _kept_state(job: Job, host: State, row: int) -> State | None:
     """The state that the outcome of a job must have; None if the outcome needs no state. The state has columns for the
-    boxes of this world alone or, if the placement paused, for the placed boxes alone: a world that starts from this
-    state may be in a table for fewer boxes."""
+    boxes of this world alone or, if the placement paused, for the placed boxes alone. A world that starts from this
+    state may then be in a table for fewer boxes."""
     pauses = host.status[row] == Status.PAUSED
     if not (job.keep_state or pauses or host.status[row] == Status.LEFT):
         return None

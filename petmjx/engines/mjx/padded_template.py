@@ -37,9 +37,9 @@ LINE_SEARCH_ITERATIONS = 50
 
 VMAP_LINE_SEARCH_ITERATIONS = 30
 """Largest number of line search iterations. Under ``vmap``, MJX's own solver (used with pyramidal cones) always takes
-the largest number of iterations. With 10 iterations, the force on a box differed from that in C MuJoCo by more than 50
-N in 2.2 % of the steps of small piles: the solver had given up while boxes landed. With 30 iterations, this happened in
-0.2 % of the steps."""
+the largest number of iterations. With 10 iterations, the force on a box differed from the force in C MuJoCo by more
+than 50 N in 2.2 % of the steps of small piles. The reason: the solver had given up while boxes landed. With 30
+iterations, this happened in 0.2 % of the steps."""
 
 CONTACTS_PER_PAIR = 4
 """Number of contacts of MJX's collider for two boxes, and for a plane and a box."""
@@ -126,8 +126,8 @@ def override_fields(
     ``gives``, contacts of compliant boxes get their own laws.
 
     Derived fields are computed as in MuJoCo's compiler. ``body_invweight0`` and ``dof_invweight0`` of a free body are
-    1/m and the mean of 1/I. ``geom_rbound`` is the half diagonal. Tests compare all these fields with those of the
-    compiler.
+    1/m and the mean of 1/I. ``geom_rbound`` is the half diagonal. Tests compare all these fields with the fields that
+    the compiler makes.
     """
     n_worlds, shapes = worlds.shape_half.shape[:2]
     boards = shapes - worlds.half.shape[1]

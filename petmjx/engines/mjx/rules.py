@@ -52,7 +52,8 @@ class Rules:
     carries: bool = False
 
     def parked_pose(self) -> Float[Array, "box 7"]:
-        """Poses to which boxes are moved that are not in play (not placed, or in a world that has ended)."""
+        """Poses to which the rules move boxes that are out of play: boxes that are not placed, or that are in a world
+        that has ended."""
         quat = jnp.broadcast_to(jnp.array(IDENTITY_QUAT), (self.capacity, 4))
         return jnp.concatenate([parked_positions(self.capacity), quat], axis=-1)
 
@@ -228,7 +229,7 @@ class Rules:
         presses: Bool[Array, " world"],
         nonfinite: Bool[Array, " world"],
     ) -> State:
-        """Measure the boxes, and end the worlds whose fate the measurements decide. The arguments are those of
+        """Measure the boxes, and end the worlds whose fate the measurements decide. The arguments are as in
         ``after_step``."""
         limits, m = self.sim.thresholds, state.metrics
         counted = state.running & (state.step > 0) & ~nonfinite
@@ -288,7 +289,7 @@ class Rules:
         )
         tilted = looked & (tilt > limits.tilt_deg)
         lost = dropped | (tilted & worlds.ends_when_lost[:, None])
-        # the box that crossed a threshold first, if an earlier check has found one
+        # whether each box is the culprit: the box that crossed a threshold first, at an earlier check
         is_culprit = jnp.arange(self.capacity)[None] == m.culprit[:, None]
         complete = (state.placed == worlds.n_boxes) & (state.step - state.last_placed_at >= worlds.confirm_steps)
         if self.carries:
@@ -375,7 +376,7 @@ class Rules:
         enough = self.sim.waits_for_rest | (state.step - state.waits_since >= quiet.landing_steps)
         past_deadline = ~in_drive & (state.step >= self._deadline(state, worlds, has_more, adapts))
         go = waits & (past_deadline | (still & adapts & enough))
-        # worlds whose drive begins at once, without a check whether the pallet is at rest
+        # in the worlds of ``settles``, the drive begins at once, without a check whether the pallet is at rest
         settles = go & ~has_more & worlds.settles & (not self.driven and not self._rests_first)
         rests = go & ~has_more & ~settles
         moves = (settles | (go & has_more)) & ~failed & (state.quiet_steps < quiet.steps)

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 from petmjx.common.units import FloatArray
 from petmjx.engines.mjx import box_motion as motion
 from petmjx.engines.mjx.world_constants import Worlds
-from petmjx.options.simulation import Thresholds
+from petmjx.options.thresholds import Thresholds
 
 
 class Sample(NamedTuple):

@@ -101,7 +101,7 @@ def build_timetable(sim: Simulation, max_boxes: int) -> Timetable:
 
 def _after(clock: Float64[np.ndarray, " step"], wait_s: float, timestep_s: float) -> Int32[np.ndarray, " step"]:
     """For each step, the first step that is at least ``wait_s`` later. ``clock``: the time after 0, 1, … steps, s. If
-    the wait ends after the clock's last step, the value is the step after the last one."""
+    the wait would end after the clock's last step, the value is the number of the last step + 1."""
     n = len(clock) - 1
     # The clock is a sum of rounded timesteps, so the right step differs from this estimate by at most one.
     after = np.minimum(np.arange(n + 1) + seconds_to_steps(wait_s, timestep_s), n + 1)

@@ -22,7 +22,7 @@ def contact_force_z(
 
     ``rows`` are the constraint forces of one contact. Elliptic cones: (normal, tangent 1, tangent 2, unused). Pyramidal
     cones: the forces along the four edges; the normal force is the sum of these, and the tangential forces are their
-    differences × sliding friction. The formulas are those of MuJoCo's documentation, "Computation", section "Contact".
+    differences × sliding friction. The formulas are from MuJoCo's documentation, "Computation", section "Contact".
     ``frame_z``: z components of normal and tangents.
     """
     if pyramidal:
@@ -36,18 +36,18 @@ def contact_force_z(
 
 def pressed_box(
     body: Int[Array, "*batch 2"],
-    geom_z: Float[Array, "*batch 2"],
     normal_z: Float[Array, "*batch"],
 ) -> tuple[Int[Array, "*batch"], Float[Array, "*batch"], Bool[Array, "*batch"]]:
-    """The box on which a contact presses: the partner whose centre is lower. ``body``: the two partners of each
-    contact, as numbers of boxes, or as negative numbers for carrier and floor.
+    """The box on which a contact presses: the partner from which the normal points upwards. ``body``: the two
+    partners of each contact, as numbers of boxes, or as negative numbers for carrier and floor. ``normal_z``: z
+    components of the unit normals, which point from the first partner to the second.
 
     Returns:
         Three values: the number of the box (negative for carrier and floor); the sign that turns the force on the
         second geom into a downward force on the lower geom; and whether the contact is vertical and its lower partner
         is a box.
     """
-    first_is_lower = geom_z[..., 0] < geom_z[..., 1]
+    first_is_lower = normal_z > 0
     box = jnp.where(first_is_lower, body[..., 0], body[..., 1])
     sign = jnp.where(first_is_lower, 1.0, -1.0)
     counts = (jnp.abs(normal_z) >= VERTICAL_COSINE) & (box >= 0)

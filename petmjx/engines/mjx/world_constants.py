@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from petmjx.common.units import seconds_to_steps
 from petmjx.engines.contact_penetration import stiffened
 from petmjx.engines.metrics import CONFIRM_S
+from petmjx.engines.mjx.padded_sizes import padded_rows
 from petmjx.engines.mjx.scene_rows import Rows, gather_rows, more_shapes, rows_of, with_padding_rows
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import ACCELERATION, FORCE, Drive, Excitation, Job
@@ -53,7 +54,7 @@ class Worlds(NamedTuple):
     first sign of failure (``petmjx.engines.metrics.CONFIRM_S``); ``NEVER`` if the world does more than confirm a fall.
     ``pauses``: when its boxes are at rest, the world waits for further boxes (petmjx/engines/open_world_protocol.py).
     ``ends_when_gone``: the world is a trial, which ends when a box is gone (``petmjx.engines.metrics.GONE_TILT``).
-    ``most_steps`` is the number of steps after which the world leaves a GPU (petmjx/engines/warp/continued_worlds.py).
+    ``most_steps`` is the number of steps after which the world leaves a GPU (petmjx/engines/warp/long_worlds.py).
 
     Placing: ``start`` is the release pose of a box whose ``support`` is at its planned place. If the support has sunk
     or risen, the box is released lower or higher, by at most ``most_followed``, m (petmjx/world/release_places.py).
@@ -132,11 +133,6 @@ def device_arrays(arrays: Iterable[NDArray[Any]]) -> list[jax.Array]:
 MANY_PADDING_ROWS: Final = 4096
 """If at least this number of padding rows is needed, the device makes them by repeating the first row. To upload 10,000
 padding rows of 24 kB each would delay a run's first step."""
-
-
-def padded_rows(count: int) -> int:
-    """Number of rows for ``count`` worlds: a power of two, so that few programs are compiled."""
-    return 1 << (count - 1).bit_length()
 
 
 def upload_worlds(

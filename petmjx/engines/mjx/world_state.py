@@ -40,10 +40,10 @@ class Status:
 class State(NamedTuple):
     """The states of worlds between two steps. Steps are counted from the end of the soft start."""
 
-    # MuJoCo's arrays of free bodies, with boxes and carrier in separate arrays. The arrays are poses, the remainders of
-    # positions that single precision cannot hold (on mjx-warp; else 0), velocities, accelerations of the last step, and
-    # accelerations from which mjx-warp's solver starts in the next step. Other solvers start from the accelerations of
-    # the last step.
+    # MuJoCo's arrays of free bodies, with boxes and carrier in separate arrays. The arrays are poses, velocities,
+    # accelerations of the last step, and accelerations from which mjx-warp's solver starts in the next step. On
+    # mjx-warp, there are also the remainders of positions that single precision cannot hold; on mjx-jax, these are 0.
+    # Other solvers start from the accelerations of the last step.
     qpos: Float[Array, "world box 7"]
     qpos_remainder: Float[Array, "world box 3"]
     qvel: Float[Array, "world box 6"]
@@ -65,15 +65,17 @@ class State(NamedTuple):
     placed: Int[Array, " world"]
     last_placed_at: Int[Array, " world"]
 
-    # Carrying: the steps after which a hand took up the box placed last, and began to set it down, or NEVER; the number
-    # of steps of the box's path; and the ends of the path, for the origin of the box's frame.
+    # Carrying: the step after which a hand took up the box placed last, or NEVER; the step after which it began to set
+    # the box down, or NEVER; the number of steps of the box's path; and the ends of the path, for the origin of the
+    # box's frame.
     carried_from: Int[Array, " world"]
     lowered_from: Int[Array, " world"]
     carried_steps: Int[Array, " world"]
     way_begin: Float[Array, "world 3"]
     way_end: Float[Array, "world 3"]
 
-    # Landing: the number of steps for which a box still counts as landing, and its velocity before it touched.
+    # Landing: the number of steps for which a box still counts as landing, and the velocity of the box before it
+    # touched anything.
     landing_left: Int[Array, "world box"]
     landing_qvel: Float[Array, "world box 6"]
 
@@ -83,16 +85,16 @@ class State(NamedTuple):
     film_anchor: Float[Array, "world box 3"]
 
     # For the rules: the step after which the wait for the next event began; the number of steps for which all boxes
-    # have been quiet; the boxes' speeds at the first of these steps; and the step of the first of consecutive violent
-    # samples.
+    # have been quiet, and the boxes' speeds at the first of these steps; and the first step of the present series of
+    # violent samples.
     waits_since: Int[Array, " world"]
     quiet_steps: Int[Array, " world"]
     quiet_speed: Float[Array, "world box"]
     violent_since: Int[Array, " world"]
 
     # Trembling: the number of looks since the last placement, and whether each box trembles (1) or stays (2). Then, for
-    # the time since boxes were last examined for both: the length of each box's path, the box's largest distance from
-    # the beginning of this path, m, and the box's pose at this beginning.
+    # the time since boxes were last examined for trembling and staying: the length of each box's path, the box's
+    # largest distance from the beginning of this path, m, and the box's pose at this beginning.
     tremble_looks: Int[Array, " world"]
     trembles: Int[Array, "world box"]
     tremble_path: Float[Array, "world box"]
@@ -122,7 +124,7 @@ class State(NamedTuple):
         return self.status == Status.RUNNING
 
     def flat(self) -> dict[str, Array]:
-        """All arrays by name, including those of the metrics, as the kernels of mjx-warp take them."""
+        """All arrays by name, including the arrays of the metrics, as the kernels of mjx-warp take them."""
         arrays: dict[str, Array] = self._asdict() | self.metrics._asdict()
         del arrays["metrics"]
         return arrays

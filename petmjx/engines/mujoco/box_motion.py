@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
-from petmjx.options.simulation import Thresholds
+from petmjx.options.thresholds import Thresholds
 
 
 def shift(pos: FloatArray, target: FloatArray, floor_m: float, sinks_m: FloatArray | None = None) -> FloatArray:
@@ -81,11 +81,11 @@ def moved(before: FloatArray, after: FloatArray, radius_m: FloatArray) -> FloatA
 def corner_acceleration(angular: FloatArray, half_size: FloatArray) -> FloatArray:
     """(n,) root mean square of the accelerations that the rotation of each box gives to its eight corners, m/s².
 
-    Gravity alone gives the corners of a box at rest at most √3/2 × g, whatever the box stands on. The reason: forces of
-    rigid supports do no work on the accelerations that the supports allow, so m a² + I α² ≤ m g a. Here, a is the
-    acceleration of the centre, and I α² is the sum over the axes of moment of inertia × (angular acceleration)². The
-    largest I α² is therefore m g² / 4, at a = g / 2. The mean square of the corners' accelerations is 3 I α² / m. For a
-    box that stands on one of its edges, the root is at most 3/4 × g.
+    Gravity alone gives the corners of a box at rest at most √3/2 × g, whatever the box stands on. The reason: the
+    accelerations that rigid supports allow are such that the supports' forces do no work, so m a² + I α² ≤ m g a. Here,
+    a is the acceleration of the centre, and I α² is the sum over the axes of moment of inertia × (angular
+    acceleration)². The largest I α² is therefore m g² / 4, at a = g / 2. The mean square of the corners' accelerations
+    is 3 I α² / m. For a box that stands on one of its edges, the root is at most 3/4 × g.
 
     Args:
         angular: (n, 3) angular accelerations in the axes of the boxes, rad/s².

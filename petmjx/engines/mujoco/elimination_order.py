@@ -19,21 +19,21 @@ from petmjx.world.scene import Scene
 
 NEAR_M = 0.005
 """Two boxes may touch later if they are nearer to each other at their release than this distance, m. Neighbours in a
-plan are 0.1 mm apart, because simulated boxes are smaller than planned. The limit also applies to the height: a box
-whose bottom is up to ``NEAR_M`` above the top of another box may touch it later, for example if the box stands on boxes
-of slightly different heights."""
+plan are 0.1 mm apart, because simulated boxes are smaller than planned. The limit also applies to heights. A box whose
+bottom is up to ``NEAR_M`` above the top of another box may touch it later, for example if the box stands on boxes of
+slightly different heights."""
 
 
 def body_order(scene: Scene, n_boxes: int, contacts: NDArray[np.integer], shaken: bool) -> NDArray[np.intp]:
-    """(n_boxes,) numbers of the first ``n_boxes`` boxes of the plan, in an order for the bodies of the model with which
-    factorisations are cheap.
+    """(n_boxes,) numbers of the first ``n_boxes`` boxes of the plan, in the order of the model's bodies that makes
+    factorisations cheap.
 
     MuJoCo eliminates the last body first. The carrier touches a whole layer, so it is always the first body.
 
     Args:
         contacts: (m, 2) pairs of boxes that touch now. Contacts with the carrier and the floor are left out.
-        shaken: if True, boxes are expected to touch their neighbours at the sides. If ``shaken`` is False, only pairs
-            are expected to touch in which one box stands on the other. On a standing pallet, few boxes touch their
+        shaken: if True, boxes are expected to touch their neighbours at the sides. If ``shaken`` is False, two boxes
+            are expected to touch only if one of them stands on the other. On a standing pallet, few boxes touch their
             neighbours at the sides, and including these pairs would add half as many operations.
     """
     joined = _may_touch(scene.start_pos[:n_boxes], scene.half_size[:n_boxes], NEAR_M if shaken else 0.0)

@@ -14,11 +14,11 @@ from petmjx.common.text import one_line
 from petmjx.common.units import FloatArray
 from petmjx.engines.failed_world import failed_outcome
 from petmjx.engines.job_stream import JobStream
-from petmjx.engines.mujoco.cpu_budget import Budget
 from petmjx.engines.mujoco.free_bodies import paths
 from petmjx.engines.mujoco.message_log import QUIET_MUJOCO
 from petmjx.engines.mujoco.open_worlds import MujocoWorlds
 from petmjx.engines.mujoco.world_run import WorldCancelled, WorldRun
+from petmjx.engines.mujoco.world_timeout import Budget
 from petmjx.engines.open_world_protocol import MOST_BOXES
 from petmjx.engines.protocol import Engine, Progress, says_at_hand, takes_stream
 from petmjx.engines.verdict import Outcome
@@ -42,10 +42,10 @@ class MujocoEngine(Engine):
     reasons are a model that does not compile, a lack of memory, or an error in MuJoCo.
 
     Args:
-        threads: number of worlds that are simulated at once. If ``threads`` is None, the number is that of the CPU
-            threads that this process may use.
+        threads: number of worlds that are simulated at once. If ``threads`` is None, this is the number of CPU threads
+            that the process may use.
         world_timeout_s: longest wall-clock time of one attempt at a world, s. If ``world_timeout_s`` is None, the limit
-            follows from the world's expected time (petmjx/engines/mujoco/cpu_budget.py).
+            follows from the world's expected time (petmjx/engines/mujoco/world_timeout.py).
     """
 
     name = "mujoco"

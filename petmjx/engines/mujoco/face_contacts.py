@@ -47,8 +47,8 @@ _EAST: Final = np.array([1.0, 0.0, 0.0])
 _NEXT: Final = [1, 2, 0]
 _LAST: Final = [2, 0, 1]
 _FACES: Final = np.array([(0, 1, 2), (1, 2, 0), (2, 0, 1)])
-"""For each axis of a box, which is the normal of a face: the number of this axis, followed by the numbers of the two
-axes along the face's edges."""
+"""One row per axis of a box. The first number is the axis, which is the normal of a face. The other two numbers are the
+axes along the edges of this face."""
 _SIGNS: Final = np.array([(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)])
 _ASIDE: Final = np.array([1.0, -1.0])
 _WAYS: Final = np.array([-1.0, 1.0])
@@ -88,14 +88,14 @@ class Beds:
     def __init__(self, scene: Scene, physics: Physics, model: mujoco.MjModel, bodies: NDArray[np.intp]) -> None:
         assert scene.stiffness is not None
         self._physics = physics
-        self._give = np.append(compliances(scene.stiffness, scene.half_size), [0.0, 0.0])[bodies]  # FLOOR, CARRIER
+        self._give = np.append(compliances(scene.stiffness, scene.half_size), [0.0, 0.0])[bodies]  # 0: FLOOR, CARRIER
         self._inverse: FloatArray = model.body_invweight0[model.geom_bodyid, 0]
-        self._half: FloatArray = model.geom_size + model.geom_margin[:, None]  # without skin
+        self._half: FloatArray = model.geom_size + model.geom_margin[:, None]  # margin = −skin
         self._plane = np.asarray(model.geom_type) == mujoco.mjtGeom.mjGEOM_PLANE
 
     def step1(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """``mj_step1`` of MuJoCo with beds of springs. All results except the contacts of compliant boxes are
-        bit-identical to those of ``mj_step1``.
+        bit-identical to the results of ``mj_step1``.
         """
         mujoco.mj_checkPos(model, data)
         mujoco.mj_checkVel(model, data)
@@ -198,7 +198,7 @@ def face_pressure(
     rows = np.arange(2 * count)[:, None]
     order = _FACES[np.abs(along).argmax(axis=1)]
     reach = half[boxes][rows, order]
-    # half axes of the face whose normal is nearest to the contact normal: outward, and along both edges
+    # the half axes of the face whose normal is nearest to the contact normal: one outward, two along the edges
     directions = columns[rows, order]
     directions[:, 0] *= np.copysign(1.0, along[rows, order[:, :1]])
     axes = directions * reach[:, :, None]

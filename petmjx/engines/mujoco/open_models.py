@@ -1,7 +1,7 @@
 """Model templates of open worlds (worlds that grow box by box). A template is compiled once, then filled with boxes.
 
 Compiling a model of 30 boxes takes 2 ms, as long as ten steps, while trying a place for a box takes only a few dozen
-steps. All numbers of a filled model that influence a step equal those of the model that MuJoCo would compile.
+steps. All numbers of a filled model that influence a step are the same as in the model that MuJoCo would compile.
 """
 
 from __future__ import annotations

@@ -103,7 +103,7 @@ class OpenWorld(WorldRun):
 
     def finish(self, index: int, drive: Drive | None = None) -> Outcome:
         """Simulate a world with boxes to its end: through the rest window (the last 0.2 s, in which resting forces are
-        measured), and through the drive (motion of the carrier), if there is one.
+        measured), and through the drive (motion of the carrier), if any.
 
         Afterwards, no boxes can be added to the world.
 

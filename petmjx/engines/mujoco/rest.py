@@ -15,7 +15,7 @@ from petmjx.world.scene import Scene
 
 
 class QuietRule:
-    """Decides whether the pallet is quiet, that is, whether all boxes are slow. ``petmjx.options.simulation.Quiet``
+    """Decides whether the pallet is quiet, that is, whether all boxes are slow. ``petmjx.options.quiet.Quiet``
     defines the limits.
 
     The caller must call ``look`` every ``poll_steps`` steps.

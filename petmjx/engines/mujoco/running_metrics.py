@@ -15,7 +15,7 @@ from petmjx.common.units import STANDARD_GRAVITY, FloatArray
 from petmjx.engines.metrics import GONE_DESCENT, GONE_TILT, BoxMetrics
 from petmjx.engines.mujoco.box_motion import corner_acceleration, excess, has_dropped, shift, tilt_deg
 from petmjx.engines.mujoco.top_forces import TopForceInputs, largest_top_forces
-from petmjx.options.simulation import Thresholds
+from petmjx.options.thresholds import Thresholds
 from petmjx.world.compliance import sinks_m
 from petmjx.world.job import Drive, Job
 from petmjx.world.scene import Scene
@@ -211,7 +211,7 @@ class OracleMetrics:
         start of the drive. Whether boxes are at rest is judged at the end of the drive.
 
         If no box is beyond a threshold now, signs of failure during the placement (such as a hard landing) are
-        forgotten. From then on, the first sign of failure is the first one during the drive.
+        forgotten. From then on, the first sign of failure is the first sign during the drive.
         """
         k = len(pos)
         self._sway_origin = pos.copy()

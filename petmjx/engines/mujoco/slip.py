@@ -127,7 +127,7 @@ class SlipLaw:
         for rounds in range(MOST_ROUNDS + 1):
             aref[normal] = before - friction * excess
             mujoco.mj_fwdConstraint(model, data)
-            iterations += int(data.solver_niter[0])  # all iterations: islands are not searched for
+            iterations += int(data.solver_niter[0])  # without islands, the first number counts all iterations
             if rounds == MOST_ROUNDS:
                 break
             change = excess_at(data.qacc, lag * np.hypot(force[one], force[two])) - excess

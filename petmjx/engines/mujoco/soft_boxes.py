@@ -19,12 +19,12 @@ from petmjx.engines.mujoco.open_models import ModelInstance, set_options
 from petmjx.engines.mujoco.top_forces import contact_force_z, contact_normal_and_tangents, pressed_box
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan_warnings import shared_length
+from petmjx.world.bearings import TOUCH_M
 from petmjx.world.history import CARRIER, FLOOR
 from petmjx.world.mujoco_model import CARRIER_NAME, HeldCarrier, box_name, soft_spec
 from petmjx.world.rotation import rotated_vectors, rotations
 from petmjx.world.scene import Scene
 from petmjx.world.soft_boxes import POINTS, point_name, points_of, rounding_m, shares
-from petmjx.world.supports import TOUCH_M
 
 COUNT = len(POINTS)
 
@@ -181,14 +181,7 @@ class SoftWorld(LiveWorld):
         index, force = contact_normal_and_tangents(data, self.pyramidal)
         frame = np.asarray(data.contact.frame)[index].reshape(-1, 3, 3)
         bodies = self.contact_bodies()[index]
-        # The heights of the boxes come first, then those of the floor and the carrier. The numbers of floor and carrier
-        # are negative, so they select elements at the array's end.
-        centre_z = np.zeros(self.capacity + 2)
-        centre_z[FLOOR], centre_z[CARRIER] = -np.inf, data.xpos[self._carrier, 2]
-        centre_z[self._soft] = (self._weight[..., 0] * data.xpos[self._point_bodies][..., 2]).sum(axis=1)
-        centre_z[self._rigid] = data.xpos[self._rigid_bodies, 2]
-        centre_z = centre_z[bodies]
-        box, sign, counts = pressed_box(bodies, centre_z, frame[:, 0, 2])
+        box, sign, counts = pressed_box(bodies, frame[:, 0, 2])
         np.add.at(total, box[counts], (sign * contact_force_z(force, frame[:, :, 2]))[counts])
         return total
 

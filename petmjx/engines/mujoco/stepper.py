@@ -7,12 +7,12 @@ import numpy as np
 
 from petmjx.common.units import FloatArray
 from petmjx.engines.metrics import RESTLESS_M_S, RISING_M_S2
-from petmjx.engines.mujoco.cpu_budget import Budget
 from petmjx.engines.mujoco.landing import CALM_M_S2
 from petmjx.engines.mujoco.live_world import LiveWorld
 from petmjx.engines.mujoco.running_metrics import OracleMetrics
 from petmjx.engines.mujoco.soft_boxes import SoftWorld
 from petmjx.engines.mujoco.top_forces import top_force_inputs
+from petmjx.engines.mujoco.world_timeout import Budget
 from petmjx.options.simulation import Simulation
 
 _RESTLESS_SQUARE = 0.5 * RESTLESS_M_S**2
@@ -60,8 +60,8 @@ class Stepper:
                 return number - first
             placed, self._placed = self._placed, live.n_placed
             if placed != live.n_placed or (number - 1) % self._poll_steps == 0:
-                # Which steps count for the largest forces does not depend on how many steps a call takes: in a recorded
-                # world, a call ends at each frame, but the results must be the same.
+                # In a recorded world, each frame ends a call, but the results must be the same as without recording. So
+                # the number of steps per call must not decide which steps count for the largest forces.
                 self._restless = placed != live.n_placed or not _is_calm(live)
             last = min(end, number + self._poll_steps - (number - 1) % self._poll_steps)
             counts = metrics if self._looks and live.n_placed and (acts or self._restless) else None

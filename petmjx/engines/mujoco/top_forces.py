@@ -56,20 +56,20 @@ def contact_force_z(force: FloatArray, frame_z: FloatArray) -> FloatArray:
 
 
 def pressed_box(
-    body: NDArray[np.integer], geom_z: FloatArray, normal_z: FloatArray
+    body: NDArray[np.integer], normal_z: FloatArray
 ) -> tuple[NDArray[np.integer], FloatArray, NDArray[np.bool_]]:
-    """The box on which each contact presses: of the two bodies, the body whose centre is lower.
+    """The box on which each contact presses: of the two bodies, the body from which the normal points upwards. (The
+    centre of a box that leans may be lower than that of the box on which it lies.)
 
     Args:
         body: (k, 2) the two bodies of each contact: the number of a box, or a negative number for carrier and floor.
-        geom_z: (k, 2) z coordinates of the centres of the two shapes, m.
-        normal_z: (k,) z components of the unit normals.
+        normal_z: (k,) z components of the unit normals, which point from the first body to the second.
 
     Returns:
         (k,) number of the lower body (negative for carrier and floor); (k,) sign that turns the force on the second
         geom into a downward force on the lower geom; (k,) whether the contact is vertical and the lower body is a box.
     """
-    first_is_lower = geom_z[:, 0] < geom_z[:, 1]
+    first_is_lower = normal_z > 0
     box = np.where(first_is_lower, body[:, 0], body[:, 1])
     sign = np.where(first_is_lower, 1.0, -1.0)
     return box, sign, (np.abs(normal_z) >= VERTICAL_COSINE) & (box >= 0)
@@ -78,8 +78,8 @@ def pressed_box(
 def top_forces(data: mujoco.MjData, bodies: NDArray[np.integer], n_boxes: int, pyramidal: bool) -> FloatArray:
     """(n_boxes,) force on top of each box, N (docs/metrics.md, "The force on a box's top").
 
-    The force on a box is the sum of the z components at those contacts whose normal is within 45° of z, and in which
-    the centre of the box is lower than that of the other body. The floor counts as lower than all boxes.
+    The force on a box is the sum of the z components at those contacts whose normal is within 45° of z and points
+    upwards from the box.
 
     Args:
         bodies: (ngeom,) the body to which each geom belongs (``petmjx.world.mujoco_model.geom_bodies``).
@@ -90,9 +90,7 @@ def top_forces(data: mujoco.MjData, bodies: NDArray[np.integer], n_boxes: int, p
     index, force = contact_normal_and_tangents(data, pyramidal)
     geom = np.asarray(data.contact.geom)[index]
     frame = np.asarray(data.contact.frame)[index].reshape(-1, 3, 3)
-    centre_z = data.geom_xpos[:, 2].copy()
-    centre_z[0] = -np.inf
-    box, sign, counts = pressed_box(bodies[geom], centre_z[geom], frame[:, 0, 2])
+    box, sign, counts = pressed_box(bodies[geom], frame[:, 0, 2])
     counts &= box < n_boxes
     np.add.at(total, box[counts], (sign * contact_force_z(force, frame[:, :, 2]))[counts])
     return total
@@ -107,7 +105,6 @@ class TopForceInputs(NamedTuple):
         geom: (ncon, 2) the two geoms of each contact.
         frame: (ncon, 9) normal and tangents of each contact.
         force: (nefc,) forces of all constraint rows, N.
-        place: (ngeom, 3) centres of the geoms, m.
         bodies: (ngeom,) the body to which each geom belongs (``petmjx.world.mujoco_model.geom_bodies``).
         n_boxes: number of boxes, in packing order, whose forces are computed.
     """
@@ -116,7 +113,6 @@ class TopForceInputs(NamedTuple):
     geom: NDArray[np.integer]
     frame: FloatArray
     force: FloatArray
-    place: FloatArray
     bodies: NDArray[np.integer]
     n_boxes: int
 
@@ -125,14 +121,14 @@ def top_force_inputs(data: mujoco.MjData, bodies: NDArray[np.integer], n_boxes: 
     """Copy the data of the last step. Copying takes a fifth of the time of ``top_forces``."""
     contact = data.contact
     address, geom, frame = contact.efc_address.copy(), contact.geom.copy(), contact.frame.copy()
-    return TopForceInputs(address, geom, frame, data.efc_force.copy(), data.geom_xpos.copy(), bodies, n_boxes)
+    return TopForceInputs(address, geom, frame, data.efc_force.copy(), bodies, n_boxes)
 
 
 def largest_top_forces(steps: Sequence[TopForceInputs], n_boxes: int) -> FloatArray:
     """(n_boxes,) the largest force on top of each box in these steps, N. Friction cones must be elliptic, and all steps
     must have the same ``bodies``. Computing many steps together is several times as fast as calling ``top_forces`` for
     each step."""
-    address, geoms, frame, force, place = (np.concatenate(parts) for parts in list(zip(*steps, strict=True))[:5])
+    address, geoms, frame, force = (np.concatenate(parts) for parts in list(zip(*steps, strict=True))[:4])
     contacts = [len(step.address) for step in steps]
     number = np.repeat(np.arange(len(steps)), contacts)
     first_row = np.cumsum([0, *(len(step.force) for step in steps[:-1])])
@@ -141,11 +137,7 @@ def largest_top_forces(steps: Sequence[TopForceInputs], n_boxes: int) -> FloatAr
     pressing = np.flatnonzero((address >= 0) & (np.abs(normal_z) >= VERTICAL_COSINE))
     number, geom, frame_z = number.take(pressing), geoms.take(pressing, axis=0), frame.take(pressing, axis=0)[:, 2::3]
     row = address.take(pressing) + first_row.take(number)
-    n_geoms = len(steps[0].place)
-    place_z = place[:, 2].copy()
-    place_z[::n_geoms] = -np.inf
-    geom_z = place_z.take(geom + (n_geoms * number)[:, None])
-    box, sign, counts = pressed_box(steps[0].bodies.take(geom), geom_z, frame_z[:, 0])
+    box, sign, counts = pressed_box(steps[0].bodies.take(geom), frame_z[:, 0])
     counts &= box < np.array([step.n_boxes for step in steps]).take(number)
     pressure = sign * contact_force_z(force.take(row[:, None] + np.arange(3)), frame_z)
     total = np.bincount((number * n_boxes + box)[counts], pressure[counts], minlength=len(steps) * n_boxes)

@@ -55,9 +55,9 @@ class Trembling:
         return self.boxes if len(self.boxes) == n else np.zeros(n, bool)
 
     def staying(self, moved_m: FloatArray, sim: Simulation) -> NDArray[np.bool_]:
-        """(n,) whether each of the n placed boxes stays. A box stays if it stayed near its place in the last complete
-        period of measurement (``stayed``), and has been near its place in the present period until now. As with
-        ``which``, no box counts as staying shortly after a placement.
+        """(n,) whether each of the n placed boxes stays. A box stays if it was near its place during the whole last
+        complete period of measurement (``stayed``), and during the present period until now. As with ``which``, no box
+        counts as staying shortly after a placement.
 
         Args:
             moved_m: (n,) distances by which the boxes moved in the last ``still_steps`` steps, m, if the world is at

@@ -9,7 +9,6 @@ import numpy as np
 
 from petmjx.common.units import seconds_to_steps
 from petmjx.engines.metrics import CONFIRM_S
-from petmjx.engines.mujoco.cpu_budget import Budget
 from petmjx.engines.mujoco.drive import ActingDrive
 from petmjx.engines.mujoco.explosion import Explosion
 from petmjx.engines.mujoco.frame_recorder import WorldRecorder
@@ -21,6 +20,7 @@ from petmjx.engines.mujoco.running_metrics import OracleMetrics
 from petmjx.engines.mujoco.soft_boxes import SoftState, SoftWorld
 from petmjx.engines.mujoco.stepper import Stepper
 from petmjx.engines.mujoco.timetable import NEVER, Waits
+from petmjx.engines.mujoco.world_timeout import Budget
 from petmjx.engines.step_clock import Clock
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict, judge
 from petmjx.options.simulation import SOFT_START_STEPS, Check, Simulation
@@ -269,8 +269,8 @@ class WorldRun:
         return True
 
     def _may_confirm(self) -> bool:
-        """Whether the first sign of failure is so long ago, and was followed by so many placements, that the fall is
-        confirmed if the culprit is still over a threshold (``CONFIRM_S``)."""
+        """Whether the fall is confirmed if the culprit is still over a threshold: since the first sign of failure,
+        enough time has passed and enough boxes have been placed (``CONFIRM_S``)."""
         step, live = self._step, self._live
         steps = seconds_to_steps(CONFIRM_S, self._sim.physics.timestep_s)
         is_complete = live.n_placed == self._job.scene.n_boxes and live.hand is None

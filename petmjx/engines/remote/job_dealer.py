@@ -83,8 +83,8 @@ class JobDealer:
     given up if its worker dies.
 
     Args:
-        least: a number if the engine simulates worlds side by side: if there are fewer jobs than this number, one
-            worker gets all jobs. None if the engine simulates job after job.
+        least: if there are fewer jobs than this number, one worker gets all jobs. The number is for engines that
+            simulate worlds side by side. None if the engine simulates job after job.
         begin_with: smallest number of jobs with which a worker begins, if the engine simulates worlds side by side. If
             ``least`` is None, ``begin_with`` has no effect.
     """

@@ -20,12 +20,12 @@ from typing import Any
 from weakref import WeakValueDictionary
 
 from petmjx.common.errors import EngineUnavailable, PetmjxError
+from petmjx.common.garbage_collection import collect_rarely
 from petmjx.common.machine import device_name, package_versions, why_no_warp_at_once
-from petmjx.common.processes import collect_rarely
 from petmjx.common.text import one_line
 from petmjx.engines.attempt_with_fallback import outcomes_of_stream
 from petmjx.engines.contact_penetration import stiffened
-from petmjx.engines.engine_choice import make_engine
+from petmjx.engines.engine_registry import make_engine
 from petmjx.engines.gpu_start import start_gpu
 from petmjx.engines.job_stream import JobBounds, JobStream
 from petmjx.engines.outcome_checks import MOST_TOGETHER
@@ -144,8 +144,8 @@ class Worker:
             self._built.set_exception(EngineUnavailable(f"engine {name} cannot run here: {one_line(error)}"))
 
     def feed(self, packet: bytes) -> None:
-        """Add jobs to the run: a pickled ``Packet``, or nothing (b""), after which the run ends when all its jobs have
-        outcomes."""
+        """Add the jobs of a pickled ``Packet`` to the run. An empty packet (b"") means that no jobs follow: the run
+        ends when all its jobs have outcomes."""
         self._packets.put(packet)
 
     def simulate(self, run: bytes) -> Iterator[bytes]:
@@ -169,7 +169,7 @@ class Worker:
             outcomes = _checked_outcomes(answered, jobs.sim, check_pool, wait=not going or not jobs.unanswered)
             if outcomes or not going or progress.message != last_message:
                 last_message = progress.message
-                # copies, since the engine goes on changing the originals
+                # the progress is copied, since the engine continues to change it
                 so_far = replace(progress, extra=dict(progress.extra), notes=dict(progress.notes))
                 yield pickle.dumps(Report(outcomes, so_far, jobs.error))
 
@@ -201,8 +201,8 @@ class _RunJobs:
     """The jobs of a run in a worker, from their packets to their outcomes.
 
     Attributes:
-        stream: the stream from which the engine takes jobs. An engine that waits for many jobs gets the jobs that there
-            are, since the worker pool may have no others.
+        stream: the stream from which the engine takes jobs. An engine that waits for many jobs gets the jobs that have
+            arrived, since the worker pool may have no others.
         count: number of jobs so far.
         error: the exception that ended the run.
     """

@@ -48,7 +48,7 @@ _HTTP2_HELLO = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + _HTTP2_SETTINGS + bytes(5)
 """The first bytes that an HTTP/2 client sends: a fixed text, and an empty settings frame."""
 
 _SIGACTION_BYTES = 1024
-"""A size that is at least that of C's ``struct sigaction`` on any system, bytes."""
+"""Size of a buffer that can hold C's ``struct sigaction`` on any system, bytes."""
 
 _SKIPPED_LINES = "RAY_DEDUP_LOGS_SKIP_REGEX"
 """Ray's environment variable that suppresses lines of Ray's log. Ray reads the variable when the package is
@@ -170,7 +170,7 @@ class _LocalRay:
         self.end()
         with suppress(KeyboardInterrupt):
             self._thread.join(END_S)
-        if self._thread.is_alive():  # Ray does not end in time. Its processes end with this process.
+        if self._thread.is_alive():  # Ray has not ended in time. Its processes end with this process.
             atexit.unregister(self._ray.shutdown)  # This function would also wait for Ray.
             self._remove_folder()
 
@@ -253,8 +253,8 @@ class Cluster:
             if cls._latest is not None and not cls._latest.users:
                 cls._latest.wait_until_ended()
                 cls._latest = None
-            # Only one thread at a time imports Ray. Otherwise, settings that Ray changed during the import in another
-            # thread would later be restored as the settings of the process.
+            # Only one thread at a time imports Ray. During its import, Ray changes settings of the process, which
+            # ``import_ray`` restores: a second import at the same time would take Ray's settings for the process's own.
             self.ray = import_ray()
             if not self.ray.is_initialized():
                 cls._latest = _LocalRay(self.ray, address)

@@ -102,7 +102,7 @@ class _PoolRun:
 
 
 class WorkerPool(Engine):
-    """The engine ``recipe.name`` in many processes. Outcomes are the same as those of the engine itself.
+    """The engine ``recipe.name`` in many processes. Outcomes are the same as on the engine itself.
 
     A worker that dies is replaced, and its jobs without an outcome are given out again (``JobDealer``). Workers are
     kept between runs, until :meth:`close`.
@@ -186,7 +186,7 @@ class WorkerPool(Engine):
     def run(
         self, jobs: Sequence[Job] | JobStream[Any], sim: Simulation, progress: Progress | None = None
     ) -> Iterator[Outcome]:
-        """Simulate each job once. Outcomes are the same as those of the engine itself, and are yielded in any order, as
+        """Simulate each job once. Outcomes are the same as on the engine itself, and are yielded in any order, as
         worlds finish.
 
         Raises:
@@ -271,9 +271,8 @@ class WorkerPool(Engine):
         self._ray.kill(worker.actor)
 
     def _news(self, longest_s: float = MESSAGE_WAIT_S) -> list[tuple[_WorkerRecord, Any]]:
-        """The workers from which a message has arrived, each with Ray's reference from which the message can be
-        fetched: ``hello`` for the first message of a worker, ``reports`` for a report about the run. Waits for at most
-        ``longest_s``.
+        """The workers from which a message has arrived, each with Ray's reference to the message: ``hello`` for the
+        first message of a worker, ``reports`` for a report about the run. Waits for at most ``longest_s``.
         """
         sources = [(worker, worker.reports if worker.ready else worker.hello) for worker in self._workers]
         owner = {ref: worker for worker, ref in sources if ref is not None}

@@ -12,8 +12,10 @@ from contextlib import suppress
 from dataclasses import replace
 
 from petmjx.common.text import count_text
-from petmjx.engines.cost_model import Costs, Work
-from petmjx.engines.engine_choice import Choice, check_options, choose, options_of
+from petmjx.engines.cost_model import Costs
+from petmjx.engines.engine_choice import Choice, choose
+from petmjx.engines.engine_registry import check_options, options_of
+from petmjx.engines.expected_work import Work
 from petmjx.engines.remote.ray_actor import Recipe
 from petmjx.engines.remote.ray_cluster import END_S, Cluster
 from petmjx.engines.remote.worker_pool import WorkerPool

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from petmjx.engines.engine_choice import make_engine
+from petmjx.engines.engine_registry import make_engine
 from petmjx.engines.protocol import Engine
 from petmjx.engines.subprocess.attempt_process import serve_attempts
 

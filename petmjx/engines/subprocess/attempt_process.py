@@ -2,8 +2,8 @@
 (further *attempts*), and long worlds of a GPU.
 
 ``AttemptProcess`` sends tasks to the process, and receives the answers. ``serve_attempts`` is the work of the process.
-The process sees no GPU, so its JAX and Warp use the CPU, even if those of the run's process use a GPU. The process ends
-when its pipe of tasks ends, and so also when the process that started it ends.
+The process sees no GPU, so its JAX and Warp use the CPU, even if JAX and Warp use a GPU in the run's process. The
+process ends when its pipe of tasks ends, and so also when the process that started it ends.
 """
 
 from __future__ import annotations
@@ -41,6 +41,11 @@ _BUILDING = threading.Lock()
 
 READY = -1
 """Number of a task whose answer is not needed. The task only makes an engine compile its programs."""
+
+
+WORTH_A_PROCESS: Final = 64
+"""If a run begins with this number of jobs or more on a GPU, processes for single worlds start before a world needs
+them. Such a process takes some seconds to start."""
 
 
 @dataclass(frozen=True)

@@ -57,8 +57,8 @@ CheckTask = tuple[Sequence[Outcome], Sequence[Job], Simulation]
 """The arguments of ``outcome_checks``."""
 
 CheckAnswer = tuple[Sequence[Outcome], Sequence[tuple[FloatArray, FloatArray]]]
-"""Outcomes without their boxes, and two arrays for the boxes of each outcome: distances of loads from edges in the
-plan, and at rest, m."""
+"""Outcomes without their boxes, and for each outcome two arrays: the distances (m) of its boxes' loads from edges, in
+the plan and at rest."""
 
 Key = TypeVar("Key")
 

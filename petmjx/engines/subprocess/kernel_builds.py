@@ -22,8 +22,8 @@ from petmjx.engines.subprocess.task_pipe import ANSWER_WAIT_S, Child
 from petmjx.options.simulation import Simulation
 
 USUAL_SIZES: Final = ("usual", "few", "last")
-"""Block sizes of most runs, as in ``petmjx.engines.warp.block_sizes.USUAL_SIZES``. The kernel that takes longest is
-the first."""
+"""Block sizes of most runs, as in ``petmjx.engines.warp.block_sizes.USUAL_SIZES``. The kernel that takes longest to
+compile comes first."""
 
 SHARED_KB: Final = {75: 64, 80: 163, 86: 99, 87: 163, 89: 99, 90: 227, 100: 227, 103: 227, 110: 227, 120: 99, 121: 99}
 """Compute capability times ten → largest shared memory of a thread block, kB (CUDA C++ Programming Guide, "Technical

@@ -17,8 +17,8 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import IO, Any, Final, TypeVar
 
+from petmjx.common.garbage_collection import collect_rarely
 from petmjx.common.machine import own_environment
-from petmjx.common.processes import collect_rarely
 
 ANSWER_WAIT_S: Final = 0.25
 """Longest uninterrupted wait for an answer, s. Signals are handled after each wait."""
@@ -126,7 +126,7 @@ class Fork(PipedProcess):
             its_tasks, tasks, answers, its_answers = fds
             socket.send_fds(connection, [b"f"], [its_tasks, its_answers])
             pipes = os.fdopen(tasks, "wb"), os.fdopen(answers, "rb")
-            fds = [its_tasks, its_answers]  # the files close the others
+            fds = [its_tasks, its_answers]  # the files of ``pipes`` close the other two
             self._begin(*pipes)
         except (OSError, RuntimeError):  # memory is short, or the other process has died
             self.answers.put(None)
@@ -163,7 +163,7 @@ class Forks:
                 stdin=its.fileno(),
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
-                process_group=0,  # so that all copies can be killed at once
+                process_group=0,  # with one group, all copies can be killed at once
             )
             self._connection = own
         except OSError:  # memory is short, or no interpreter can be started
@@ -190,9 +190,9 @@ class Forks:
 
 
 def copy(main: Callable[[], None]) -> None:
-    """The program of the process of ``Forks``: for each pair of pipes that arrives at the socket which is the standard
-    input, start a copy of this process that runs the function ``main`` with these pipes. When the socket is closed, the
-    process kills its copies, and ends."""
+    """The program of the process of ``Forks``. Its standard input is a socket, at which pairs of pipes arrive. For each
+    pair, the program starts a copy of this process, and the copy runs the function ``main`` with these pipes. When the
+    socket is closed, the process kills its copies, and ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     copies: list[int] = []  # a copy that has ended keeps its number until ``waitpid``, so no other process is killed
     gc.collect()
@@ -277,8 +277,8 @@ def own_pipes(nice: int) -> tuple[IO[bytes], IO[bytes]]:
 
 
 def next_of(pipe: IO[bytes]) -> Any:
-    """The next object from a pipe. The result is None at the end of the pipe, and also if the object cannot be read,
-    because the pipe ends within the object, memory is short, or its class cannot be imported."""
+    """The next object from a pipe. The result is None at the end of the pipe. It is also None if the object cannot be
+    read, because the pipe ends within the object, memory is short, or the object's class cannot be imported."""
     try:
         return pickle.load(pipe)
     except Exception:  # if this thread ended silently, the run would wait for ever

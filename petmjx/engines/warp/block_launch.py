@@ -42,8 +42,8 @@ from petmjx.engines.warp.world_arrays import (
 def launch_device() -> wp.Device:
     """Warp's name for the device on which JAX places new arrays. All launches use this device.
 
-    Warp's own default is another device if several GPUs are visible: it is the GPU whose context the calling thread has
-    used last, and JAX uses the contexts of all GPUs when it starts. A kernel cannot read arrays of another GPU.
+    If several GPUs are visible, Warp's own default is another device: the GPU whose context the calling thread has used
+    last. JAX uses the contexts of all GPUs when it starts. A kernel cannot read arrays of another GPU.
     """
     import jax  # imported here, since processes that only compile kernels do not need JAX
 
@@ -232,8 +232,7 @@ class Launch:
     Attributes:
         blocks: number of blocks that run at the same time.
         threads, per_sm, worlds, pause_after: as in ``Size``.
-        shared_words: shared memory for rows of the factor of a world's Hessian, and for the Hessian, in units of four
-            bytes.
+        shared_words: shared memory for the Hessian of a world, and for rows of its factor, in units of four bytes.
         panels: number of panels (groups of 16 rows) of the largest system of equations.
     """
 

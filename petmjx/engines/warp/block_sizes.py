@@ -41,7 +41,7 @@ class Size:
 
 
 SIZES = (Size(96, 128, 2, 80 << 10), Size(MAX_BOXES, 256, 1, 64 << 10))
-"""All sizes, ascending. ``most_boxes`` is a multiple of ``petmjx.engines.mjx.host_to_device.GRANULE``, as is the number
+"""All sizes, ascending. ``most_boxes`` is a multiple of ``petmjx.engines.mjx.padded_sizes.GRANULE``, as is the number
 of box columns of tables. Measurements: benchmarks/notebook/performance.md."""
 
 FEW_BOXES = Size(15, 512, 1, 96 << 10, worlds=16, pause_after=4)

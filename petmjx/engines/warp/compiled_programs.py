@@ -29,7 +29,6 @@ from petmjx.engines.warp.small_world_blocks import small_world_queues
 from petmjx.engines.warp.tail_blocks import tail_queues
 from petmjx.options.physics import Cone, Physics
 from petmjx.options.simulation import SOFT_START_STEPS, Check, Schedule, Simulation
-from petmjx.world.carrier_boards import has_walls
 from petmjx.world.contact_laws import MOST_IMPEDANCE, kinetic_share, lasts_steps, slack_m_s2
 from petmjx.world.film import spring_rate_1_s
 from petmjx.world.hand import lowering_rate_1_s, rate_1_s, stuck_steps
@@ -42,14 +41,6 @@ READ_COUNTS = ("steps", "iterations", "contacts")
 """The counts that the CPU reads after each time slice (one call of the kernels). Fetching an array may require a wait
 for Python's global interpreter lock. So the CPU fetches a single array: the statuses of all worlds, followed by these
 counts."""
-
-DRIVEN_ITERATIONS = 7
-"""Largest number of solver iterations per step of a drive (motion of the carrier). While a whole pallet slides and
-collapses, the solver would need 20 or more iterations to compute the last digits of accelerations. Of 1,600 worlds of
-the sweep ``eumos``, 1,598 have the same verdict as on the engine ``mujoco``, which has no special limit for drives.
-benchmarks/notebook/performance.md, "Sliding contacts", compares limits of 6, 7, 8 and 10. The limit does not apply to
-carriers with walls, which throw piles back: with the limit, the verdict differed for 9 of 240 driven worlds in roll
-containers with four walls."""
 
 
 def friction_damping(physics: Physics) -> float:
@@ -90,9 +81,8 @@ def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
         "kinetic_share": kinetic_share(physics),
         "impratio_invsqrt": physics.impratio**-0.5,
         "tolerance": sim.solver_tolerance or TOLERANCE,
-        # the same limit as in MuJoCo, since a world that takes many iterations delays no other world
+        # the limit is the same as in MuJoCo, since a world that takes many iterations delays no other world
         "iterations": sim.solver_iterations or MAX_ITERATIONS,
-        "driven_iterations": sim.solver_iterations or (MAX_ITERATIONS if has_walls(sim) else DRIVEN_ITERATIONS),
         "ls_iterations": LINE_SEARCH_ITERATIONS,
         "fixed": int(sim.schedule is Schedule.FIXED),
         "waits_for_rest": int(sim.waits_for_rest),

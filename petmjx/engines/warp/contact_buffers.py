@@ -17,9 +17,9 @@ MORE_BOXES = 2
 """Number of additional boxes for which buffers have room: one for the carrier, and one that small plans need."""
 
 MAX_GROWTH = 8
-"""Limit for the growth of a world's buffers: they have at most ``MAX_GROWTH`` times the default buffers of the largest
-world of the same block size. Buffers are doubled at each overflow. If buffers of the largest size (``most_room``) are
-still too small for a world, the world becomes invalid."""
+"""Limit for the growth of a world's buffers: at most ``MAX_GROWTH`` times the default size of the buffers of the
+largest world of the same block size. Buffers are doubled at each overflow. If buffers of the largest size
+(``most_room``) are still too small for a world, the world becomes invalid."""
 
 
 def pairs_and_contacts(shapes: int) -> tuple[int, int]:

@@ -29,8 +29,8 @@ class MjxWarpCpuEngine(MjxWarpEngine):
     The outcome of a world does not depend on the number of threads.
 
     Args:
-        threads: number of worlds that are simulated at once. If ``threads`` is None, the number is that of the CPU
-            threads that this process may use.
+        threads: number of worlds that are simulated at once. If ``threads`` is None, this is the number of CPU threads
+            that the process may use.
 
     Raises:
         EngineUnavailable: Warp is not installed, or JAX uses a GPU in this process. The message names the reason.
@@ -39,8 +39,8 @@ class MjxWarpCpuEngine(MjxWarpEngine):
     name = "mjx-warp-cpu"
     depth_first = True
     """On a CPU, few worlds run at once, so few threads are idle at the end of a run even if the last worlds are long.
-    So long worlds need not come first. Worlds that follow from outcomes come first instead: then an interrupted run
-    keeps more finished worlds."""
+    So long worlds need not come first. Worlds that follow from outcomes, such as the drives of a settled pallet, come
+    first instead. So an interrupted run keeps more finished worlds."""
 
     def __init__(self, threads: int | None = None) -> None:
         if threads is not None and threads < 1:

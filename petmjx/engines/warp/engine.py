@@ -6,23 +6,24 @@ from collections.abc import Generator, Iterator, Sequence
 from functools import partial
 from typing import Any
 
-from petmjx.common.errors import EngineUnavailable
+from petmjx.common.errors import EngineUnavailable, is_out_of_memory
 from petmjx.common.machine import why_no_warp
 from petmjx.common.units import FloatArray
 from petmjx.common.warp_setup import set_up_warp
 from petmjx.engines.job_stream import JobStream
-from petmjx.engines.mjx.host_to_device import GRANULE, is_out_of_memory, load
+from petmjx.engines.mjx.host_to_device import load
 from petmjx.engines.mjx.jax_setup import set_up_jax
+from petmjx.engines.mjx.padded_sizes import GRANULE
 from petmjx.engines.open_world_protocol import MOST_BOXES
 from petmjx.engines.protocol import GPU_WORLDS, Capability, Engine, Progress, RunLock, says_at_hand, takes_stream
 from petmjx.engines.verdict import Outcome
 from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.block_pool_choice import BlockPools
 from petmjx.engines.warp.block_queues import Queues
-from petmjx.engines.warp.continued_worlds import ContinuedWorlds
 from petmjx.engines.warp.equal_beginnings import beginnings
 from petmjx.engines.warp.free_bodies import paths
 from petmjx.engines.warp.kernel_features import KernelFeatures, queue_of
+from petmjx.engines.warp.long_worlds import ContinuedWorlds
 from petmjx.engines.warp.memory_shortage import KeptRollouts, smaller_parts
 from petmjx.engines.warp.open_worlds import WarpWorlds
 from petmjx.engines.warp.table_jobs import TableJobs
@@ -60,9 +61,9 @@ class MjxWarpEngine(Engine):
         least_rows: smallest number of rows of a table. For each pair of numbers (of rows, of box columns), programs are
             compiled anew. So a larger ``least_rows`` saves compilations in long runs that begin with few jobs, and in
             series of runs with different numbers of jobs.
-        depth_first: whether worlds that follow from outcomes are simulated before other worlds begin. On a GPU, the
-            value is False, so that the longest of all worlds come first: if long worlds came last, many blocks would be
-            idle.
+        depth_first: whether worlds that follow from outcomes, such as the drives of a settled pallet, are simulated
+            before other worlds begin. On a GPU, the value is False, so that the longest of all worlds come first: if
+            long worlds came last, many blocks would be idle.
 
     Raises:
         EngineUnavailable: there is no CUDA device, or Warp is not installed. The message names the reason.
@@ -141,7 +142,7 @@ class MjxWarpEngine(Engine):
             slices = self._slices(source, sim, progress, waits, continued)
             try:
                 for outcome in outcomes_of(slices, sim, progress, waits=waits, continued=continued):
-                    stream_number = outcome.job if outcome is not None else None  # None: the engine pauses
+                    stream_number = outcome.job if outcome is not None else None  # None means that the engine pauses
                     yield outcome
                     if stream_number is not None:  # by now, the jobs that follow from this outcome are in the stream
                         source.answered(stream_number)

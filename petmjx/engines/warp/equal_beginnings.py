@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.engines.mjx.host_to_device import round_up
+from petmjx.engines.mjx.padded_sizes import round_up
 from petmjx.engines.mjx.scene_rows import rows_of
 from petmjx.engines.mjx.world_constants import Worlds
 from petmjx.engines.mjx.world_state import second_axes

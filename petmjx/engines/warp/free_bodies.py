@@ -16,9 +16,10 @@ from jaxtyping import Array, Int
 from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
-from petmjx.engines.mjx.host_to_device import let_go, round_up
+from petmjx.engines.mjx.host_to_device import let_go
+from petmjx.engines.mjx.padded_sizes import padded_rows, round_up
 from petmjx.engines.mjx.timetable import build_timetable
-from petmjx.engines.mjx.world_constants import NEVER, Worlds, padded_rows
+from petmjx.engines.mjx.world_constants import NEVER, Worlds
 from petmjx.engines.mjx.world_state import State, Status, of_flat
 from petmjx.engines.warp.block_launch import Features, Launch
 from petmjx.engines.warp.block_pool import BlockPool
@@ -98,10 +99,7 @@ class _Program:
 
     def __init__(self, sim: Simulation, pool: BlockPool, slice_ns: int) -> None:
         timetable = build_timetable(sim, pool.n_boxes)
-        # the solver may take as many iterations as in a placement, since boxes slide for a long time
-        known = constants(sim, timetable)
-        known |= {**_NO_RULES, "driven_iterations": known["iterations"]}
-        self.launcher = KernelLauncher(known, [pool], slice_ns)
+        self.launcher = KernelLauncher(constants(sim, timetable) | _NO_RULES, [pool], slice_ns)
         self.launcher.load()
         self.slice = jax.jit(self._slice)
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from petmjx.engines.protocol import Progress
 from petmjx.engines.subprocess.attempt_process import AttemptProcess
-from petmjx.engines.warp.continued_worlds import ContinuedWorlds
 from petmjx.engines.warp.engine import MjxWarpEngine
+from petmjx.engines.warp.long_worlds import ContinuedWorlds
 from petmjx.options.simulation import Simulation
 
 
 class MjxWarpGpuEngine(MjxWarpEngine):
     """The engine ``mjx-warp``, as runs use it on a GPU. Long worlds leave the GPU, and CPU threads simulate them to
-    their ends (``continued_worlds``).
+    their ends (``long_worlds``).
 
     Args:
         lanes: see ``MjxWarpEngine``.

@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from petmjx.common.errors import InputError
-from petmjx.engines.mjx.host_to_device import round_up
+from petmjx.engines.mjx.padded_sizes import round_up
 from petmjx.engines.warp.block_launch import Features
 from petmjx.engines.warp.block_sizes import size_for
 from petmjx.engines.warp.world_arrays import MAX_BOXES

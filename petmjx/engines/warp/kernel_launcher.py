@@ -43,7 +43,7 @@ class KernelLauncher:
     """Launches kernels with the constants of a run.
 
     Args:
-        constants: the fields of ``world_arrays.Model``, except those that depend on the block pool.
+        constants: the fields of ``world_arrays.Model``, except the fields that depend on the block pool.
         pools: block pools, in the order of the queues from which they take worlds. The device starts the blocks of the
             first block pools first.
         slice_ns: length of a time slice, ns. With 0, each block takes one step.
@@ -73,7 +73,7 @@ class KernelLauncher:
             )
             for queue, pool in enumerate(pools)
         ]
-        # extra block pools and those for stiff contacts are left out: their blocks take the place of other blocks
+        # extra block pools and block pools for stiff contacts are left out: their blocks take the place of other blocks
         self.blocks = sum(pool.blocks for pool in pools if not pool.is_extra and pool.stiff is None)
         self.lanes = sum(pool.lanes for pool in pools)
         self.slice_ns = slice_ns
@@ -116,7 +116,7 @@ class KernelLauncher:
         return after, outputs["workspace"], kept, {name: outputs[name] for name in counts}
 
     def launch(self, arrays: dict[str, Any]) -> None:
-        """Launch the kernels on Warp arrays, whose names are those in ``_INPUTS`` and ``_CHANGED``."""
+        """Launch the kernels on Warp arrays, whose names are in ``_INPUTS`` and ``_CHANGED``."""
         worlds, state, counts = (filled_record(kind, arrays) for kind in (Worlds, State, Counts))
         frames = filled_record(FrameBuffer, {name: arrays[_of_frames(name)] for name in array_types(FrameBuffer)})
         row, calls = 0, []

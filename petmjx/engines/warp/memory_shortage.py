@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.engines.mjx.host_to_device import is_out_of_memory
+from petmjx.common.errors import is_out_of_memory
 from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.block_pool_choice import BlockPools
 from petmjx.engines.warp.kernel_features import size_of
@@ -75,8 +75,8 @@ class KeptRollouts:
 
 
 def smaller_parts(lost: Mapping[int, Job]) -> list[NDArray[np.int64]]:
-    """Divide jobs whose worlds were lost when memory ran out into parts that are simulated one after another: by block
-    size, or in half if all have the same size.
+    """Divide jobs into parts that are simulated one after another: by block size, or in half if all jobs have the same
+    size. The worlds of these jobs were lost when memory ran out.
 
     Args:
         lost: stream number of a job (its number in the run's stream of jobs) → job.

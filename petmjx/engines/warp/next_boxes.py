@@ -26,7 +26,7 @@ from petmjx.world.scene import IDENTITY_QUAT
 
 
 class NewBox(NamedTuple):
-    """The constants of one box per world. The fields are those of ``Worlds``, without the axis of boxes."""
+    """The constants of one box per world. The fields are as in ``Worlds``, without the axis of boxes."""
 
     half: Float[Array, "world 3"]
     target: Float[Array, "world 3"]
@@ -63,7 +63,7 @@ def new_box(before: Stacks, boxes: NextBoxes, blank: EmptyCarrier, sim: Simulati
 
 
 def with_new_box(worlds: Worlds, box: NewBox) -> Worlds:
-    """The constants of worlds with one more box each, bit-identical to those from ``upload_worlds``.
+    """The constants of worlds with one more box each, bit-identical to the constants from ``upload_worlds``.
 
     A world without a free column keeps its constants.
     """
@@ -118,7 +118,7 @@ class SnapshotInputs(NamedTuple):
 @jax.jit
 def snapshot_inputs(worlds: Worlds, state: State, rows: Int[Array, " row"]) -> SnapshotInputs:
     """The inputs for the snapshots of the worlds in the rows ``rows``, with the middles of boxes instead of their
-    centres of mass. For a row beyond the table, the inputs are those of an arbitrary world."""
+    centres of mass. For a row beyond the table, the inputs belong to an arbitrary world."""
     inputs = take_rows(SnapshotInputs.of(state), rows)
     middles = motion.middles(inputs.qpos, take_rows(worlds, rows).middle)
     return inputs._replace(qpos=jnp.concatenate([middles, inputs.qpos[..., 3:]], axis=-1))

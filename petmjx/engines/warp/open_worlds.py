@@ -15,11 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from petmjx.engines.mjx.host_to_device import Batch, load, round_up
+from petmjx.engines.mjx.host_to_device import Batch, load
 from petmjx.engines.mjx.outcomes import outcomes
+from petmjx.engines.mjx.padded_sizes import padded_rows, round_up
 from petmjx.engines.mjx.readback import readbacks_of
 from petmjx.engines.mjx.timetable import build_timetable
-from petmjx.engines.mjx.world_constants import Worlds, device_array, padded_rows, upload_worlds
+from petmjx.engines.mjx.world_constants import Worlds, device_array, upload_worlds
 from petmjx.engines.mjx.world_state import State, Status, put_rows, take_rows
 from petmjx.engines.open_world_protocol import OpenWorlds, Snapshots
 from petmjx.engines.verdict import Flag, Outcome

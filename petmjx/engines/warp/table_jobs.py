@@ -7,8 +7,7 @@ from itertools import takewhile
 from typing import Any, Final
 
 from petmjx.engines.job_stream import JobStream
-from petmjx.engines.mjx.host_to_device import round_up
-from petmjx.engines.mjx.world_constants import padded_rows
+from petmjx.engines.mjx.padded_sizes import padded_rows, round_up
 from petmjx.engines.warp.block_sizes import SIZES
 from petmjx.engines.warp.kernel_features import KernelFeatures, widths_of
 from petmjx.engines.warp.world_arrays import MAX_BOXES

@@ -21,7 +21,7 @@ from petmjx.engines.warp.small_world_blocks import with_first_queue
 
 MOST_EXPECTED: Final = 16
 """While other worlds still wait, at most this number of worlds get the large thread blocks that are meant for the last
-worlds: the worlds that are expected to end last because they have taken the most steps so far. A block for last worlds
+worlds. These worlds are expected to end last, because they have taken the most steps so far. A block for last worlds
 fills a GPU multiprocessor, which otherwise has room for two usual blocks."""
 
 LONG: Final = 2.0
@@ -49,7 +49,7 @@ def tail_pool(pool: BlockPool, lanes: int | None = None) -> BlockPool | None:
 def stiff_pool(pool: BlockPool, stiff: float, lanes: int | None = None) -> BlockPool:
     """The block pool for those worlds of a table that have stiffer contacts than the other worlds. A world with stiffer
     contacts takes more steps, with more iterations each, and further jobs may follow from its outcome. So the world
-    gets a block like those for last worlds.
+    gets a block like the blocks for last worlds.
 
     Args:
         pool: the block pool for other worlds of the same size.
@@ -99,7 +99,7 @@ def expected_tail(
     queued = jnp.zeros_like(running).at[jnp.where(order >= 0, order, len(running))].set(True, mode="drop")
     # the sum of the steps of thousands of worlds may exceed an int32
     mean = jnp.where(ended, steps, 0).sum(dtype=jnp.float32) / jnp.maximum(ended.sum(), 1)
-    rest = (queued & running & ~begun).sum() * mean / lanes  # steps of each lane until no world waits
+    rest = (queued & running & ~begun).sum() * mean / lanes  # expected steps of a lane until no world waits
     long = running & ended.any() & (steps > LONG * mean) & (GOES_ON * steps > rest)
     most, rows = jax.lax.top_k(jnp.where(long, steps, 0), min(MOST_EXPECTED, len(steps)))
     return jnp.zeros_like(long).at[rows].set(most > 0)

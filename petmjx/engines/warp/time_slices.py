@@ -1,5 +1,6 @@
-"""Time slices (calls of mjx-warp's kernels) in which every world of a table advances: their programs and buffers, the
-work of the CPU between two slices, and the outcomes that the CPU makes of the worlds that end."""
+"""Time slices: calls of mjx-warp's kernels, in which every world of a table advances. The module has the programs and
+buffers of slices, the work of the CPU between two slices, and the outcomes that the CPU makes of the worlds that
+end."""
 
 from __future__ import annotations
 
@@ -26,10 +27,10 @@ from petmjx.engines.warp.block_pool import BlockPool
 from petmjx.engines.warp.block_pool_choice import BlockPools
 from petmjx.engines.warp.block_queues import Queues
 from petmjx.engines.warp.compiled_programs import READ_COUNTS, programs
-from petmjx.engines.warp.continued_worlds import ContinuedWorlds
 from petmjx.engines.warp.frame_buffers import PickedFrames, hand_over, pick_frames, room_for
 from petmjx.engines.warp.kernel_features import size_of
 from petmjx.engines.warp.kernel_launcher import SLICE_NS
+from petmjx.engines.warp.long_worlds import ContinuedWorlds
 from petmjx.engines.warp.table_jobs import TableJobs
 from petmjx.engines.warp.world_table import TableRun, WorldTable
 from petmjx.options.simulation import Simulation

@@ -81,7 +81,8 @@ def record(cls: type, tables: Sequence[type] = (), without: Sequence[str] = ()) 
 
 @record
 class Model:
-    """Constants of a run: first those of contacts and the solver, then those of the rules (docs/rules.md)."""
+    """Constants of a run: first the constants of contacts and the solver, then the constants of the rules
+    (docs/rules.md)."""
 
     timestep: float
     gravity: float
@@ -89,14 +90,13 @@ class Model:
     solimp: wp.vec3  # Impedances d₀ and d_width, and the width of the rise, m.
     skin: float  # Margin added to boxes in collision detection, m.
     carrier_skin: float  # Margin added to the carrier in collision detection, m.
-    pyramidal: int  # 1 with pyramidal friction cones.
+    pyramidal: int  # 1 if friction cones are pyramidal.
     friction_damping: float  # Damping along a contact's tangents, 1/s; 0: the same damping as along the normal.
     slip_slack: float  # Tangential acceleration up to which a slip is not corrected, m/s²; inf: no slip is corrected.
     kinetic_share: float  # Friction of contacts that slide fast, as a share of friction at rest.
     impratio_invsqrt: wp.float64  # 1 / √impratio.
     tolerance: wp.float64  # Tolerance of the solver, as in MuJoCo.
     iterations: int  # Largest number of solver iterations.
-    driven_iterations: int  # Largest number of solver iterations in a drive.
     ls_iterations: int  # Largest number of iterations of the solver's line search.
 
     queue: int  # The queue from which these blocks take worlds.
@@ -105,9 +105,9 @@ class Model:
     npairmax: int  # Largest number of pairs of near geoms of a world.
     nconmax: int  # Largest number of contacts of a world.
 
-    fixed: int  # 1 with the fixed schedule (placements at fixed times)
+    fixed: int  # 1 if the schedule is fixed (boxes are placed at fixed times).
     waits_for_rest: int
-    extends: int  # 1 if a world that still moves at its planned end gets more time
+    extends: int  # 1 if a world that still moves at its planned end gets more time.
     early_stop: int
     iteration_limit: int  # Largest number of solver iterations of a placement or a drive; NEVER: no limit.
     soft_start: int  # Number of steps of a soft start.
@@ -116,10 +116,10 @@ class Model:
     still_steps: int
     due_steps: int
     longest_steps: int
-    static_end: int  # last step of the placement of a static check; NEVER if boxes are placed one by one
+    static_end: int  # Last step of a static check's placement; NEVER if boxes are placed one by one.
     shift: float
     shift_floor: float
-    tilt: float  # degrees
+    tilt: float  # Threshold of the tilt of boxes, degrees.
     drop_z: float
     linear_acceleration: float
     angular_acceleration: float
@@ -134,14 +134,15 @@ class Model:
     poll_steps: int
     hand_rate: float  # Natural angular frequency of the hand's spring, 1/s.
     lowering_rate: float  # Damping constant / mass, for the damper by which the hand sets boxes down, 1/s.
-    # A hand holds a box at the end of its path for at most so many steps, and then sets it down in at most so many.
+    # Largest number of steps in each of two phases: a hand holds a box at the end of its path, and then sets it down.
     stuck_steps: int
     film_rate: float  # Natural angular frequency of a box that film holds, 1/s.
     landing_time: float  # Time in which a landing box is stopped, s.
     landing_lasts: int  # Number of steps for which a box counts as landing after its first touch.
     restitution: float
 
-    # Arrays of step numbers, as in Timetable. Index of the first three: step; of the last: number of boxes.
+    # Arrays of step numbers, as in Timetable. The first three have an entry for each step, the last has an entry for
+    # each number of boxes.
     due: wp.array[int]
     longest: wp.array[int]
     settled: wp.array[int]
@@ -153,7 +154,7 @@ class Worlds:
     """Constants of worlds: the table ``world_constants.Worlds``, the samples of the excitations, and the queues."""
 
     profiles: Annotated[wp.array3d[float], "profile step 3"]
-    order: Annotated[wp.array2d[int], "queue world"]  # Rows of the worlds of each queue, in order; then −1.
+    order: Annotated[wp.array2d[int], "queue world"]  # Rows of the worlds in each queue, in order, then −1.
 
     if TYPE_CHECKING:
 
@@ -195,9 +196,9 @@ class Workspace:
     # The values of geom_xpos and geom_reach at the last search for near pairs.
     listed_xpos: Annotated[wp.array2d[wp.vec3], "block geom"]
     listed_reach: Annotated[wp.array2d[wp.vec3], "block geom"]
-    qpos_before: Annotated[wp.array3d[float], "block box 7"]  # poses at the beginning of a step
+    qpos_before: Annotated[wp.array3d[float], "block box 7"]  # Poses of the boxes at the beginning of a step.
     top_force: Annotated[wp.array2d[float], "block box"]
-    pair_geom1: Annotated[wp.array2d[int], "block pair"]  # the geom with the smaller index
+    pair_geom1: Annotated[wp.array2d[int], "block pair"]  # The geom of the pair with the smaller index.
     pair_geom2: Annotated[wp.array2d[int], "block pair"]
     pair_normal: Annotated[wp.array2d[wp.vec3], "block pair"]
     pair_points: Annotated[wp.array3d[wp.vec4], "block pair 8"]  # Contact point, and the two geoms' distance.
@@ -218,14 +219,14 @@ class Workspace:
     body_component: Annotated[wp.array2d[int], "block body"]
     body_root: Annotated[wp.array2d[int], "block body"]  # The body from which distances in a component are counted.
     body_level: Annotated[wp.array2d[int], "block body"]  # Distance from the root, in contacts.
-    position: Annotated[wp.array2d[int], "block free_body"]  # Position of a body in the solver's system.
-    # By position of a body: the lowest position among the body itself and the bodies that it touches.
+    position: Annotated[wp.array2d[int], "block free_body"]  # Index of a body in the solver's system of equations.
+    # By index in the solver's system: the lowest index among a body and the bodies that it touches.
     lowest: Annotated[wp.array2d[int], "block free_body"]
-    bodies_conadr: Annotated[wp.array2d[int], "block contact"]  # first contact of each pair of free bodies, unsorted
+    bodies_conadr: Annotated[wp.array2d[int], "block contact"]  # The first contact of each pair of bodies.
     ncon: Annotated[wp.array[int], "block"]
-    nfree: Annotated[wp.array[int], "block"]  # number of free bodies
+    nfree: Annotated[wp.array[int], "block"]  # Number of bodies that can move.
     solver_niter: Annotated[wp.array[int], "block"]
-    solver_paused: Annotated[wp.array[int], "block"]  # Number of iterations before a pause; 0: no pause.
+    solver_paused: Annotated[wp.array[int], "block"]  # Iterations before the solver paused; 0: it has not.
     world: Annotated[wp.array[int], "block"]  # The world of a block; negative: no world.
     frame: Annotated[wp.array[int], "block"]  # Index in FrameBuffer of the frame that a block writes.
 
@@ -234,9 +235,9 @@ class Workspace:
 class FrameBuffer:
     """Frames of recorded worlds, in the order in which blocks write them. All worlds of a call share this buffer."""
 
-    every: Annotated[wp.array[int], "world"]  # steps between two frames of a world; 0: the world is not recorded
+    every: Annotated[wp.array[int], "world"]  # Steps between two frames; 0: the world is not recorded.
     used: Annotated[wp.array[int], "1"]
-    of: Annotated[wp.array[int], "frame"]  # the world to which each frame belongs
+    of: Annotated[wp.array[int], "frame"]  # The world to which each frame belongs.
     step: Annotated[wp.array[int], "frame"]
     placed: Annotated[wp.array[int], "frame"]
     pose: Annotated[wp.array3d[float], "frame box 7"]
@@ -254,7 +255,7 @@ class Counts:
     clock: Annotated[wp.array[int], "1"]
     steps: Annotated[wp.array[int], "1"]
     iterations: Annotated[wp.array[int], "1"]
-    contacts: Annotated[wp.array[int], "1"]  # largest number of contacts of a world
+    contacts: Annotated[wp.array[int], "1"]  # Largest number of contacts of a world so far.
 
 
 @record

@@ -12,14 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.engines.mjx.host_to_device import Batch, put_into, tables
+from petmjx.engines.mjx.padded_sizes import padded_rows
 from petmjx.engines.mjx.scene_rows import more_shapes
 from petmjx.engines.mjx.timetable import Timetable, build_timetable
-from petmjx.engines.mjx.world_constants import NEVER, Worlds, device_array, padded_rows
+from petmjx.engines.mjx.world_constants import NEVER, Worlds, device_array
 from petmjx.engines.mjx.world_state import State, Status, put_resized, take_rows
 from petmjx.engines.protocol import Progress
 from petmjx.engines.verdict import Flag
-from petmjx.engines.warp.continued_worlds import most_steps
 from petmjx.engines.warp.kernel_features import KernelFeatures, size_of
+from petmjx.engines.warp.long_worlds import most_steps
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import Excitation, Job
 
@@ -40,7 +41,7 @@ class TableRun:
     Attributes:
         needs: features and sizes that the table's kernels need.
         message: progress message while the worlds of the table are simulated.
-        long_leave: whether long worlds leave the device (petmjx.engines.warp.continued_worlds).
+        long_leave: whether long worlds leave the device (petmjx.engines.warp.long_worlds).
     """
 
     sim: Simulation
@@ -128,8 +129,8 @@ class WorldTable(Batch):
 
     def fits(self, job: Job) -> bool:
         """Whether a job can get a row: its world must fit into the buffers of the table and of its block size
-        (``size_of``), and the kernels must have the features that it needs. Recorded worlds get no rows here, and a
-        table that records worlds takes no others."""
+        (``size_of``), and the kernels must have the features that it needs. A recorded world never fits, and no world
+        fits into a table that records worlds."""
         needs = self.run.needs
         has_blocks = job.scene.n_boxes <= needs.widths.get(size_of(job), 0)
         has_blocks &= more_shapes(job.scene) <= self.boards

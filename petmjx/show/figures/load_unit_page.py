@@ -49,8 +49,8 @@ FOOTER: Final = 0.045
 """Height of the space at the bottom of a page for the line with the versions, as a share of the page."""
 
 SIDES: Final = (("front", 0, 1, 1.0), ("right", 1, 0, -1.0), ("back", 0, 1, -1.0), ("left", 1, 0, 1.0))
-"""For each view of the load: its name, the horizontal axis in the view, the axis perpendicular to the view, and whether
-this perpendicular axis points away from the eye (1) or towards the eye (-1). Axis 0 is x, axis 1 is y."""
+"""For each view of the load: its name, the horizontal axis in the view, the axis perpendicular to the view, and the
+direction of this perpendicular axis: away from the eye (1) or towards the eye (-1). Axis 0 is x, axis 1 is y."""
 
 MIRRORED: Final = frozenset({"back", "left"})
 """Views in which the horizontal axis points to the left."""
@@ -165,7 +165,7 @@ def _draw_legs(axes: Any, run: RunResults, plan: Plan) -> None:
     names = ["whole way" if leg == WHOLE_WAY else printable_name(str(leg)) for leg in rows["leg"]]
     draw_intervals(axes, names, *(100 * rows[name] for name in ("share", "low", "high")))
     axes.set_xlim(-2, 102)
-    axes.set_title("worlds that stand after a leg, of those that reached it, %; lines: 95 % intervals", loc="left")
+    axes.set_title("worlds that stand after a leg, of the worlds that reached it, %; lines: 95 % intervals", loc="left")
 
 
 def _facts(run: RunResults, plan: Plan) -> Iterator[str]:

@@ -94,8 +94,8 @@ def _levels(summary: pd.DataFrame) -> Any:
         for number, direction in enumerate(directions[:MOST_LINES]):
             at, share = survival_curve(rows.loc[rows["direction_deg"] == direction, strength])
             label = "" if pd.isna(direction) else f"{direction:g}°"
-            # above the largest level that any plan survives, the curve falls to 0
-            # lines have different dashes, so that two lines at the same place are both visible
+            # above the largest level that any plan survives, the curve falls to 0.
+            # Lines have different dashes, so that two lines at the same place are both visible.
             look = {"color": category(number), "linestyle": _DASHES[number % len(_DASHES)]}
             axes.step([*at, at[-1]], [*(100 * share), 0.0], where="pre", label=label, **look)
         axes.set_xlabel(f"{'level, g' if strength.endswith('_g') else 'scale'}")

@@ -12,7 +12,7 @@ import numpy as np
 
 from petmjx.common.errors import EngineUnavailable
 from petmjx.common.text import count_text, first_names, printable_name
-from petmjx.engines.engine_choice import ENGINES
+from petmjx.engines.engine_registry import ENGINES
 from petmjx.engines.verdict import Flag, Verdict
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
@@ -52,13 +52,13 @@ class Replay:
 
     @classmethod
     def judged(cls, plan_id: str, claimed: str, verdict: str, reason: str, margin: float, flags: int) -> Replay:
-        """Make a replay from the values of its simulation. The values are those of a row of the table ``worlds``."""
+        """Make a replay from the values of its simulation. The values come from a row of the table ``worlds``."""
         near = verdict not in _VALID or not abs(margin) >= NEAR_MARGIN or bool(flags & NEAR_FLAGS)
         return cls(plan_id, claimed, verdict, reason, near)
 
     @property
     def differs(self) -> bool:
-        """Whether the verdict in the entry's run is valid and differs from that of the replay."""
+        """Whether the verdict in the entry's run is valid and differs from the replay's verdict."""
         return self.claimed in _VALID and self.verdict != self.claimed
 
 
@@ -72,8 +72,8 @@ class Sample:
         exact: whether the entry's run used the same engine and the same version of petmjx, so that verdicts can differ
             only because of rounding.
         replays: the replays.
-        fault: a fault of the entry's run, apart from verdicts that differ from those of replays; "" if there is no such
-            fault.
+        fault: a fault of the entry's run, apart from verdicts that differ from the verdicts of replays; "" if there is
+            no such fault.
     """
 
     packer: str
@@ -182,7 +182,7 @@ def sample_entry(
 
 
 def _drawn(claimed: Mapping[str, str]) -> list[str]:
-    """Ids of all plans with a valid verdict: first those that stand, then the others, both in random order."""
+    """Ids of all plans with a valid verdict: first plans that stand, then the others, both in random order."""
     valid = [name for name, verdict in claimed.items() if verdict in _VALID]
     shuffled = [valid[at] for at in np.random.default_rng().permutation(len(valid))]
     return sorted(shuffled, key=lambda name: claimed[name] != Verdict.STABLE.value)

@@ -22,8 +22,10 @@ from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable, printable_name
 from petmjx.engines.verdict import Verdict
-from petmjx.options.run_options import Confidence, RunOptions, sorted_options
+from petmjx.options.confidence import Confidence
+from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
+from petmjx.options.sorted_options import sorted_options
 from petmjx.packers.packer_registry import PACKERS
 from petmjx.plans.convention_checks import warn
 from petmjx.plans.order_reader import keep_orders, read_orders
@@ -86,8 +88,8 @@ def leaderboard(
         stories: number of plans per packer that get a page. Plans that fall while another packer's plan for the same
             order stands come first.
         replays: number of plans per entry that are simulated again, unless this call has simulated all plans of the
-            entry. The plans are chosen at random. Replays have the options that ``leaderboard`` was called with or,
-            without such options, the options of the runs, or the defaults if the runs have different options.
+            entry. The plans are chosen at random. Replays have the options with which ``leaderboard`` was called.
+            Without such options, they have the options of the runs, or the defaults if the runs have different options.
         watch: function that returns, for the name of a packer, a context with an object that watches the progress of
             the packer's run.
         overwrite: whether to replace an existing leaderboard.
@@ -185,8 +187,8 @@ def _rated_board(
 
 
 def _options_of(of_simulation: Mapping[str, Any], entries: Sequence[Entry]) -> Simulation:
-    """The simulation options of the board: those with which ``leaderboard`` was called. Without such options, the board
-    has the options of the runs, or the defaults if runs have different options."""
+    """The simulation options of the board: the options with which ``leaderboard`` was called. Without such options, the
+    board has the options of the runs, or the defaults if runs have different options."""
     settings = [entry.run.info.get("config", {}).get("simulation") for entry in entries]
     if of_simulation or not isinstance(settings[0], Mapping) or any(setting != settings[0] for setting in settings):
         return Simulation(**of_simulation)

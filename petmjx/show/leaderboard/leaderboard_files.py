@@ -36,7 +36,7 @@ files in the folder of a run."""
 
 
 def names_of(packers: Collection[str], stories: int, orders: bool) -> list[str]:
-    """The files that a board may have besides those of its runs, as paths relative to the board's folder.
+    """The files that a board may have besides the files of its runs, as paths relative to the board's folder.
 
     Args:
         packers: names of the packers.

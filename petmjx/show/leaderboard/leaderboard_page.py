@@ -32,9 +32,9 @@ MOST_SENTENCES: Final = 15
 
 RATING: Final = (
     "Rating: boxes on plans that stand in the simulation, as a share of all ordered boxes. A box does not count if its "
-    "plan falls or has no valid simulation, if the box is not on the order's target, or if it was not ordered, was "
-    "ordered less often, or was ordered with another size, mass or property. Boxes that were left out, and orders "
-    "without a plan, lower the rating."
+    "plan falls or has no valid simulation, or if the box is not on the order's target. Nor does a box count if it "
+    "was not ordered, was ordered less often, or was ordered with another size, mass or property. Boxes that were left "
+    "out, and orders without a plan, lower the rating."
 )
 
 _MEANS: Final = {
@@ -223,7 +223,7 @@ def _measures(board: Board) -> Markup:
         values = [means.loc[name, column] for column in columns]
         cells = [format(value, _MEANS[column][1]) for column, value in zip(columns, values, strict=True)]
         rows.append([name, *cells])
-    kpis = " KPIs are those of BED-BPP." if any(column in KPIS for column in columns) else ""
+    kpis = " BED-BPP defines the KPIs." if any(column in KPIS for column in columns) else ""
     hint = element("p", f"Means over the compared orders.{kpis}", class_="hint")
     return joined_markup(hint, table(["packer", *(_MEANS[column][0] for column in columns)], rows))
 

@@ -108,7 +108,7 @@ def joined_modules(entry: str) -> str:
     """The text of one module that contains a module and all modules that it imports.
 
     Modules within one file cannot import each other. So each module becomes a function that is called once and returns
-    the module's exports: those of ``viewer.js``, for example, are then in the object ``viewer_js``.
+    the module's exports: the exports of ``viewer.js``, for example, are then in the object ``viewer_js``.
 
     Raises:
         ValueError: modules import each other; or an import or export has a form other than ``import {a, b} from

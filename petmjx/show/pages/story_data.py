@@ -13,7 +13,7 @@ from petmjx.analysis.story_in_words import first_box_in_words
 from petmjx.common.text import printable
 from petmjx.common.units import MM_PER_M, STANDARD_GRAVITY, FloatArray
 from petmjx.engines.mujoco import box_motion
-from petmjx.options.simulation import Thresholds
+from petmjx.options.thresholds import Thresholds
 from petmjx.show.pages.contact_forces import pushes
 from petmjx.show.pages.page_arrays import PackedArray, block, integer_column, quantised_column
 from petmjx.show.pages.palette import article_colours, ramp

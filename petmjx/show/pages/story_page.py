@@ -61,7 +61,7 @@ FRAME_HEIGHT_PX = 760
 
 
 def story_as_html(story: Story) -> str:
-    """The page of a story inside an HTML frame, so that its styles do not mix with those of a notebook."""
+    """The page of a story inside an HTML frame, so that its styles do not mix with the styles of a notebook."""
     text, title = html.escape(story_page(story)), html.escape(repr(story))
     style = f"width: 100%; height: {FRAME_HEIGHT_PX}px; border: 0"
     return f'<iframe title="{title}" srcdoc="{text}" style="{style}"></iframe>'

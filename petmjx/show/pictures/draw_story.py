@@ -56,8 +56,8 @@ LEAST_LEVEL_G: Final = 0.005
 
 REACH: Final = 1.25
 LEAST_REACH_M: Final = 1.0
-"""``REACH`` × the largest extent of the planned load, but at least ``LEAST_REACH_M``, is the distance from the load
-beyond which a picture need not show a box. To show a box that has rolled away, all other boxes would have to be
+"""A picture need not show a box that is farther from the load than ``REACH`` × the largest extent of the planned load.
+This distance is at least ``LEAST_REACH_M``. To show a box that has rolled away, all other boxes would have to be
 small."""
 
 

@@ -103,8 +103,9 @@ def moments(story: Story, names: str | None) -> list[Moment]:
     """The requested moments, in the order of the request.
 
     Args:
-        names: moments, separated by commas. If ``names`` is None, the moments are before the first sign (the first
-            crossing of a threshold by a box), at the first sign, and at the end; or only the end if no box failed.
+        names: moments, separated by commas. If ``names`` is None, there are three moments: before the first sign (the
+            first crossing of a threshold by a box), at the first sign, and at the end. If no box failed, there is only
+            the end.
 
     Raises:
         InputError: a name is unknown, or the story has no such moment.
@@ -157,8 +158,9 @@ def shaking_g(story: Story, poses: Poses) -> FloatArray:
 
 
 def _interpolated_quats(first: FloatArray, second: FloatArray, share: float) -> FloatArray:
-    """Orientations between those in two frames; ``share`` is 0 at the first frame and 1 at the second. Quaternions are
-    interpolated linearly and normalised, which is accurate enough for the small angles between two frames."""
+    """Orientations between the orientations in two frames; ``share`` is 0 at the first frame and 1 at the second.
+    Quaternions are interpolated linearly and normalised, which is accurate enough for the small angles between two
+    frames."""
     same_side = np.where((first * second).sum(axis=-1, keepdims=True) < 0, -1.0, 1.0)
     mixed = first + share * (same_side * second - first)
     return np.asarray(mixed / np.linalg.norm(mixed, axis=-1, keepdims=True))

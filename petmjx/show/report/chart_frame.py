@@ -125,7 +125,7 @@ class Frame:
         title: title of the chart, which screen readers also read.
         x, y: scales of the axes.
         x_label, y_label: labels of the axes, with units.
-        x_ticks: (value, label) of each tick of the x axis. If ``x_ticks`` is None, the ticks are those of the scale.
+        x_ticks: (value, label) of each tick of the x axis. If ``x_ticks`` is None, the ticks come from the scale.
         y_percent: whether the labels of the y axis are in per cent.
         width, height: size of the chart, CSS pixels.
         marks: the marks drawn so far.

@@ -15,7 +15,7 @@ from petmjx.analysis.run_comparison import thresholds_of
 from petmjx.common.text import count_text
 from petmjx.common.units import MM_PER_M
 from petmjx.engines.verdict import Verdict
-from petmjx.options.simulation import Thresholds
+from petmjx.options.thresholds import Thresholds
 from petmjx.results.share_statistics import wilson_interval
 from petmjx.show.report.chart_frame import WIDTH, Frame, Scale, figure
 from petmjx.show.report.charts import (
@@ -187,7 +187,7 @@ def first_boxes(run: ReportRun) -> Markup:
         "Place in the packing order of the box that fails first",
         Scale(0, 100),
         Scale(0, 1),
-        "place in the order: 0 first, 100 last box",
+        "place in the packing order: 0 first box, 100 last box",
         f"{run.what}s",
     )
     histogram(along, place, falls["verdict"], ORDER)

@@ -59,7 +59,7 @@ class NumberColumn:
 
 NUMBERS: Final = (
     NumberColumn(
-        "margin", "margin", "margin", digits=2, meaning="1: nothing moved, 0: on a threshold, below 0: beyond"
+        "margin", "margin", "margin", digits=2, meaning="1: nothing moved; 0: on a threshold; below 0: beyond it"
     ),
     NumberColumn("share", "share", "stand", "%", 1, 100.0, meaning="share of worlds with errors that stand or arrive"),
     NumberColumn("low", "low", "from", "%", 1, 100.0, meaning="lower end of the share's Wilson 95 % interval"),

@@ -121,8 +121,8 @@ class ReportRun:
         Usually, the report shows all worlds of the run. For a score with confidence, the report shows the nominal
         worlds (without errors). For a chain, the report shows the worlds without a remedy.
 
-        There are three additional columns: ``height_m`` and ``mass_kg`` of the plan's load (NaN if the plan was not
-        found), and ``first_article``, the article of the first box to fail ("" if no box failed).
+        There are three additional columns. ``height_m`` and ``mass_kg`` describe the plan's load (NaN if the plan was
+        not found). ``first_article`` is the article of the first box to fail ("" if no box failed).
         """
         worlds = self.results.worlds
         if self.kind is Kind.CONFIDENCE:

@@ -44,14 +44,14 @@ MOST_VALUES: Final = 60
 MOST_NAMED: Final = 12
 
 AXES_CAPTION: Final = (
-    "There is a share of worlds that stand for each value of an axis, over all values of the other axes. Range: "
+    "For each value of an axis, the share of worlds that stand includes all values of the other axes. Range: "
     "difference of the largest and the smallest of these shares. Explained: part of the variance of “stands” that lies "
     "between the values of the axis (η², the squared correlation ratio). The row “plan” shows how much plans differ."
 )
 DIRECTIONS_CAPTION: Final = "Line: the median plan; band: half of the plans. A plan that survives no level counts as 0."
 
 
-LEGS_CAPTION: Final = "Share that stands after a leg, of the worlds that reached it. Line: Wilson’s 95 % interval."
+LEGS_CAPTION: Final = "Worlds that stand after a leg, of the worlds that reached it. Line: Wilson’s 95 % interval."
 WEAKEST_LEG_CAPTION: Final = "The leg in which most worlds of a plan failed first."
 
 
@@ -151,8 +151,8 @@ def importance(worlds: pd.DataFrame, axes: Sequence[str], summary: pd.DataFrame)
     Returns:
         A table with the columns ``axis``, ``spread`` and ``explained``. For each value of the axis, there is a share of
         worlds that stand; ``spread`` is the difference between the largest and the smallest of these shares.
-        ``explained`` is the squared correlation ratio η² = Σ nᵥ (pᵥ − p)² / (n p (1 − p)), where pᵥ is the share that
-        stands of the nᵥ worlds with value v, and p that of all n worlds. The ratio is NaN if all worlds stand, or if no
+        ``explained`` is the squared correlation ratio η² = Σ nᵥ (pᵥ − p)² / (n p (1 − p)). Of the nᵥ worlds with value
+        v, the share pᵥ stands; of all n worlds, the share p stands. The ratio is NaN if all worlds stand, or if no
         world stands. Sources: Pearson 1905; Fisher's one-way analysis of variance.
     """
     judged = worlds[worlds["verdict"] != Verdict.INVALID.value]
@@ -415,7 +415,7 @@ def _confidence(run: ReportRun, summary: pd.DataFrame) -> Markup:
         "the 95 % interval of the share contains one half."
     )
     missed, fell = (int(summary[name].sum()) if name in summary else 0 for name in ("n_not_placed", "n_fell"))
-    failure_text = f"Of the worlds that do not stand, in {missed:,} a box could not be placed, in {fell:,} boxes fell."
+    failure_text = f"A box could not be placed in {missed:,} worlds; boxes fell in {fell:,} worlds."
     return joined_markup(
         element("p", line),
         element("p", failure_text) if missed else NOTHING,

@@ -20,9 +20,9 @@ ORDER: Final = [verdict.value for verdict in Verdict]
 _DRAWN: Final = "95 %: Wilson’s interval of the share, if the plans are a random sample."
 _NOTES: Final = {
     Kind.SCORE: _DRAWN,
-    Kind.CONFIDENCE: _DRAWN + " Verdicts are those without errors.",
+    Kind.CONFIDENCE: _DRAWN + " Verdicts are from worlds without errors.",
     Kind.GRID: "Worlds of one plan depend on each other, so their shares have no interval.",
-    Kind.CHAIN: "Worlds with errors, without remedies. Those of one plan are alike, so these shares have no interval.",
+    Kind.CHAIN: "Worlds with errors, without remedies. Worlds of one plan are alike, so these shares have no interval.",
     Kind.SEARCH: "These levels were tested: they show where the search looked, not how often pallets stand.",
 }
 

@@ -50,8 +50,8 @@ class WindowProfile:
     """A force profile.
 
     ``replaces`` states what happens when windows overlap. If ``replaces`` is False, the forces of overlapping windows
-    add up. If ``replaces`` is True, windows act as in the reference implementation: the beginning of a window ends the
-    previous window, and the next end of any window, even of one that no longer acts, sets the force to zero. If several
+    add up. If ``replaces`` is True, windows act as in the reference implementation. The beginning of a window ends the
+    previous window. The next end of any window sets the force to zero, even if that window no longer acts. If several
     windows begin in the same step, only the last of them acts. The profile ``radial-chain``, from the demo of the
     reference implementation, needs ``replaces``.
     """
@@ -99,10 +99,10 @@ def _one_at_a_time(spans: Sequence[tuple[int, int, Vector]]) -> list[tuple[int, 
     implementation.
 
     The force changes at the beginning and at the end of every given span, in order of time. At each change, the old
-    force is removed. After that, the force of the span that begins there is set: of the last one, if several begin.
-    Unlike there, an end one step after the beginning of another span is moved to this beginning. Windows that follow
-    one another may overlap by a step, since times are rounded to whole steps; the later window would lose its force.
-    Spans without a step are left out.
+    force is removed. After that, the force of the span that begins at this change is set; if several spans begin, the
+    force of the last one is set. Unlike in the reference implementation, an end one step after the beginning of another
+    span is moved to this beginning. Windows that follow one another may overlap by a step, since times are rounded to
+    whole steps; the later window would lose its force. Spans without a step are left out.
     """
     spans = [span for span in spans if span[0] < span[1]]
     waiting = deque(sorted(spans, key=lambda span: span[0]))

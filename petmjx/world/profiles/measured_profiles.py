@@ -11,10 +11,11 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import AfterValidator, Field, StrictFloat, model_validator
 
-from petmjx.common.checked_records import CheckedRecord, read_toml, reason, shown_value, within
+from petmjx.common.checked_records import CheckedRecord, reason, shown_value, within
 from petmjx.common.errors import InputError
 from petmjx.common.safe_read import read_regular
 from petmjx.common.text import printable, printable_name
+from petmjx.common.toml_files import read_toml
 from petmjx.world.profiles.force_windows import Window
 from petmjx.world.profiles.profile import MAX_PROFILE_S
 from petmjx.world.profiles.random_vibration import PsdTable, psd_rms_g
@@ -47,8 +48,8 @@ Density = Annotated[StrictFloat, Field(gt=0), within(0, MAX_DENSITY)]
 class WindowRow(CheckedRecord):
     """One push. Sweep files may also give a push as a list of its five numbers: start_s, duration_s, x, y, z."""
 
-    start_s: Seconds = Field(description="when it begins, s after the profile's beginning")
-    duration_s: LongerThanNothing = Field(description="how long it acts, s")
+    start_s: Seconds = Field(description="when the push begins, s after the profile's beginning")
+    duration_s: LongerThanNothing = Field(description="how long the push acts, s")
     x: Component = Field(description="force along x in units of scale × total mass × 9.81 m/s²")
     y: Component = Field(description="force along y in the same units")
     z: Component = Field(description="force along z in the same units")

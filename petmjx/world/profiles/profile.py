@@ -67,8 +67,8 @@ class Profile(Protocol):
 
 def allowed_sway_m(profile: Profile) -> float:
     """Distance by which a culprit may sway under a profile before it counts as lost, m (``Drive.allowed_sway_m``). The
-    distance is infinite if the profile tilts the carrier, so that no box counts as lost: a box that slides to the edge
-    of the tilted carrier and tips over this edge must not count as tilted, since it first failed by sliding. With all
+    distance is infinite if the profile tilts the carrier, so that no box counts as lost. A box may slide to the edge of
+    the tilted carrier and tip over this edge. It must not count as tilted, since it first failed by sliding. With all
     other profiles, the distance is 0."""
     return math.inf if profile.strength is Strength.ANGLE else 0.0
 

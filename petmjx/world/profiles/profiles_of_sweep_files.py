@@ -64,7 +64,7 @@ class WindowsTable(_Table):
 
     kind: Literal["windows"]
     windows: Rows | None = Field(None, description="rows of [start_s, duration_s, x, y, z]")
-    file: FileName | None = Field(None, description="a file with these columns, Parquet or TOML")
+    file: FileName | None = Field(None, description="a Parquet or TOML file with these five columns")
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
@@ -82,8 +82,8 @@ class Link(CheckedRecord):
     """One profile as a link of a chain."""
 
     profile: Name = Field(description="name of a force profile")
-    offset_s: Seconds = Field(0.0, description="when it begins, s after the chain's beginning")
-    scale: Annotated[StrictFloat, Field(gt=0), within(0, MAX_FORCE)] = Field(1.0, description="factor on its forces")
+    offset_s: Seconds = Field(0.0, description="when the profile begins, s after the chain's beginning")
+    scale: Annotated[StrictFloat, Field(gt=0), within(0, MAX_FORCE)] = Field(1.0, description="factor on these forces")
 
 
 class ChainTable(_Table):
@@ -164,7 +164,7 @@ class TiltTable(_Table):
 
 
 class TrapezoidTable(_Table):
-    """A horizontal acceleration like that of EUMOS 40509. The strength of the profile is a level in g."""
+    """A horizontal acceleration like the one of EUMOS 40509. The strength of the profile is a level in g."""
 
     kind: Literal["trapezoid"]
     ramp_s: LongerThanNothing = Field(_TRAPEZOID.ramp_s, description="length of each ramp, s")

@@ -4,7 +4,7 @@ Warp compiles these modules for the device, together with the C++ of petmjx/engi
 understand these modules only in part. ``float(…)``, ``int(…)`` and ``bool(…)`` declare variables that loops change. The
 only operation on arrays is indexing. All threads of a block must reach each barrier.
 
-Arguments come in the order of mujoco_warp's kernels: constants (``# Model:``), records that are only read (``# Data
-in:``), other values (``# In:``), and records that change (``# Data out:``), which may also be read. A function without
-these comments changes only its own variables.
+Arguments come in the order of mujoco_warp's kernels. Constants come first (``# Model:``), then records that are only
+read (``# Data in:``), then other values (``# In:``), then records that change (``# Data out:``) and may also be read. A
+function without these comments changes only its own variables.
 """

@@ -1,4 +1,4 @@
-"""Collective operations of a world's threads, and products that are rounded alike in all kernels.
+"""Collective operations of a world's threads, and multiplications that all kernels round alike.
 
 The Warp functions of this module call the C++ functions in petmjx/engines/warp/solver/block.cuh.
 """

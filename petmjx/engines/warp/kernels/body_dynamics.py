@@ -377,18 +377,15 @@ def end_step(
 
 @wp.func
 def _top_force(work: Ref[Workspace], block: int, free_body: int) -> float:
-    """Force that presses on a box from above, N: the sum over its contacts with geoms whose centre is higher, if the
-    contact's normal is within 45° of z."""
+    """Force that presses on a box from above, N: the sum over its contacts whose normal is within 45° of z and points
+    upwards from the box."""
     total = wp.float64(0.0)
     for entry in range(work.body_conadr[block, free_body], work.body_conadr[block, free_body + 1]):
         link = work.body_contact[block, entry]
         k = link // 2
         side = link % 2
-        pair = work.contact_pair[block, k]
-        first_z = work.geom_xpos[block, work.pair_geom1[block, pair]][2]
-        second_z = work.geom_xpos[block, work.pair_geom2[block, pair]][2]
-        lower = wp.where(side == 1, second_z <= first_z, first_z < second_z)
-        if lower and wp.abs(number_of(work.efc, block, k, 2)) >= VERTICAL_COSINE:
+        normal_z = number_of(work.efc, block, k, 2)  # of the normal from the first to the second body
+        if wp.where(side == 1, -normal_z, normal_z) >= VERTICAL_COSINE:
             up = wp.float64(0.0)
             for r in range(3):
                 up += wp.float64(number_of(work.efc, block, k, 3 * r + 2)) * work.contact_force[block, k, r]

@@ -24,7 +24,7 @@ RISING = wp.constant(RISING_M_S2)
 
 UNBALANCED = wp.constant(10.0)
 """Forces from a solver that was stopped early count only if no body is out of balance by more than this acceleration,
-m/s². With this limit, force peaks of rocking towers and stacks agree within 1 % with those of a solver that was not
+m/s². With this limit, force peaks of rocking towers and stacks agree within 1 % with the peaks of a solver that was not
 stopped. With a limit of 60 m/s², peaks were up to a fifth larger; with 1 m/s², they were a hundredth smaller."""
 
 

@@ -1,7 +1,7 @@
 """Collisions of a world: pairs of geoms that are near one another, and the contacts of these pairs.
 
 Pairs are in the order of their geoms, and a pair's contacts in the order in which the collider gives them. So every sum
-over contacts has the same order in every run. Colliders are those of mujoco_warp, in the copy inside MJX.
+over contacts has the same order in every run. Colliders come from mujoco_warp, in the copy inside MJX.
 """
 
 from __future__ import annotations
@@ -32,11 +32,12 @@ boxes of up to 0.6 m, and 0.7 µm for boxes of up to 6 m."""
 COLLINEAR = wp.constant(1e-5)
 """Largest distance from the line between two contacts, m, at which a third contact counts as lying on this line: a
 tenth of the default skin. Contacts are removed one after another, and each is compared with the contacts that remain.
-So where several contacts are removed, the edge of the area on which a box stands may move by more than this distance:
-by 23 µm for the worst of 3,000 random arcs of eight contacts."""
+So where several contacts are removed, the edge of the area on which a box stands may move by more than this distance.
+It moved by 23 µm for the worst of 3,000 random arcs of eight contacts."""
 
 FEWEST = wp.constant(4)
-"""Number of contacts that are never too many: faces that touch have a contact at each corner of their common area."""
+"""Contacts of a pair are removed only if the pair has more than this number: two faces that touch have a contact at
+each corner of their common area."""
 
 APART = wp.constant(2.0 * ROOM + 3.0 * NEAR)
 """Largest distance of two geoms' bounding boxes, m, at which the pair is listed. The list stays valid until a body has

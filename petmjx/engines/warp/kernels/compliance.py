@@ -7,9 +7,9 @@ import warp as wp
 
 from petmjx.engines.warp.kernels.body_dynamics import body_of, geom_half
 from petmjx.engines.warp.world_arrays import Model, Ref, Worlds
+from petmjx.world.bearings import TOUCH_M
 from petmjx.world.compliance import LEAST_IMPEDANCE, LEAST_SHARE
 from petmjx.world.contact_laws import CONTACTS_PER_FACE
-from petmjx.world.supports import TOUCH_M
 
 TOUCH = wp.constant(TOUCH_M)
 LEAST = wp.constant(LEAST_IMPEDANCE)

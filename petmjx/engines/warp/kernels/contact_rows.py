@@ -1,7 +1,7 @@
 """Rows of contacts: the constraints of a world in the solver, and the contacts of each body.
 
 Contacts have MuJoCo's parameters (its documentation, "Modeling", "Solver parameters"). Each of a contact's two bodies
-is free or does not move. So the contact's frame and three moment arms per body (27 numbers) describe it.
+is free or does not move. So its frame and three moment arms per body (27 numbers) describe a contact.
 """
 
 from __future__ import annotations

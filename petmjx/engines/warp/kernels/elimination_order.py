@@ -9,7 +9,7 @@ In a world of few boxes the root is the body that is farthest from the carrier. 
 boxes, the carrier comes last in the order, and contacts with the carrier do not count in distances. (The carrier
 touches the whole lowest layer. If its contacts counted, the boxes at two opposite ends of a pallet would be near one
 another.) Boxes that contacts join are a component; each component has a root of its own. In such a world, the order is
-reversed, so that each component ends with its root: a reversed order never has a wider envelope (Liu and Sherman,
+reversed, so that each component ends with its root. A reversed order never has a wider envelope (Liu and Sherman,
 "Comparative analysis of the Cuthill-McKee and the reverse Cuthill-McKee ordering algorithms for sparse matrices",
 1976).
 

@@ -13,7 +13,7 @@ from petmjx.engines.warp.world_arrays import EFC_WORDS, PANEL, Model, Workspace
 
 @wp.func_native(
     f"petmjx::newton<{PANELS_MACRO}, {PANEL}, {EFC_WORDS}>"
-    "(model, block, thread, threads, limit, changed, forces,"
+    "(model, block, thread, threads, changed, forces,"
     " petmjx::begin_of(shared), shared_words, work);"
 )
 def newton(
@@ -23,7 +23,6 @@ def newton(
     block: int,
     thread: int,
     threads: int,
-    limit: int,
     changed: bool,
     forces: bool,
     shared: Any,
@@ -31,7 +30,7 @@ def newton(
     # Data out:
     work: Workspace,
 ) -> None:
-    """Compute the accelerations and contact forces of a lane's world, in at most ``limit`` iterations.
+    """Compute the accelerations and contact forces of a lane's world, in at most ``model.iterations`` iterations.
 
     ``changed``: whether contacts, or the order of bodies, have changed since the last call. ``forces``: whether contact
     forces are needed, too. Otherwise, ``contact_force`` may belong to the accelerations before the last iteration.

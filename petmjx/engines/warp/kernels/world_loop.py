@@ -176,9 +176,8 @@ def advance(
             link_contacts(worlds, state, at, work)
     go_together()
     if on:
-        driven = state.driven_from[at.world]
-        limit = wp.where(driven == NEVER, model.iterations, model.driven_iterations)
-        newton(model, at.block, at.thread, at.threads, limit, changed, measured or restless, shared, shared_words, work)
+        forces = measured or restless
+        newton(model, at.block, at.thread, at.threads, changed, forces, shared, shared_words, work)
         wait_for_all()
         if in_pause(work.solver_paused, at.block):
             on = False
@@ -186,7 +185,7 @@ def advance(
     if on:
         if restless and not presses:
             presses = any_of_all(rises(work, at))
-        if presses and driven != NEVER and work.solver_niter[at.block] >= limit:
+        if presses and work.solver_niter[at.block] >= model.iterations:
             presses = not any_of_all(is_unbalanced(work, at))
         astray = any_of_all(end_step(model, at, measured or presses, state, work))
     go_together()

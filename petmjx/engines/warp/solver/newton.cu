@@ -148,16 +148,15 @@ struct Own {
 
 // Finds accelerations and contact forces of a lane's world. The solver starts from the accelerations in the workspace.
 // All `threads` of a lane must call it, since they wait for one another. PANELS: largest number of panels of a system.
-// PANEL, EFC_WORDS: sizes on the Python side. `limit`: largest number of iterations. `changed`: whether contacts, or
-// the order of bodies, have changed since the last call. `forces`: whether the forces of the final accelerations are
-// needed, too. `shared`: shared memory of the block, with `shared_words` numbers for each of its worlds, for the strip
-// and the Hessian if they fit.
+// PANEL, EFC_WORDS: sizes on the Python side. `changed`: whether contacts, or the order of bodies, have changed since
+// the last call. `forces`: whether the forces of the final accelerations are needed, too. `shared`: shared memory of
+// the block, with `shared_words` numbers for each of its worlds, for the strip and the Hessian if they fit.
 //
 // With PETMJX_PAUSE_AFTER the solver pauses after that number of iterations, and stores it in `solver_paused`. The next
 // call continues with the same system, and takes the same iterations as without a pause.
 template <int PANELS, int PANEL, int EFC_WORDS, class Model, class Workspace>
 inline CUDA_CALLABLE void newton(
-    const Model& model, int block, int thread, int threads, int limit, bool changed, bool forces, float* shared,
+    const Model& model, int block, int thread, int threads, bool changed, bool forces, float* shared,
     int shared_words, const Workspace& work
 ) {
     static_assert(PANEL == B && EFC_WORDS == EFC, "Python and C++ differ about the sizes of arrays");
@@ -177,7 +176,7 @@ inline CUDA_CALLABLE void newton(
 
     if (WARP == 1) thread = 0, threads = 1;  // constants for the compiler
     const int at_once = Factoring<PANELS>::AT_ONCE;
-    const int pyramidal = model.pyramidal;
+    const int pyramidal = model.pyramidal, limit = model.iterations;
     const double impratio_invsqrt = model.impratio_invsqrt, slack = model.slip_slack;
     const size_t at = block, nconmax = model.nconmax;
     World world;

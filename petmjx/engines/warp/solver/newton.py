@@ -12,9 +12,9 @@ Five things make this solver fast:
   change.
 - A contact touches two bodies. So J is stored as 27 numbers per contact, and a product with J is cheap.
 - H is sparse, and bodies are ordered by their contacts (kernels/elimination_order.py), so that H has a narrow envelope.
-  Each column of H belongs to a body. Let the first body be the one that comes first in the order among this body and
-  the bodies that it touches. Above the rows of the first body, the column is zero in H and in the Cholesky factor. The
-  factorisation computes only the other rows, in tiles of 16 × 16; each warp has a tile, and tensor cores multiply
+  Each column of H belongs to a body. Among this body and the bodies that it touches, the one that comes first in the
+  order is called the first body. Above the rows of the first body, the column is zero in H and in the Cholesky factor.
+  The factorisation computes only the other rows, in tiles of 16 × 16; each warp has a tile, and tensor cores multiply
   tiles.
 - Each world stops as early as it can. Since H ≥ M, the cost can decrease by at most ½ gᵀM⁻¹g, where g is the gradient.
   This bound shows before each factorisation whether another iteration can help.
@@ -77,8 +77,8 @@ DRIVER_BYTES = 1 << 10
 
 def own_bytes(panels: int, worlds: int = 1) -> int:
     """Shared memory, in bytes, that the threads of one world need in addition to the strip (rows of the factor) and the
-    Hessian, for systems of up to ``panels`` panels, in blocks of ``worlds`` worlds. newton.cu checks that this memory
-    is enough."""
+    Hessian. It is for systems of up to ``panels`` panels, in blocks of ``worlds`` worlds. newton.cu checks that this
+    memory is enough."""
     parts = 4 if worlds > 1 else 8 if panels <= FEW_PANELS else 17
     return 4 * (PANEL + 4) * panels + (parts << 10)
 

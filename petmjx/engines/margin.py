@@ -1,0 +1,54 @@
+"""The margin of a world (``margin_of``): its distance from the nearest threshold, as a share of the threshold."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from petmjx.engines.metrics import BoxMetrics
+from petmjx.engines.mujoco.box_motion import excess
+from petmjx.engines.verdict import _EPSILON, Outcome, Verdict
+from petmjx.options.thresholds import Thresholds
+
+DROPPED_EXCESS: Final = 2.0
+"""Smallest excess of a dropped box. (The excess says how far a box is beyond its thresholds.) With this value, the
+margin of a world with a dropped box is at most -1. A dropped box may end near its planned place, but its world always
+counts as beyond the threshold."""
+
+
+def margin_of(verdict: Verdict, boxes: BoxMetrics, n_placed: int, thresholds: Thresholds) -> float:
+    """Distance of a world from the nearest threshold, as a share of this threshold: 1 minus the largest excess of any
+    placed box.
+
+    The margin is 1 if nothing moved, 0 on the threshold, and negative beyond the threshold. If a box dropped, the
+    margin is at most -1. The margin is never negative in a stable world, always negative in an unstable world, and NaN
+    in an invalid world. See docs/metrics.md, section "Margin".
+    """
+    return _margins([(verdict, boxes, n_placed)], thresholds)[0]
+
+
+def margins_of(outcomes: Sequence[Outcome], thresholds: Thresholds) -> list[float]:
+    """The result of ``margin_of`` for each of many outcomes, computed together."""
+    return _margins([(outcome.verdict, outcome.boxes, outcome.n_placed) for outcome in outcomes], thresholds)
+
+
+def _margins(worlds: Sequence[tuple[Verdict, BoxMetrics, int]], thresholds: Thresholds) -> list[float]:
+    margins = [math.nan] * len(worlds)
+    valid = [k for k, (verdict, _, placed) in enumerate(worlds) if placed and verdict is not Verdict.INVALID]
+    if not valid:
+        return margins
+    placed = [worlds[k][2] for k in valid]
+    placed_boxes = [(worlds[k][1], slice(worlds[k][2])) for k in valid]
+    shift = np.concatenate([boxes.shift_m[rows] for boxes, rows in placed_boxes], dtype=np.float64)
+    tilt = np.concatenate([boxes.max_tilt_deg[rows] for boxes, rows in placed_boxes], dtype=np.float64)
+    dropped = np.concatenate([boxes.dropped[rows] for boxes, rows in placed_boxes], dtype=np.bool_)
+    largest = np.maximum(excess(shift, tilt, dropped, thresholds), DROPPED_EXCESS * dropped)
+    begins = np.cumsum(placed) - np.array(placed)
+    for k, margin in zip(valid, (1.0 - np.maximum.reduceat(largest, begins)).tolist(), strict=True):
+        # The verdict decides the sign of the margin. Near a threshold, the sign of the computed margin may be wrong,
+        # because `judge` may have compared float32 numbers, and the excess is a rounded quotient.
+        margins[k] = max(margin, 0.0) if worlds[k][0] is Verdict.STABLE else min(margin, -_EPSILON)
+    return margins
