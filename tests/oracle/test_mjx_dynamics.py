@@ -14,6 +14,7 @@ from support.plans import make_scene, on_boards, stack
 
 from petmjx.common.units import FloatArray
 from petmjx.engines.mjx.body_dynamics import Bodies, Links
+from petmjx.engines.mjx.collision import PAIRS_PER_GEOM, collision
 from petmjx.engines.mjx.mjx_import import mjx
 from petmjx.engines.mjx.newton import BlockSolver, Iterate, Problem
 from petmjx.engines.mjx.padded_template import FLOAT32_TOLERANCE, contact_geoms, padded_template
@@ -77,6 +78,28 @@ def test_bodies_and_rows_are_those_of_mjx(ranks_may_differ: None) -> None:
         blocks = np.asarray(rows.jacobian).reshape(len(links.sides), 12, 2, 6)[:, :, side]
         dense[np.arange(len(links.sides)), :, links.sides[:, side]] += blocks
     np.testing.assert_allclose(dense[:, :, :-1].reshape(jacobian.shape), jacobian, atol=ROUNDING)
+
+
+def test_contacts_are_those_of_mjx_however_many_boxes_are_near(ranks_may_differ: None) -> None:
+    template = padded_template(12, 1, SIM, held=False)
+    model, start = mjx.put_model(template, impl="jax"), mjx.make_data(template, impl="jax")
+    links, rng = Links(model), np.random.default_rng(11)
+
+    @jax.jit
+    def both(qpos: jax.Array) -> tuple[Any, Any]:
+        inputs = {"qpos": qpos, "qvel": jnp.zeros(template.nv)}
+        data = start.replace(**links.geom_places(Bodies.of(model, inputs), model, inputs))
+        return mjx.collision(model, data)._impl.contact, collision(model, data)._impl.contact
+
+    for size_m, least in ((0.3, 2 * PAIRS_PER_GEOM * template.ngeom), (1.5, 0)):  # all boxes meet, or few of them do
+        pose = np.hstack([rng.uniform(0.0, size_m, (13, 3)), rng.normal(size=(13, 4))])
+        expected, contact = jax.tree.map(np.asarray, both(single(pose.ravel())))
+        closed = expected.dist < 0
+        assert closed.sum() > least
+        np.testing.assert_array_equal(contact.dist < 0, closed)
+        np.testing.assert_array_equal(contact.geom, expected.geom)
+        for name in ("dist", "pos", "frame"):
+            np.testing.assert_allclose(getattr(contact, name)[closed], getattr(expected, name)[closed], atol=1e-5)
 
 
 def test_the_solver_finds_the_accelerations_and_forces_of_c() -> None:

@@ -10,6 +10,7 @@ import mujoco
 from jaxtyping import Array, Bool, Float, Int
 
 from petmjx.engines.mjx.body_dynamics import Bodies, Links
+from petmjx.engines.mjx.collision import collision
 from petmjx.engines.mjx.face_contacts import Beds, Faces
 from petmjx.engines.mjx.landing import Landing, act
 from petmjx.engines.mjx.mjx_import import mjx
@@ -142,7 +143,7 @@ class PaddedModel:
         accelerations of contacts, and the landing boxes."""
         model, links = self.model.tree_replace(fields), self._links
         bodies = Bodies.of(model, inputs)
-        data = mjx.collision(model, self._data.replace(**links.geom_places(bodies, model, inputs)))
+        data = collision(model, self._data.replace(**links.geom_places(bodies, model, inputs)))
         if faces is not None:
             data = self._beds.pressed(data, faces)
         contact, velocity = data._impl.contact, inputs["qvel"]
