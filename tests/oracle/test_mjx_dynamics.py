@@ -156,7 +156,7 @@ class OneContact(BlockSolver):
     def ends(self, problem: Problem, now: Iterate) -> jax.Array:
         return now.iterations > 0
 
-    def improved(self, problem: Problem, begin: Iterate, most: int | None = None) -> Iterate:
+    def improved(self, problem: Problem, begin: Iterate, **_: int) -> Iterate:
         return begin._replace(iterations=jnp.int32(1))
 
 

@@ -87,7 +87,7 @@ class PaddedModel:
         self._sim = sim
         self._links = Links(self.model)
         self._pausing = pausing and not self.pyramidal
-        self._slip = SlipLaw(sim.physics, BlockSolver(self._links, batch=self._pausing))
+        self._slip = SlipLaw(sim.physics, BlockSolver(self._links))
         self._beds = Beds(self.model, sim.physics)
         self._boxes = geom_bodies(template, range(capacity))[self._links.geoms]
         """(contact, 2) the box to which each geom of a contact belongs; negative: no box"""

@@ -15,11 +15,15 @@ from petmjx.engines.mjx.world_state import put_rows, select_rows, take_rows
 from petmjx.options.physics import Physics
 from petmjx.world.contact_laws import ENOUGH_M_S2, MOST_ROUNDS, RELAXATION, STICKS_M_S, kinetic_share, slack_m_s2
 
-FEW_WORLDS: Final = 64
+FEW_SHARE: Final = 4
 FEW_ITERATIONS: Final = 8
-"""In each pass of a batch, the solver makes one iteration in all worlds, which is enough for worlds at rest, and up to
-``FEW_ITERATIONS`` further iterations in up to ``FEW_WORLDS`` worlds: few of the worlds of a batch collapse, and in such
-a world a step takes 12 iterations on average."""
+"""In each pass of a batch, the solver makes one iteration in all worlds, which is enough for worlds at rest. Then the
+solver makes up to ``FEW_ITERATIONS`` further iterations in one in ``FEW_SHARE`` worlds: in few of the worlds of a batch
+do boxes land or fall, and a step of a world that collapses takes 12 iterations on average."""
+
+STEPS: Final = 16
+"""In a batch: number of steps that a line search evaluates at once. With 4 steps, some line searches find no step that
+is small enough, and the solver ends too early."""
 
 
 class Solution(NamedTuple):
@@ -80,23 +84,23 @@ class SlipLaw:
         return finished
 
     def solve_in_part(self, problem: Problem, pull: Float[Array, "world contact 3"], solution: Solution) -> Solution:
-        """Solutions after a pass of a batch: after one iteration of the solver in all worlds, and up to
-        ``FEW_ITERATIONS`` further iterations in up to ``FEW_WORLDS`` worlds."""
-        solution = self._further(problem, pull, solution, 1)
-        rows = jnp.argsort(solution.done)[:FEW_WORLDS]  # unfinished solutions come first
-        few = self._further(*take_rows((problem, pull, solution), rows), FEW_ITERATIONS)
-        return put_rows(solution, rows, few)
+        """Solutions after a pass of a batch. Some of them may not be finished."""
+        solution = self._further(problem, pull, solution, most=1, steps=STEPS)
+        waits = jnp.where(solution.done, -1, solution.iterations + solution.now.iterations)
+        rows = jnp.argsort(waits, descending=True)[: max(len(waits) // FEW_SHARE, 1)]
+        few = take_rows((problem, pull, solution), rows)
+        return put_rows(solution, rows, self._further(*few, most=FEW_ITERATIONS, steps=STEPS))
 
     def _further(
-        self,
-        problem: Problem,
-        pull: Float[Array, "world contact 3"],
-        solution: Solution,
-        most: int | None = None,
+        self, problem: Problem, pull: Float[Array, "world contact 3"], solution: Solution, **limits: int
     ) -> Solution:
-        """Solutions after a round, or after the part of a round that takes at most ``most`` iterations. A finished
-        solution stays the same, so that it does not depend on the other worlds."""
-        further: Solution = jax.vmap(partial(self._of_world, most=most))(problem, pull, solution)
+        """Solutions after a round, or after the part of a round that these limits allow (``BlockSolver.improved``). A
+        finished solution stays the same, so that it does not depend on the other worlds."""
+
+        def of_world(problem: Problem, pull: Rows, solution: Solution) -> Solution:
+            return self._of_world(problem, pull, solution, **limits)
+
+        further: Solution = jax.vmap(of_world)(problem, pull, solution)
         return further
 
     def with_friction(self, rows: ContactRows, velocity: Velocities) -> ContactRows:
@@ -107,12 +111,12 @@ class SlipLaw:
         share = 1.0 - (1.0 - self._kinetic) * jnp.clip(slip / STICKS_M_S - 1.0, 0.0, 1.0)
         return rows._replace(sliding=rows.sliding * share[:, None])
 
-    def _of_world(self, problem: Problem, pull: Rows, solution: Solution, most: int | None) -> Solution:
+    def _of_world(self, problem: Problem, pull: Rows, solution: Solution, **limits: int) -> Solution:
         friction, excess = problem.sliding[:, 0], solution.excess
         begin = self._solver.begin(problem, pull.at[:, 0].add(-friction * excess), solution.now.qacc)
         stays = solution.in_round | solution.done
         now = jax.tree.map(lambda kept, new: jnp.where(stays, kept, new), solution.now, begin)
-        now = self._solver.improved(problem, now, most)
+        now = self._solver.improved(problem, now, **limits)
         completes = self._solver.ends(problem, now) & ~solution.done
         rounds = solution.rounds + completes
         slides = _tangent(pull) > self._slack
