@@ -14,8 +14,9 @@ from support.plans import make_scene, on_boards, stack
 
 from petmjx.common.units import FloatArray
 from petmjx.engines.mjx.body_dynamics import Bodies, Links
+from petmjx.engines.mjx.collision import PAIRS_PER_GEOM, collision
 from petmjx.engines.mjx.mjx_import import mjx
-from petmjx.engines.mjx.newton import BlockSolver, Problem
+from petmjx.engines.mjx.newton import BlockSolver, Iterate, Problem
 from petmjx.engines.mjx.padded_template import FLOAT32_TOLERANCE, contact_geoms, padded_template
 from petmjx.engines.mjx.slip import SlipLaw
 from petmjx.engines.mujoco.live_world import LiveWorld
@@ -79,6 +80,28 @@ def test_bodies_and_rows_are_those_of_mjx(ranks_may_differ: None) -> None:
     np.testing.assert_allclose(dense[:, :, :-1].reshape(jacobian.shape), jacobian, atol=ROUNDING)
 
 
+def test_contacts_are_those_of_mjx_however_many_boxes_are_near(ranks_may_differ: None) -> None:
+    template = padded_template(12, 1, SIM, held=False)
+    model, start = mjx.put_model(template, impl="jax"), mjx.make_data(template, impl="jax")
+    links, rng = Links(model), np.random.default_rng(11)
+
+    @jax.jit
+    def both(qpos: jax.Array) -> tuple[Any, Any]:
+        inputs = {"qpos": qpos, "qvel": jnp.zeros(template.nv)}
+        data = start.replace(**links.geom_places(Bodies.of(model, inputs), model, inputs))
+        return mjx.collision(model, data)._impl.contact, collision(model, data)._impl.contact
+
+    for size_m, least in ((0.3, 2 * PAIRS_PER_GEOM * template.ngeom), (1.5, 0)):  # all boxes meet, or few of them do
+        pose = np.hstack([rng.uniform(0.0, size_m, (13, 3)), rng.normal(size=(13, 4))])
+        expected, contact = jax.tree.map(np.asarray, both(single(pose.ravel())))
+        closed = expected.dist < 0
+        assert closed.sum() > least
+        np.testing.assert_array_equal(contact.dist < 0, closed)
+        np.testing.assert_array_equal(contact.geom, expected.geom)
+        for name in ("dist", "pos", "frame"):
+            np.testing.assert_allclose(getattr(contact, name)[closed], getattr(expected, name)[closed], atol=1e-5)
+
+
 def test_the_solver_finds_the_accelerations_and_forces_of_c() -> None:
     """Boxes on two boards: at rest, sliding, landing and rising. The solver starts from the accelerations at rest."""
     world = LiveWorld(on_boards(make_scene(stack(3, kg=6.0), SIM)), SIM, n_boxes=3)
@@ -93,10 +116,9 @@ def test_the_solver_finds_the_accelerations_and_forces_of_c() -> None:
         bodies = Bodies.of(device, inputs)
         rows = links.rows(bodies, device, contact)
         smooth = bodies.smooth(device, jnp.zeros((links.bodies, 6)))
-        qacc, force, *_ = solver.solve(
-            Problem.of(device, bodies.mass, smooth, rows), rows.pull, inputs["qacc_warmstart"]
-        )
-        return qacc, force
+        problem = Problem.of(device, bodies.mass, smooth, rows)
+        found = solver.improved(problem, solver.begin(problem, rows.pull, inputs["qacc_warmstart"]))
+        return found.qacc, found.force
 
     rng, slid = np.random.default_rng(5), 0.0
     for speed in (0.0, 0.01, 0.1, 0.5):
@@ -126,21 +148,23 @@ class OneContact(BlockSolver):
         """The (1, 3) rows, which are the velocities themselves."""
         return velocity[None]
 
-    def solve(
-        self, problem: Problem, pull: jax.Array, start: jax.Array
-    ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-        """The accelerations, forces, residuals and iterations; the accelerations are the reference accelerations."""
-        return pull[0], jnp.zeros_like(pull), pull.at[:, 1].add(-self.SLOWS * pull[:, 0]), jnp.int32(1)
+    def begin(self, problem: Problem, pull: jax.Array, start: jax.Array) -> Iterate:
+        """A state whose accelerations are the reference accelerations, without forces."""
+        begin = Iterate.unvalued(pull[0], pull.at[:, 1].add(-self.SLOWS * pull[:, 0]))
+        return begin._replace(force=jnp.zeros_like(pull))
+
+    def ends(self, problem: Problem, now: Iterate) -> jax.Array:
+        return now.iterations > 0
+
+    def improved(self, problem: Problem, begin: Iterate, **_: int) -> Iterate:
+        return begin._replace(iterations=jnp.int32(1))
 
 
 class HalfWay(OneContact):
     """A solver that goes half of the way from its start, so that solving a world again changes its accelerations."""
 
-    def solve(
-        self, problem: Problem, pull: jax.Array, start: jax.Array
-    ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-        accelerations, force, residual, iterations = super().solve(problem, pull, start)
-        return 0.5 * (accelerations + start), force, residual, iterations
+    def begin(self, problem: Problem, pull: jax.Array, start: jax.Array) -> Iterate:
+        return super().begin(problem, pull, start)._replace(qacc=0.5 * (pull[0] + start))
 
 
 @pytest.mark.parametrize("solver", [OneContact, HalfWay])
@@ -160,12 +184,12 @@ def test_a_sliding_contact_is_corrected_alone_as_beside_others(solver: type[OneC
         iterations=jnp.zeros(worlds, jnp.int32),
         evaluations=jnp.zeros(worlds, jnp.int32),
     )
-    solve = jax.jit(law.solve)
+    solve = jax.jit(lambda pull, start: law.solve(problem, pull, law.begin(problem, pull, start)).now.qacc)
 
     def corrected(towed: FloatArray) -> FloatArray:
         """(world,) the corrected reference acceleration along the normal."""
         pull = np.stack([np.full(worlds, normal), towed, np.zeros(worlds)], axis=-1)[:, None]
-        return np.asarray(solve(problem, single(pull), zeros[:, 0])[0])[:, 0]
+        return np.asarray(solve(single(pull), zeros[:, 0]))[:, 0]
 
     beside_others = corrected(towed)
     for world in range(worlds):

@@ -229,7 +229,7 @@ def test_mjx_stops_a_landing_wherever_its_solver_starts() -> None:
         bodies = Bodies.of(device, inputs)
         rows = links.rows(bodies, device, contact)
         problem = Problem.of(device, bodies.mass, bodies.smooth(device, jnp.zeros((1, 6))), rows)
-        return jax.vmap(lambda start: solver.solve(problem, rows.pull, start)[0])(starts)
+        return jax.vmap(lambda start: solver.improved(problem, solver.begin(problem, rows.pull, start)).qacc)(starts)
 
     with jax.numpy_rank_promotion("allow"):
         qacc = solved(jnp.asarray(starts, jnp.float32))

@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from petmjx.engines.job_stream import JobStream
-from petmjx.engines.mjx.batch_step import PaddedModel, StepResult
+from petmjx.engines.mjx.batch_step import Memory, PaddedModel, StepResult
 from petmjx.engines.mjx.engine import MjxJaxEngine
 from petmjx.engines.mjx.padded_template import CARRIER_BODY, FIRST_BOX_BODY
 from petmjx.engines.protocol import Engine, Progress
@@ -69,14 +69,14 @@ class FakeStepper(PaddedModel):
             jnp.tile(jnp.array([1.0, 0.0, 0.0, 0.0]), (bodies, 1)),
         )
 
-    def no_forces(self, worlds: int) -> jax.Array:
-        return jnp.zeros((worlds, 1))
+    def blank_memory(self, worlds: int) -> Memory:
+        return Memory(jnp.zeros((worlds, 1)))
 
     def step(
         self,
         fields: dict[str, jax.Array],
         inputs: dict[str, jax.Array],
-        forces: jax.Array,
+        memory: Memory,
         faces: None = None,
         landing: None = None,
     ) -> StepResult:
@@ -96,7 +96,7 @@ class FakeStepper(PaddedModel):
         flat = (n, -1)
         still = jnp.zeros((n, 6 * k))
         none = jnp.zeros(len(age), jnp.int32)
-        return StepResult(pose.reshape(flat), vel.reshape(flat), still, warm.reshape(flat), forces, age, none)
+        return StepResult(pose.reshape(flat), vel.reshape(flat), still, warm.reshape(flat), memory, age, none)
 
 
 class FakeEngine(MjxJaxEngine):
@@ -104,7 +104,7 @@ class FakeEngine(MjxJaxEngine):
 
     name = "fake"
 
-    def make_model(self, capacity: int, boards: int, sim: Simulation, *, held: bool) -> PaddedModel:
+    def make_model(self, capacity: int, boards: int, sim: Simulation, *, held: bool, pausing: bool) -> PaddedModel:
         return FakeStepper(capacity, held=held)
 
 

@@ -20,7 +20,7 @@ import petmjx.engines.mjx
 from petmjx.engines.mjx import box_motion as motion
 from petmjx.engines.mjx.first_states import started_states
 from petmjx.engines.mjx.padded_template import parked_positions
-from petmjx.engines.mjx.rollout import CHUNK_STEPS, BatchRollout
+from petmjx.engines.mjx.rollout import CHUNK_PASSES, BatchRollout
 from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.timetable import Timetable, build_timetable
 from petmjx.engines.mjx.world_constants import NEVER, Worlds, upload_worlds
@@ -131,10 +131,10 @@ def test_states_that_start_from_a_kept_one_are_as_annotated(table: State) -> Non
 def test_a_chunk_of_steps_is_as_annotated(worlds: Worlds, table: State, driven: bool) -> None:
     model = FakeStepper(WIDTH, held=driven)
     lockstep = BatchRollout(Rules(SIM, build_timetable(SIM, WIDTH), WIDTH, driven=driven), model)
-    after, forces, trail = jax.jit(lockstep.chunk)(table, model.no_forces(ROWS), worlds, jnp.zeros((1, 1, 3)))
+    after, memory, trail = jax.jit(lockstep.chunk)(table, model.blank_memory(ROWS), worlds, jnp.zeros((1, 1, 3)))
     assert axis_sizes(after) == {"world": ROWS, "box": WIDTH}
-    assert axis_sizes(trail) == {"step": CHUNK_STEPS, "world": ROWS, "box": WIDTH}
-    assert forces.shape == model.no_forces(ROWS).shape
+    assert axis_sizes(trail) == {"step": CHUNK_PASSES, "world": ROWS, "box": WIDTH}
+    assert memory.forces.shape == model.blank_memory(ROWS).forces.shape
 
 
 def test_a_field_of_the_wrong_kind_is_found(worlds: Worlds, table: State) -> None:

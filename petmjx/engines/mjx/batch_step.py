@@ -7,36 +7,50 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import mujoco
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from petmjx.engines.mjx.body_dynamics import Bodies, Links
+from petmjx.engines.mjx.collision import collision
 from petmjx.engines.mjx.face_contacts import Beds, Faces
 from petmjx.engines.mjx.landing import Landing, act
 from petmjx.engines.mjx.mjx_import import mjx
 from petmjx.engines.mjx.newton import BlockSolver, Problem
 from petmjx.engines.mjx.padded_template import padded_template
-from petmjx.engines.mjx.slip import SlipLaw
+from petmjx.engines.mjx.slip import SlipLaw, Solution
 from petmjx.engines.mjx.top_forces import contact_force_z, pressed_box
 from petmjx.options.physics import Cone
 from petmjx.options.simulation import Simulation, Solver
 from petmjx.world.mujoco_model import CARRIER_NAME, geom_bodies
 
 
+class Memory(NamedTuple):
+    """What the solver of a batch keeps from one pass to the next.
+
+    Attributes:
+        forces: forces of all constraints in the last step.
+        solution: the solutions of the present step in worlds that pause; None if no world pauses.
+    """
+
+    forces: Float[Array, "world constraint"]
+    solution: Solution | None = None
+
+
 class StepResult(NamedTuple):
     """The result of a step: MuJoCo's coordinates, and values for samples and for the next step.
 
-    ``qacc_warmstart``: accelerations from which the solver starts in the next step; ``forces``: forces of all
-    constraints; ``iterations``: number of the solver's iterations.
+    ``qacc_warmstart``: accelerations from which the solver starts in the next step; ``iterations``: number of the
+    solver's iterations; ``pauses``: whether the world has not completed the step, None if all worlds have.
     """
 
     qpos: Float[Array, "world coordinate"]
     qvel: Float[Array, "world velocity"]
     qacc: Float[Array, "world velocity"]
     qacc_warmstart: Float[Array, "world velocity"]
-    forces: Float[Array, "world constraint"]
+    memory: Memory
     top_force: Float[Array, "world box"]
     iterations: Int[Array, " world"]
     landing: Landing | None = None
+    pauses: Bool[Array, " world"] | None = None
 
 
 class PaddedModel:
@@ -55,9 +69,11 @@ class PaddedModel:
         capacity: largest number of boxes of a world.
         boards: number of shapes of each carrier.
         held: whether the carrier cannot move, as in profiles of accelerations. Its pose is in the data of its world.
+        pausing: whether the solver of a batch may pause (elliptic cones only). While other worlds take their next
+            step, a world that pauses repeats its step, and its solver continues.
     """
 
-    def __init__(self, capacity: int, boards: int, sim: Simulation, *, held: bool) -> None:
+    def __init__(self, capacity: int, boards: int, sim: Simulation, *, held: bool, pausing: bool = False) -> None:
         template = padded_template(capacity, boards, sim, held=held)
         # Nothing is damped. If damping were enabled, MJX would compute the accelerations of each step twice.
         template.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
@@ -70,24 +86,29 @@ class PaddedModel:
         self._data: Any = mjx.make_data(template, impl="jax")
         self._sim = sim
         self._links = Links(self.model)
+        self._pausing = pausing and not self.pyramidal
         self._slip = SlipLaw(sim.physics, BlockSolver(self._links))
         self._beds = Beds(self.model, sim.physics)
         self._boxes = geom_bodies(template, range(capacity))[self._links.geoms]
         """(contact, 2) the box to which each geom of a contact belongs; negative: no box"""
 
-    def no_forces(self, worlds: int) -> Float[Array, "world constraint"]:
-        """Constraint forces before the first step: all zero."""
-        return jnp.zeros((worlds, *self._data._impl.efc_force.shape))
+    def blank_memory(self, worlds: int) -> Memory:
+        """The memory before the first step. All forces are zero."""
+        forces = jnp.zeros((worlds, *self._data._impl.efc_force.shape))
+        if not self._pausing:
+            return Memory(forces)
+        rows, velocities = jnp.zeros((worlds, len(self._boxes), 3)), jnp.zeros((worlds, self.model.nv))
+        return Memory(forces, Solution.finished(velocities, rows))
 
     def step(
         self,
         fields: dict[str, Float[Array, "world ..."]],
         inputs: dict[str, Float[Array, "world ..."]],
-        forces: Float[Array, "world constraint"],
+        memory: Memory,
         faces: Faces | None = None,
         landing: Landing | None = None,
     ) -> StepResult:
-        """Simulate one step of all worlds.
+        """Simulate one step of all worlds. The results of worlds that pause have no meaning.
 
         Between stiff contacts, accelerations may become NaN in float32. If accelerations are NaN, the step uses the
         accelerations from which the solver started, and the forces of the previous step.
@@ -95,20 +116,25 @@ class PaddedModel:
         Args:
             fields: model fields that differ between worlds.
             inputs: fields of the data: qpos, qvel, qacc_warmstart, xfrc_applied, and the place of a held carrier.
-            forces: constraint forces of the previous step.
+            memory: what the solver has kept from the previous pass.
             faces: the faces of the geoms, needed for compliant boxes.
             landing: the landing boxes (petmjx/engines/mjx/landing.py), if the physics has a law of landing.
         """
         if self.pyramidal:
-            return self._step_of_mjx(fields, inputs, forces)
+            return self._step_of_mjx(fields, inputs, memory.forces)
         contact, bodies, problem, pull, landing = jax.vmap(self._ready)(fields, inputs, faces, landing)
         start = inputs["qacc_warmstart"]
-        qacc, force, iterations = self._slip.solve(problem, pull, start)
+        solution = self._slip.begin(problem, pull, start, memory.solution)
+        solve = self._slip.solve_in_part if self._pausing else self._slip.solve
+        solution = solve(problem, pull, solution)
+        qacc, force = solution.now.qacc, solution.now.force
         lost = ~jnp.isfinite(qacc).all(-1, keepdims=True)
-        qacc, forces = jnp.where(lost, start, qacc), jnp.where(lost, forces, force.reshape(len(force), -1))
+        forces = jnp.where(lost | ~solution.done[:, None], memory.forces, force.reshape(len(force), -1))
+        qacc = jnp.where(lost, start, qacc)
         qpos, qvel = jax.vmap(lambda bodies, qacc: bodies.after(qacc, self._sim.physics.timestep_s))(bodies, qacc)
         top_force = self._top_force(contact, forces)
-        return StepResult(qpos, qvel, qacc, qacc, forces, top_force, iterations, landing)
+        memory, pauses = (Memory(forces, solution), ~solution.done) if self._pausing else (Memory(forces), None)
+        return StepResult(qpos, qvel, qacc, qacc, memory, top_force, solution.iterations, landing, pauses)
 
     def _ready(
         self, fields: dict[str, jax.Array], inputs: dict[str, jax.Array], faces: Faces | None, landing: Landing | None
@@ -117,7 +143,7 @@ class PaddedModel:
         accelerations of contacts, and the landing boxes."""
         model, links = self.model.tree_replace(fields), self._links
         bodies = Bodies.of(model, inputs)
-        data = mjx.collision(model, self._data.replace(**links.geom_places(bodies, model, inputs)))
+        data = collision(model, self._data.replace(**links.geom_places(bodies, model, inputs)))
         if faces is not None:
             data = self._beds.pressed(data, faces)
         contact, velocity = data._impl.contact, inputs["qvel"]
@@ -147,7 +173,7 @@ class PaddedModel:
         data, forces = jax.vmap(stepped)(fields, inputs, forces)
         top_force = self._top_force(data._impl.contact, forces)
         iterations = data._impl.solver_niter.reshape(len(forces))
-        return StepResult(data.qpos, data.qvel, data.qacc, data.qacc_warmstart, forces, top_force, iterations)
+        return StepResult(data.qpos, data.qvel, data.qacc, data.qacc_warmstart, Memory(forces), top_force, iterations)
 
     def _top_force(self, contact: Any, forces: Float[Array, "world constraint"]) -> Float[Array, "world box"]:
         """Force that presses on each box's top in the step, N."""

@@ -10,10 +10,8 @@ The functions are for one world; use them under ``jax.vmap``.
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any, Final, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -21,9 +19,6 @@ from jaxtyping import Array, Bool, Float
 from numpy.typing import NDArray
 
 from petmjx.engines.mjx.padded_template import CONTACTS_PER_PAIR, contact_geoms
-
-einsum: Final = partial(jnp.einsum, precision=jax.lax.Precision.HIGHEST)
-"""Einstein's sum. By default, GPUs round the factors of matrix products to 10 bits."""
 
 TINY: Final = mujoco.mjMINVAL
 """The smallest number by which MuJoCo divides (mjMINVAL)."""
@@ -57,7 +52,7 @@ class Bodies(NamedTuple):
         bodies, in world axes."""
         mass = self.mass.reshape(-1, 6)
         spin = self.velocity[:, 3:]
-        moment = einsum("bij,bi->bj", self.turn, wrenches[:, 3:]) - jnp.cross(spin, mass[:, 3:] * spin)
+        moment = jnp.einsum("bij,bi->bj", self.turn, wrenches[:, 3:]) - jnp.cross(spin, mass[:, 3:] * spin)
         linear = model.opt.gravity[None] + wrenches[:, :3] / mass[:, :3]
         return jnp.concatenate([linear, moment / mass[:, 3:]], axis=1).reshape(-1)
 
@@ -131,13 +126,13 @@ class Links:
             quat = jnp.concatenate([quat, normalized(inputs["mocap_quat"])])
         place, turn = jnp.concatenate([place, bodies.place]), jnp.concatenate([rotations(quat), bodies.turn])
         place, turn = place[self._body_of_geom], turn[self._body_of_geom]
-        return {"geom_xpos": place + einsum("gij,gj->gi", turn, model.geom_pos), "geom_xmat": turn}
+        return {"geom_xpos": place + jnp.einsum("gij,gj->gi", turn, model.geom_pos), "geom_xmat": turn}
 
     def along(self, jacobian: Float[Array, "pair constraint 12"], velocities: Velocities) -> Rows:
         """The Jacobian times these velocities or accelerations, that is, the rates of change of all rows."""
         of_bodies = jnp.pad(velocities.reshape(-1, 6), ((0, 1), (0, 0)))
         of_pairs = of_bodies[self.sides].reshape(-1, 12)
-        return einsum("prv,pv->pr", jacobian, of_pairs).reshape(-1, 3)
+        return jnp.einsum("prv,pv->pr", jacobian, of_pairs).reshape(-1, 3)
 
     def rows(self, bodies: Bodies, model: Any, contact: Any) -> ContactRows:
         """The rows of MJX's contacts."""
@@ -163,7 +158,7 @@ class Links:
         sign = np.array([-1.0, 1.0], np.float32)[None] * (sides < self.bodies)
         axes = contact.frame[:, None]
         arms = jnp.cross((contact.pos[:, None] - place)[:, :, None], axes)
-        both = jnp.concatenate([jnp.broadcast_to(axes, arms.shape), einsum("csri,csij->csrj", arms, turn)], axis=-1)
+        both = jnp.concatenate([jnp.broadcast_to(axes, arms.shape), jnp.einsum("csri,csij->csrj", arms, turn)], axis=-1)
         both *= jnp.where(closed[:, None], sign, 0.0)[:, :, None, None]
         return both.swapaxes(1, 2).reshape(len(self.sides), -1, 12)
 

@@ -3,14 +3,12 @@ room for the largest of them. The rules of docs/rules.md are computed on arrays,
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import closing
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,14 +17,14 @@ import numpy as np
 from petmjx.common.errors import is_out_of_memory
 from petmjx.common.machine import cpu_threads
 from petmjx.common.units import FloatArray
+from petmjx.engines.mjx.batch_run import BatchRun, EndedWorlds, Phase
 from petmjx.engines.mjx.batch_step import PaddedModel
 from petmjx.engines.mjx.free_bodies import paths
 from petmjx.engines.mjx.host_to_device import Batch, load
 from petmjx.engines.mjx.jax_setup import set_up_jax
 from petmjx.engines.mjx.outcomes import outcomes
 from petmjx.engines.mjx.padded_sizes import GRANULE, padded_rows, round_up
-from petmjx.engines.mjx.readback import readbacks_of
-from petmjx.engines.mjx.rollout import CHUNK_STEPS, BatchRollout, Program
+from petmjx.engines.mjx.rollout import BatchRollout, Program
 from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.timetable import build_timetable
 from petmjx.engines.mjx.world_constants import device_array
@@ -75,14 +73,6 @@ class ProgramKey:
     wraps: bool
 
 
-class Phase(NamedTuple):
-    """A phase of a batch: its program, the kind of its excitation (None: placement), and the table of profiles."""
-
-    program: Program
-    drive: str | None
-    profiles: jax.Array
-
-
 @dataclass
 class Group:
     """Jobs that can share a program.
@@ -91,24 +81,26 @@ class Group:
         indices: indices of the group's jobs that are not in a batch yet.
         capacity: number of boxes for which each world of a batch has room.
         profile_steps: number of steps of the longest profile.
+        rows: largest useful number of rows of a batch. All batches of the group have equal numbers of rows, so that all
+            can use one program.
     """
 
     indices: list[int]
     capacity: int
     profile_steps: int
+    rows: int
 
     @classmethod
     def of(cls, jobs: Sequence[Job], indices: list[int]) -> Group:
         """A group of jobs that may share a batch (``batch_groups``). ``indices``: the indices of these jobs."""
         alike = [jobs[index] for index in indices]
         steps = max(len(job.drive.excitation.samples) if job.drive else 0 for job in alike)
-        return cls(indices, round_up(max(job.scene.n_boxes for job in alike)), steps)
+        rows = max(padded_rows(len(indices)), FEWEST_WORLDS)
+        return cls(indices, round_up(max(job.scene.n_boxes for job in alike)), steps, rows)
 
     def take(self, most: int) -> list[int]:
-        """The indices of the jobs of the next batch, at most ``most``. Batches are of equal size, so that all can use
-        one program."""
-        count = math.ceil(len(self.indices) / math.ceil(len(self.indices) / most))
-        some, self.indices = self.indices[:count], self.indices[count:]
+        """The indices of the next jobs, at most ``most``."""
+        some, self.indices = self.indices[:most], self.indices[most:]
         return some
 
 
@@ -120,7 +112,7 @@ _kept: dict[tuple[type, ProgramKey], Program] = {}
 
 
 class MjxJaxEngine(Engine):
-    """Simulates worlds of similar size in batches. All worlds of a batch are stepped together until the last one ends.
+    """Simulates worlds of similar size in batches. Rows of worlds that have ended are given to waiting jobs.
 
     Boxes that are not yet placed hang in the air. So a batch keeps one model from its first step to its last.
 
@@ -144,10 +136,10 @@ class MjxJaxEngine(Engine):
         """The compiled programs that runs of this engine have used, by key."""
         self._running = RunLock(self.name)
 
-    def make_model(self, capacity: int, boards: int, sim: Simulation, *, held: bool) -> PaddedModel:
+    def make_model(self, capacity: int, boards: int, sim: Simulation, *, held: bool, pausing: bool) -> PaddedModel:
         """A model for worlds of up to ``capacity`` boxes and ``boards`` boards of the carrier. ``held``: whether the
-        carrier is clamped."""
-        return PaddedModel(capacity, boards, sim, held=held)
+        carrier is clamped; ``pausing``: whether worlds may pause."""
+        return PaddedModel(capacity, boards, sim, held=held, pausing=pausing)
 
     def paths(self, bodies: FreeBodies, sim: Simulation) -> FloatArray:
         """See ``Engine.paths``. At most ``lanes`` worlds are simulated at a time."""
@@ -165,58 +157,67 @@ class MjxJaxEngine(Engine):
             return
         sim = without_skin(sim)
         progress = progress or Progress()
-        with self._running, closing(self._batches(jobs, sim, progress)) as batches:
-            for batch_jobs, batch in batches:
-                picked = readbacks_of(np.arange(len(batch_jobs)), batch.table, batch.worlds, sim)
-                made = outcomes(picked, batch.jobs, batch_jobs, sim, batch.recorder)
+        with self._running, closing(self._ended_worlds(jobs, sim, progress)) as parts:
+            for picked, of_rows, indices, recorder in parts:
+                made = outcomes(picked, of_rows, indices, sim, recorder)
                 for count, outcome in enumerate(made, start=1):
-                    progress.at_hand = len(batch_jobs) - count
+                    progress.at_hand = len(indices) - count
                     yield outcome
 
-    def _batches(
+    def _ended_worlds(
         self, jobs: Sequence[Job], sim: Simulation, progress: Progress
-    ) -> Generator[tuple[list[int], Batch], None, None]:
-        """The batches that have ended, with the indices of their jobs. If memory runs out, batches are halved.
+    ) -> Generator[EndedWorlds, None, None]:
+        """Worlds that have ended, several at a time. If memory runs out, batches are halved.
 
         Each batch runs in a separate thread. If batches are single worlds, the caller's thread meanwhile loads the next
         worlds and compiles their programs. If batches are larger, as on a GPU, the caller's thread waits.
         """
         most, stop = 1 if self._one_by_one else self.lanes, threading.Event()
         threads = cpu_threads() if self._one_by_one else 1
-        waiting = [Group.of(jobs, alike) for alike in batch_groups(jobs)]
-        running: dict[Future[None], tuple[Group, list[int], Batch]] = {}
+        groups = [Group.of(jobs, alike) for alike in batch_groups(jobs)]
+        running: dict[Future[None], tuple[Group, BatchRun]] = {}
+
+        def simulation(group: Group, run: BatchRun) -> Future[None]:
+            def interrupts() -> bool:
+                return stop.is_set() or (run.refills and bool(group.indices) and len(run.ended()) >= run.at_once)
+
+            return pool.submit(run.simulate, interrupts, progress, self._counting)
+
         with ThreadPoolExecutor(threads, thread_name_prefix="petmjx-mjx-jax") as pool:
             try:
-                while waiting or running:
-                    while waiting and len(running) < (2 * threads if self._one_by_one else 1):
-                        group = waiting[0]
-                        some = group.take(most)
-                        waiting = waiting if group.indices else waiting[1:]
-                        batch = _load(jobs, some, min(max(padded_rows(len(some)), FEWEST_WORLDS), most), group, sim)
-                        simulation: Future[None] = Future()
+                while running or any(group.indices for group in groups):
+                    while len(running) < (2 * threads if self._one_by_one else 1):
+                        group = next((group for group in groups if group.indices), None)
+                        if group is None:
+                            break
+                        run = _load(jobs, group, min(group.rows, most), sim)
+                        begun: Future[None] = Future()
                         try:
-                            phases = self._phases(batch, sim, progress)
-                            simulation = pool.submit(self._simulate, batch, phases, progress, stop)
+                            run.phases = self._phases(run.batch, sim, progress)
+                            begun = simulation(group, run)
                         except Exception as error:
-                            simulation.set_exception(error)
-                        running[simulation] = group, some, batch
-                    for ended in wait(running, return_when=FIRST_COMPLETED).done:
-                        group, some, batch = running.pop(ended)
-                        if (failure := ended.exception()) is not None:
+                            begun.set_exception(error)
+                        running[begun] = group, run
+                    for future in wait(running, return_when=FIRST_COMPLETED).done:
+                        group, run = running.pop(future)
+                        if (failure := future.exception()) is not None:
                             if not (isinstance(failure, Exception) and is_out_of_memory(failure)):
                                 raise failure
                             self.programs.clear()
                             _kept.clear()
-                            room = len(batch.table.status)
+                            group.indices = [*run.indices.values(), *group.indices]
                             if most > 1:
-                                most = max(room // 2, 1)
+                                most = max(run.rows // 2, 1)
                                 progress.message = f"out of device memory: trying again with {most} worlds at once"
-                                waiting = waiting if group.indices else [group, *waiting]
-                                group.indices = some + group.indices
                                 continue
-                            batch = _load(jobs, some, room, group, sim)
-                            batch.give_up(np.arange(len(some)), Flag.OUT_OF_MEMORY)
-                        yield some, batch
+                            run = _load(jobs, group, 1, sim)
+                            run.batch.give_up(np.arange(1), Flag.OUT_OF_MEMORY)
+                        ended = run.take_ended()
+                        some = group.take(run.fitting(jobs[index] for index in group.indices))
+                        run.add({index: jobs[index] for index in some}, build_timetable(sim, group.capacity))
+                        if run.indices:
+                            running[simulation(group, run)] = group, run
+                        yield ended
             finally:
                 stop.set()
 
@@ -234,27 +235,6 @@ class MjxJaxEngine(Engine):
             phases.append(Phase(self._program(batch, sim, drive, profiles, progress), drive, profiles))
         return phases
 
-    def _simulate(self, batch: Batch, phases: list[Phase], progress: Progress, stop: threading.Event) -> None:
-        """Step the batch through its phases. The phase of the placement ends when no world is in its placement any
-        more, and the phase of the drive ends when no world is in its drive any more."""
-        worlds, capacity, _ = batch.worlds.half.shape
-        for program, drive, profiles in phases:
-            forces = program.model.no_forces(worlds)
-            going = (Status.RUNNING,) if drive is None else (Status.RUNNING, Status.SETTLED)
-            label = f"{'place' if drive is None else 'drive'} capacity {capacity}"
-            begin = time.perf_counter()
-            while not stop.is_set() and (running := int(np.isin(np.asarray(batch.table.status), going).sum())):
-                progress.message = f"{label}: {running} worlds running"
-                batch.table, forces, trail = program.chunk(batch.table, forces, batch.worlds, profiles)
-                if not batch.recorder.idle:
-                    batch.recorder.add_trail(trail)
-                with self._counting:
-                    progress.world_steps += running * CHUNK_STEPS
-            spent = f"{label} seconds"
-            with self._counting:
-                progress.extra[spent] = progress.extra.get(spent, 0) + time.perf_counter() - begin
-            progress.extra[f"{label} lanes"] = worlds
-
     def _program(
         self, batch: Batch, sim: Simulation, drive: str | None, profiles: jax.Array, progress: Progress
     ) -> Program:
@@ -268,9 +248,9 @@ class MjxJaxEngine(Engine):
         if key not in self.programs:
             progress.message = f"compiling for {worlds} worlds of up to {capacity} boxes"
             begin = time.perf_counter()
-            model = self.make_model(capacity, batch.boards, sim, held=drive == ACCELERATION)
+            model = self.make_model(capacity, batch.boards, sim, held=drive == ACCELERATION, pausing=worlds > 1)
             rules = Rules(sim, build_timetable(sim, capacity), capacity, drive is not None, carries)
-            arguments = batch.table, model.no_forces(worlds), batch.worlds, profiles
+            arguments = batch.table, model.blank_memory(worlds), batch.worlds, profiles
             chunk = BatchRollout(rules, model, gives, wraps).jitted().lower(*arguments).compile()
             self.programs[key] = _kept[type(self), key] = Program(model, chunk)
             for oldest in list(_kept)[:-MOST_KEPT]:
@@ -303,11 +283,12 @@ def batch_groups(jobs: Sequence[Job]) -> list[list[int]]:
     return [indices_by_key[key] for key in sorted(indices_by_key, key=lambda key: -key[0])]
 
 
-def _load(jobs: Sequence[Job], some: list[int], room: int, group: Group, sim: Simulation) -> Batch:
-    """A batch of the jobs ``some``, with ``room`` rows. Rows that are padding hold worlds that have already ended."""
+def _load(jobs: Sequence[Job], group: Group, rows: int, sim: Simulation) -> BatchRun:
+    """A batch of the next jobs of a group. Rows that are padding hold worlds that have already ended."""
+    some = group.take(rows)
     timetable = build_timetable(sim, group.capacity)
-    batch = load([jobs[index] for index in some], room, group.capacity, sim, timetable, (0, group.profile_steps))
+    batch = load([jobs[index] for index in some], rows, group.capacity, sim, timetable, (0, group.profile_steps))
     status = np.array(batch.table.status)
     status[len(some) :] = Status.FINISHED
     batch.table = batch.table._replace(status=device_array(status))
-    return batch
+    return BatchRun(batch, dict(enumerate(some)), sim, refills=rows > 1)

@@ -35,12 +35,12 @@ def _paths_of_batch(bodies: FreeBodies, sim: Simulation) -> FloatArray:
     if bodies.on_plane:
         worlds, boards = _without_carrier(worlds, boards), 0
     program = _program(sim, k, boards)
-    forces = program.model.no_forces(rows)
+    memory = program.model.blank_memory(rows)
     n_steps = 0
     if steps[0] == 0:
         poses[:, 0] = bodies.pose
     while n_steps < steps[-1]:
-        state, forces, trail = program.chunk(state, forces, worlds, jnp.zeros((1, 1, 3)))
+        state, memory, trail = program.chunk(state, memory, worlds, jnp.zeros((1, 1, 3)))
         chunk = np.asarray(trail.pose, np.float64)[:, :n]
         (column,) = np.nonzero((steps > n_steps) & (steps <= n_steps + len(chunk)))
         poses[:, column] = chunk[steps[column] - n_steps - 1].swapaxes(0, 1)

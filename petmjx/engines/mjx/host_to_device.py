@@ -6,7 +6,7 @@ import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +19,7 @@ from petmjx.engines.mjx.padded_sizes import PROFILE_GRANULE, padded_rows, round_
 from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.timetable import Timetable
 from petmjx.engines.mjx.world_constants import NEVER, Worlds, device_array, upload_worlds
-from petmjx.engines.mjx.world_state import State, Status, fresh_state
+from petmjx.engines.mjx.world_state import State, Status, fresh_state, put_rows
 from petmjx.engines.verdict import Flag
 from petmjx.options.simulation import Check, Schedule, Simulation
 from petmjx.world.free_bodies import FreeBodies
@@ -27,6 +27,11 @@ from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
 
 MOST_KEPT = 16
 """Number of results that ``_going_on`` (compiled programs) and ``_state_shapes`` each keep for later calls."""
+
+
+Table = TypeVar("Table", State, Worlds)
+
+_put = jax.jit(put_rows, donate_argnums=0)
 
 
 @dataclass
@@ -167,3 +172,17 @@ def _going_on(sim: Simulation, timetable: Timetable, width: int) -> Callable[[St
     width and timetable object."""
     going_on: Callable[[State, Worlds], State] = jax.jit(Rules(sim, timetable, width, driven=False).go_on_in_kernels)
     return going_on
+
+
+def put_into(table: Table, rows: NDArray[np.intp], values: Table, put: Callable[..., Table] = _put) -> Table:
+    """The table, with the first rows of ``values`` written into the rows ``rows``. The memory of the old table is
+    reused.
+
+    Args:
+        values: table with at least as many rows as ``rows`` has entries.
+        put: function that works like ``put_rows``.
+    """
+    length, end = len(jax.tree.leaves(values)[0]), len(jax.tree.leaves(table)[0])
+    padded = np.full(length, end, np.int32)  # rows beyond the end of the table are dropped
+    padded[: len(rows)] = rows
+    return put(table, device_array(padded), values)

@@ -1,5 +1,5 @@
-"""The rollout of a batch: all worlds take a step, and then the rules are applied. A compiled program takes many steps
-in one call."""
+"""The rollout of a batch: in each pass, all worlds take a step, and then the rules are applied. A compiled program
+makes many passes in one call."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float
 from petmjx.engines.metrics import RESTLESS_M_S, RISING_M_S2
 from petmjx.engines.mjx import box_motion as motion
 from petmjx.engines.mjx import film, hand
-from petmjx.engines.mjx.batch_step import PaddedModel
+from petmjx.engines.mjx.batch_step import Memory, PaddedModel
 from petmjx.engines.mjx.face_contacts import Faces
 from petmjx.engines.mjx.frame_recorder import Trail
 from petmjx.engines.mjx.jax_setup import compiler_options
@@ -21,11 +21,11 @@ from petmjx.engines.mjx.landing import Landing
 from petmjx.engines.mjx.padded_template import FIRST_BOX_BODY, override_fields
 from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.world_constants import Worlds
-from petmjx.engines.mjx.world_state import State
+from petmjx.engines.mjx.world_state import State, select_rows
 from petmjx.options.simulation import SOFT_START_STEPS
 
-CHUNK_STEPS = 25
-"""Number of steps in one call of a program. Between two calls, the host checks whether any world still runs."""
+CHUNK_PASSES = 25
+"""Number of passes in one call of a program. Between two calls, the host checks whether any world still runs."""
 
 
 @dataclass(frozen=True)
@@ -37,10 +37,10 @@ class Program:
 
 
 class BatchRollout:
-    """Runs chunks of steps of a batch, in placements or in drives (``rules.driven``).
+    """Runs chunks of passes of a batch, in placements or in drives (``rules.driven``).
 
-    A world that has ended stays unchanged while other worlds of the batch still run. ``gives``: whether there are
-    compliant boxes; ``wraps``: whether film holds boxes in drives.
+    In a pass, each world takes a step, unless the world has ended or pauses (``PaddedModel``). ``gives``: whether there
+    are compliant boxes; ``wraps``: whether film holds boxes in drives.
     """
 
     def __init__(self, rules: Rules, model: PaddedModel, gives: bool = False, wraps: bool = False) -> None:
@@ -53,26 +53,24 @@ class BatchRollout:
     def chunk(
         self,
         state: State,
-        forces: Float[Array, "world constraint"],
+        memory: Memory,
         worlds: Worlds,
         profiles: Float[Array, "profile step 3"],
-    ) -> tuple[State, Float[Array, "world constraint"], Trail]:
-        """The states and constraint forces after a chunk of steps, and the poses and forces in each step (``Trail``).
-        The trail (poses and forces in each step) is always kept: the program must be the same with and without a
-        recorder, since another program might round differently."""
+    ) -> tuple[State, Memory, Trail]:
+        """The states and the solver's memory after a chunk of passes, and the poses and forces in each pass
+        (``Trail``). The trail is always kept: the program must be the same with and without a recorder, since another
+        program might round differently."""
         held, physics = self.model.held, self.rules.sim.physics
         fields = override_fields(worlds, self.model.model, held=held, physics=physics, gives=self.gives)
         faces = Faces.of(worlds, fields["body_invweight0"][:, 1:, 0]) if self.gives else None
         if self.rules.driven:
             state = self.rules.begin_drives(state, worlds)
 
-        def body(
-            carry: tuple[State, Float[Array, "world constraint"]], _: None
-        ) -> tuple[tuple[State, Float[Array, "world constraint"]], Trail]:
-            before, forces = carry
-            after, forces, top_force = self._advance(before, forces, worlds, fields, profiles, faces)
+        def body(carry: tuple[State, Memory], _: None) -> tuple[tuple[State, Memory], Trail]:
+            before, memory = carry
+            after, memory, top_force = self._advance(before, memory, worlds, fields, profiles, faces)
             passed = Trail(
-                ran=before.running,
+                ran=after.step > before.step,
                 fresh=(after.last_placed_at == after.step) & (after.placed > before.placed),
                 number=after.step,
                 placed=after.placed,
@@ -81,23 +79,25 @@ class BatchRollout:
                 top_force=top_force,
                 carrier_pose=after.carrier_qpos,
             )
-            return (after, forces), passed
+            return (after, memory), passed
 
-        (state, forces), trail = jax.lax.scan(body, (state, forces), None, length=CHUNK_STEPS)
-        return state, forces, trail
+        # by default, GPUs round the factors of matrix products to 10 bits
+        with jax.default_matmul_precision("highest"):
+            (state, memory), trail = jax.lax.scan(body, (state, memory), None, length=CHUNK_PASSES)
+        return state, memory, trail
 
     def _advance(
         self,
         state: State,
-        forces: Float[Array, "world constraint"],
+        memory: Memory,
         worlds: Worlds,
         fields: dict[str, Float[Array, "world ..."]],
         profiles: Float[Array, "profile step 3"],
         faces: Faces | None,
-    ) -> tuple[State, Float[Array, "world constraint"], Float[Array, "world box"]]:
-        """Take one step in every world, and apply the rules. Returns states, constraint forces, and the forces on tops
-        in the step."""
-        rules, held = self.rules, self.model.held
+    ) -> tuple[State, Memory, Float[Array, "world box"]]:
+        """Take one step in every world that does not pause, and apply the rules. Returns states, the solver's memory,
+        and the forces on tops in the step."""
+        rules, held, unchanged = self.rules, self.model.held, state
         gravity, push = self._excitation(state, worlds, profiles)
         shown = rules.park(state)
         # Boxes in the air fall freely during the step. If the solver starts from free fall, it has nothing to solve for
@@ -128,7 +128,7 @@ class BatchRollout:
             inputs["mocap_pos"] = state.carrier_qpos[:, None, :3]
             inputs["mocap_quat"] = state.carrier_qpos[:, None, 3:]
         landing = Landing.of(state, worlds) if rules.sim.physics.has_landings else None
-        stepped = self.model.step({**fields, "opt.gravity": gravity}, inputs, forces, faces, landing)
+        stepped = self.model.step({**fields, "opt.gravity": gravity}, inputs, memory, faces, landing)
         if stepped.landing is not None:
             state = state._replace(landing_left=stepped.landing.left, landing_qvel=stepped.landing.before)
         running = state.running[:, None]
@@ -160,7 +160,9 @@ class BatchRollout:
         )
         presses = self._presses(before, worlds, jnp.maximum(seen_qacc[..., 2].max(-1), carrier_qacc[:, 2]))
         after = rules.after_step(state, worlds, seen_qpos, seen_qacc, stepped.top_force, presses)
-        return after, stepped.forces, stepped.top_force
+        if stepped.pauses is not None:
+            after = select_rows(stepped.pauses, unchanged, after)
+        return after, stepped.memory, stepped.top_force
 
     def _presses(self, before: State, worlds: Worlds, rising: Float[Array, " world"]) -> Bool[Array, " world"]:
         """(world,) whether the largest forces on tops include the forces of the step that follows the state ``before``,

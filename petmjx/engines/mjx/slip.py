@@ -2,16 +2,54 @@
 
 from __future__ import annotations
 
-from typing import Any
+from functools import partial
+from typing import Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from petmjx.engines.mjx.body_dynamics import ContactRows, Rows, Velocities
-from petmjx.engines.mjx.newton import BlockSolver, Problem
+from petmjx.engines.mjx.newton import BlockSolver, Iterate, Problem
+from petmjx.engines.mjx.world_state import put_rows, select_rows, take_rows
 from petmjx.options.physics import Physics
 from petmjx.world.contact_laws import ENOUGH_M_S2, MOST_ROUNDS, RELAXATION, STICKS_M_S, kinetic_share, slack_m_s2
+
+FEW_SHARE: Final = 4
+FEW_ITERATIONS: Final = 8
+"""In each pass of a batch, the solver makes one iteration in all worlds, which is enough for worlds at rest. Then the
+solver makes up to ``FEW_ITERATIONS`` further iterations in one in ``FEW_SHARE`` worlds: in few of the worlds of a batch
+do boxes land or fall, and a step of a world that collapses takes 12 iterations on average."""
+
+STEPS: Final = 16
+"""In a batch: number of steps that a line search evaluates at once. With 4 steps, some line searches find no step that
+is small enough, and the solver ends too early."""
+
+
+class Solution(NamedTuple):
+    """The solutions of a step, finished or not.
+
+    Attributes:
+        now: state of the solver in the present round.
+        excess: slip excess of each contact in the present round (petmjx/world/contact_laws.py), m/s².
+        rounds: number of completed rounds.
+        iterations: number of the solver's iterations in the completed rounds.
+        in_round: whether the present round has begun.
+        done: whether the solution is finished.
+    """
+
+    now: Iterate
+    excess: Float[Array, "world contact"]
+    rounds: Int[Array, " world"]
+    iterations: Int[Array, " world"]
+    in_round: Bool[Array, " world"]
+    done: Bool[Array, " world"]
+
+    @classmethod
+    def finished(cls, qacc: Float[Array, "world velocity"], rows: Float[Array, "world contact 3"]) -> Solution:
+        """Finished solutions with any values."""
+        none, no = jnp.zeros(len(qacc), jnp.int32), jnp.zeros(len(qacc), bool)
+        return cls(jax.vmap(Iterate.unvalued)(qacc, rows), rows[..., 0], none, none, no, ~no)
 
 
 class SlipLaw:
@@ -23,35 +61,47 @@ class SlipLaw:
         self._kinetic = kinetic_share(physics)
         self._solver = solver
 
-    def solve(
-        self, problem: Problem, pull: Float[Array, "world contact 3"], start: Float[Array, "world velocity"]
-    ) -> tuple[Float[Array, "world velocity"], Float[Array, "world contact 3"], Int[Array, " world"]]:
-        """The accelerations, the contact forces (N), and the number of the solver's iterations. All worlds are solved
-        again as long as contacts in any world need another round. A world that needs no further round keeps its
-        solution, so that its solution does not depend on the other worlds.
+    def begin(
+        self,
+        problem: Problem,
+        pull: Float[Array, "world contact 3"],
+        start: Float[Array, "world velocity"],
+        before: Solution | None = None,
+    ) -> Solution:
+        """The solutions ``before`` that are not finished; in all other worlds, solutions before the first round.
 
         Args:
-            problem, pull, start: see ``BlockSolver.solve``, for each world.
+            problem, pull, start: see ``BlockSolver.begin``, for each world.
         """
-        excess, slides = jax.vmap(self._begin)(problem, pull, start)
+        excess = jax.vmap(self._first_excess)(problem, pull, start)
+        begin = Solution.finished(start, pull)._replace(excess=excess, done=jnp.zeros(len(start), bool))
+        return begin if before is None else select_rows(before.done, begin, before)
 
-        def goes_on(carry: tuple[Any, ...]) -> Any:
-            rounds, needs_round = carry[:2]
-            return (rounds == 0) | ((rounds <= MOST_ROUNDS) & needs_round.any())
+    def solve(self, problem: Problem, pull: Float[Array, "world contact 3"], solution: Solution) -> Solution:
+        """Finished solutions."""
+        further = partial(self._further, problem, pull)
+        finished: Solution = jax.lax.while_loop(lambda solution: ~solution.done.all(), further, solution)
+        return finished
 
-        def again(carry: tuple[Any, ...]) -> tuple[Any, ...]:
-            rounds, needs_round, excess, start, force_before, iterations = carry
-            qacc, force, change, matters, more = jax.vmap(self._round)(problem, pull, start, excess, slides)
-            matters = matters & needs_round
-            qacc = jnp.where(needs_round[:, None], qacc, start)
-            force = jnp.where(needs_round[:, None, None], force, force_before)
-            excess = jnp.where(matters[:, None], excess + RELAXATION * change, excess)
-            return rounds + 1, matters, excess, qacc, force, iterations + needs_round * more
+    def solve_in_part(self, problem: Problem, pull: Float[Array, "world contact 3"], solution: Solution) -> Solution:
+        """Solutions after a pass of a batch. Some of them may not be finished."""
+        solution = self._further(problem, pull, solution, most=1, steps=STEPS)
+        waits = jnp.where(solution.done, -1, solution.iterations + solution.now.iterations)
+        rows = jnp.argsort(waits, descending=True)[: max(len(waits) // FEW_SHARE, 1)]
+        few = take_rows((problem, pull, solution), rows)
+        return put_rows(solution, rows, self._further(*few, most=FEW_ITERATIONS, steps=STEPS))
 
-        n, none = len(start), jnp.zeros(len(start), jnp.int32)
-        first: tuple[Any, ...] = (jnp.int32(0), jnp.ones(n, bool), excess, start, jnp.zeros_like(pull), none)
-        *_, qacc, force, iterations = jax.lax.while_loop(goes_on, again, first)
-        return qacc, force, iterations
+    def _further(
+        self, problem: Problem, pull: Float[Array, "world contact 3"], solution: Solution, **limits: int
+    ) -> Solution:
+        """Solutions after a round, or after the part of a round that these limits allow (``BlockSolver.improved``). A
+        finished solution stays the same, so that it does not depend on the other worlds."""
+
+        def of_world(problem: Problem, pull: Rows, solution: Solution) -> Solution:
+            return self._of_world(problem, pull, solution, **limits)
+
+        further: Solution = jax.vmap(of_world)(problem, pull, solution)
+        return further
 
     def with_friction(self, rows: ContactRows, velocity: Velocities) -> ContactRows:
         """One world's rows, with the friction of sliding contacts reduced."""
@@ -61,30 +111,32 @@ class SlipLaw:
         share = 1.0 - (1.0 - self._kinetic) * jnp.clip(slip / STICKS_M_S - 1.0, 0.0, 1.0)
         return rows._replace(sliding=rows.sliding * share[:, None])
 
-    def _round(
-        self,
-        problem: Problem,
-        pull: Rows,
-        start: Velocities,
-        excess: Float[Array, " contact"],
-        slides: Bool[Array, " contact"],
-    ) -> tuple[Velocities, Rows, Float[Array, " contact"], Bool[Array, ""], Int[Array, ""]]:
-        """Accelerations and forces of one world for these slip excesses (petmjx/world/contact_laws.py); the resulting
-        changes of the slip excesses, m/s²; whether another round is needed; and the number of iterations."""
-        friction = problem.sliding[:, 0]
-        qacc, force, residual, iterations = self._solver.solve(problem, pull.at[:, 0].add(-friction * excess), start)
-        dragged = _tangent(force / problem.stiffness)
-        change = jnp.where(slides, jnp.maximum(_tangent(residual) - dragged - self._slack, 0.0) - excess, 0.0)
-        return qacc, force, change, (friction * jnp.abs(change)).max() > ENOUGH_M_S2, iterations
+    def _of_world(self, problem: Problem, pull: Rows, solution: Solution, **limits: int) -> Solution:
+        friction, excess = problem.sliding[:, 0], solution.excess
+        begin = self._solver.begin(problem, pull.at[:, 0].add(-friction * excess), solution.now.qacc)
+        stays = solution.in_round | solution.done
+        now = jax.tree.map(lambda kept, new: jnp.where(stays, kept, new), solution.now, begin)
+        now = self._solver.improved(problem, now, **limits)
+        completes = self._solver.ends(problem, now) & ~solution.done
+        rounds = solution.rounds + completes
+        slides = _tangent(pull) > self._slack
+        resisted = _tangent(now.residual) - _tangent(now.force / problem.stiffness)
+        change = jnp.where(slides, jnp.maximum(resisted - self._slack, 0.0) - excess, 0.0)
+        matters = completes & ((friction * jnp.abs(change)).max() > ENOUGH_M_S2)
+        return Solution(
+            now=now,
+            excess=jnp.where(matters, excess + RELAXATION * change, excess),
+            rounds=rounds,
+            iterations=solution.iterations + now.iterations * completes,
+            in_round=~completes,
+            done=solution.done | (completes & ~(matters & (rounds <= MOST_ROUNDS))),
+        )
 
-    def _begin(
-        self, problem: Problem, pull: Rows, start: Velocities
-    ) -> tuple[Float[Array, " contact"], Bool[Array, " contact"]]:
-        """The initial slip excess of each contact of one world (petmjx/world/contact_laws.py), m/s², and whether the
-        contact slides."""
+    def _first_excess(self, problem: Problem, pull: Rows, start: Velocities) -> Float[Array, " contact"]:
+        """The slip excess of each contact of one world in the first round (petmjx/world/contact_laws.py), m/s²."""
         most = _tangent(pull) - self._slack
         beyond = _tangent(self._solver.links.along(problem.jacobian, start) - pull) - self._slack
-        return jnp.clip(beyond, 0.0, jnp.maximum(most, 0.0)), most > 0
+        return jnp.clip(beyond, 0.0, jnp.maximum(most, 0.0))
 
 
 def _tangent(rows: Rows) -> Float[Array, " contact"]:

@@ -179,6 +179,16 @@ def put_resized(table: State, rows: Int[Array, " row"], values: State) -> State:
     return written
 
 
+def select_rows(chosen: Bool[Array, " row"], one: Record, other: Record) -> Record:
+    """The rows of ``one`` where ``chosen`` is True, and the rows of ``other`` elsewhere."""
+
+    def select(a: Array, b: Array) -> Array:
+        return jnp.where(chosen.reshape(-1, *[1] * (a.ndim - 1)), a, b)
+
+    selected: Record = jax.tree.map(select, one, other)
+    return selected
+
+
 def take_rows(record: Record, rows: Int[Array, " row"]) -> Record:
     """Rows of a record, in the order of ``rows``. For an out-of-range row, the result is some valid row."""
     selected: Record = jax.tree.map(lambda a: jnp.take(a, rows, axis=0, mode="clip"), record)

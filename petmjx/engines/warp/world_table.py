@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.engines.mjx.host_to_device import Batch, tables
+from petmjx.engines.mjx.host_to_device import Batch, put_into, tables
 from petmjx.engines.mjx.padded_sizes import padded_rows
 from petmjx.engines.mjx.scene_rows import more_shapes
 from petmjx.engines.mjx.timetable import Timetable, build_timetable
 from petmjx.engines.mjx.world_constants import NEVER, Worlds, device_array
-from petmjx.engines.mjx.world_state import State, Status, put_resized, put_rows, take_rows
+from petmjx.engines.mjx.world_state import State, Status, put_resized, take_rows
 from petmjx.engines.protocol import Progress
 from petmjx.engines.verdict import Flag
 from petmjx.engines.warp.kernel_features import KernelFeatures, size_of
@@ -26,29 +26,12 @@ from petmjx.world.job import Excitation, Job
 
 OVERFLOW_BITS = int(Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW | Flag.OTHER_OVERFLOW)
 
-Table = TypeVar("Table", State, Worlds)
-
-_put = jax.jit(put_rows, donate_argnums=0)
 _take, _put_resized = jax.jit(take_rows), jax.jit(put_resized, donate_argnums=0)
 
 
 @partial(jax.jit, donate_argnums=0)
 def _put_profiles(profiles: jax.Array, rows: jax.Array, samples: jax.Array) -> jax.Array:
     return profiles.at[rows].set(samples)
-
-
-def _put_into(table: Table, rows: NDArray[np.intp], values: Table, put: Callable[..., Table] = _put) -> Table:
-    """The table, with the first rows of ``values`` written into the rows ``rows``. The memory of the old table is
-    reused.
-
-    Args:
-        values: table with at least as many rows as ``rows`` has entries.
-        put: function that works like ``put_rows``.
-    """
-    length, end = len(jax.tree.leaves(values)[0]), len(jax.tree.leaves(table)[0])
-    padded = np.full(length, end, np.int32)  # rows beyond the end of the table are dropped
-    padded[: len(rows)] = rows
-    return put(table, device_array(padded), values)
 
 
 @dataclass
@@ -169,8 +152,8 @@ class WorldTable(Batch):
             some, rows = jobs[first : first + at_once], free[first : first + at_once]
             width, sim, timetable = self.table.qpos.shape[1], self.run.sim, self.run.timetable
             worlds, states = tables(some, at_once, width, self.profile_rows, sim, timetable, self.boards)
-            self.worlds = _put_into(self.worlds, rows, self.run.with_most_steps(worlds, some))
-            self.table = _put_into(self.table, rows, states)
+            self.worlds = put_into(self.worlds, rows, self.run.with_most_steps(worlds, some))
+            self.table = put_into(self.table, rows, states)
         for row, job, stream_number in zip(free.tolist(), jobs, stream_numbers, strict=False):
             if row < len(self.jobs):
                 self.jobs[row], self.stream_numbers[row] = job, stream_number
@@ -227,7 +210,7 @@ class WorldTable(Batch):
         """Let worlds of another table continue in the first rows, which already have their jobs. The two tables may
         have different numbers of box columns, but both have enough columns for these worlds."""
         rows = np.arange(len(running.jobs))
-        self.table = _put_into(self.table, rows, running.states, _put_resized)
+        self.table = put_into(self.table, rows, running.states, _put_resized)
 
     def retry(self, rows: NDArray[np.int64]) -> None:
         """Prepare worlds that overflowed their buffers to continue with larger buffers. Each flag of overflow is
