@@ -16,6 +16,8 @@ import jax.numpy as jnp
 import mujoco
 from jaxtyping import Array, Bool, Float, Int
 
+from petmjx.engines.mjx.mjx_import import mjx
+
 PAIRS_PER_GEOM: Final = 2
 """Number of pairs, per geom of the world, that are passed to MJX's collider for two boxes at a time."""
 
@@ -31,8 +33,12 @@ Collider = Callable[[Int[Array, "pair 2"]], Contacts]
 
 
 def collision(model: Any, data: Any) -> Any:
-    """The data with the contacts that ``mjx.collision`` (MuJoCo 3.17) finds."""
-    from mujoco.mjx._src.collision_driver import _COLLISION_FUNC, _contact_groups
+    """The data with the contacts that ``mjx.collision`` (MuJoCo 3.17) finds. Another version of MJX may lack the
+    private functions that this needs. Then its collider gets all pairs."""
+    try:
+        from mujoco.mjx._src.collision_driver import _COLLISION_FUNC, _contact_groups
+    except ImportError:
+        return mjx.collision(model, data)
 
     at_once, groups = PAIRS_PER_GEOM * model.ngeom, []
     for key, contact in _contact_groups(model, data).items():
