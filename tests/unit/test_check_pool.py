@@ -221,11 +221,12 @@ def test_copies_of_a_process_run_beside_each_other_and_end_with_it() -> None:
             plan = make_plan(f"{k}", stack(2))
             one.tasks.put(pickle.dumps([Search(plan, SIM, RepairOptions(worlds=0))]))
         for k, one in enumerate(copies):
-            ((_, (asked,)),), has_ended = one.answers.get(timeout=60)
-            assert (asked.draft.plan.plan_id, has_ended) == (f"{k}", False)
+            message = one.answers.get(timeout=60)
+            ((_, (asked,)),) = message.requests
+            assert (asked.draft.plan.plan_id, message.ended, message.searches) == (f"{k}", [], None)
         copies[0].end()
-        (search,), has_ended = copies[0].answers.get(timeout=60)
-        assert (search.plan.plan_id, search.complete, has_ended) == ("0", False, True)
+        (search,) = copies[0].answers.get(timeout=60).searches
+        assert (search.plan.plan_id, search.complete) == ("0", False)
         assert forks._popen is not None
         os.killpg(forks._popen.pid, signal.SIGKILL)
         for one in (*copies, forks.fork()):
