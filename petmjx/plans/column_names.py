@@ -624,12 +624,16 @@ def _meaning(name: str) -> ColumnMeaning | None:
     return ColumnMeaning(kind, unit=unit, axis=index, of_container=contained and kind in ("quantity", "volume"))
 
 
+_ANGLE_UNITS: Final = word_set("deg degree degrees grad rad radian radians")
+
+
 def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> ColumnMeaning | None:
     """The meaning of a name for a size or a coordinate; None if the name means something else."""
     words, context = set(tail), set(path)
     everything = words | context
     placed = bool(everything & (_PLACED | _ORIENTED))
     half = bool(everything & HALF_WORDS)
+    tail = tail[:-1] if len(tail) > 1 and tail[-1] in _ANGLE_UNITS else tail  # "rz_deg"
     last = tail[-1]
     primed = last == "'" and len(tail) > 1
     if primed:

@@ -228,9 +228,15 @@ def _by_lines(boxes: BoxList, lines: Sequence[int]) -> BoxList:
 def _members(
     value: Any, path: str, place: str, around: tuple[tuple[str, Mapping[str, Any]], ...], depth: int
 ) -> Iterator[tuple[str, NestedBox]]:
-    """Yield (path, member) for each object in each list inside a value."""
+    """Yield (path, member) for each object in each list inside a value.
+
+    Raises:
+        InputError: a field with a list or an object is repeated, so that boxes of the first one would be lost.
+    """
     if depth > _DEEPEST:
         return
+    if isinstance(value, DuplicateFieldObject) and isinstance(value[value.field], Mapping | list):
+        raise InputError(f"{place}{place and ': '}{printable_name(value.field)} stands twice")
     if isinstance(value, Mapping):
         if (rows := rows_by_column(value)) is not None:
             for index, row in enumerate(rows):
