@@ -272,3 +272,11 @@ def test_a_repeated_id_of_plans_is_noted(tmp_path: Path) -> None:
     content = table("plan,x,y,z,length,width,height,kg", rows)
     reading = load(tmp_path, "a.csv", content, units="mm", up="z").readings[str(tmp_path / "a.csv")]
     assert "rows of A stand apart, and boxes overlap: two plans with one name?" in reading.notes
+
+
+def test_numbers_of_sap_are_a_packing_order(tmp_path: Path) -> None:
+    header = "LfdNr,X,Y,Z,Länge mm,Breite mm,Höhe mm,Bruttogew"
+    rows = [(f"{10 * k:05}", *box) for k, box in enumerate(PILE, start=1)]
+    plan_set = load(tmp_path, "a.csv", table(header, rows[::-1]), units="kg")
+    check(plan_set)
+    assert not plan_set.notes
