@@ -37,7 +37,7 @@ from petmjx.plans.size_and_place_columns import (
 )
 from petmjx.plans.turn_columns import Turns, are_yes_or_no, turns_of
 
-GROSS: Final = word_set("gross brutto bruttogewicht bruto brut lordo")
+GROSS: Final = word_set("gross brutto bruttogewicht bruttogew bruto brut lordo")
 """Words for gross weights, which are preferred to net weights."""
 _SECOND_SIZES: Final = 0.5
 """A table may have two sets of columns for the sizes of boxes. A reading with the sizes of the second set costs this

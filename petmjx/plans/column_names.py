@@ -152,7 +152,7 @@ _UNPLACED: Final = word_set(
 _WORDS: Final[dict[Kind, frozenset[str]]] = {
     "weight": word_set(
         "weight weights mass masses masse gewicht gew poids peso pesos waga masa ciezar wt wg wgt bruttogewicht kg "
-        "agirlik hmotnost vaha vaegt vekt vikt paino suly greutate tezina brgew"
+        "agirlik hmotnost vaha vaegt vekt vikt paino suly greutate tezina brgew bruttogew nettogew"
     ),
     "density": word_set("density dichte densite densidad densita gestosc"),
     "volume": word_set("volume vol volumen volumes objetosc objem kubatur"),
@@ -553,7 +553,7 @@ def _numbered_sizes(names: Sequence[str]) -> Iterator[tuple[str, int, bool]]:
 _COUNTER: Final = re.compile(
     r"^(?:#|n|nr|no|num|number|numer|numero|nummer|numbering|lfd|laufende|lp|l p|index|idx|i|k|pick|picked|picking|pos|"
     r"position|posizione|posicion|pozycja|seq|ordine|ordre|orden|ordem|sira|order|place|placed|packed|loaded|stacked|poradi|rang|rank|"
-    r"count|counter|cislo|c|row|line|zeile|volgorde|volgnummer|reihe)(?: (?:nr|no|num|nummer|number|deg))?$"
+    r"count|counter|cislo|c|row|line|zeile|volgorde|volgnummer|reihe|lfdnr)(?: (?:nr|no|num|nummer|number|deg))?$"
 )
 
 
@@ -624,12 +624,16 @@ def _meaning(name: str) -> ColumnMeaning | None:
     return ColumnMeaning(kind, unit=unit, axis=index, of_container=contained and kind in ("quantity", "volume"))
 
 
+_ANGLE_UNITS: Final = word_set("deg degree degrees grad rad radian radians")
+
+
 def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> ColumnMeaning | None:
     """The meaning of a name for a size or a coordinate; None if the name means something else."""
     words, context = set(tail), set(path)
     everything = words | context
     placed = bool(everything & (_PLACED | _ORIENTED))
     half = bool(everything & HALF_WORDS)
+    tail = tail[:-1] if len(tail) > 1 and tail[-1] in _ANGLE_UNITS else tail  # "rz_deg"
     last = tail[-1]
     primed = last == "'" and len(tail) > 1
     if primed:

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,11 +33,14 @@ from petmjx.plans.placed_boxes import (
 )
 from petmjx.plans.placement_table import RefusedPlan, Table, as_column
 from petmjx.plans.plan_rows import PalletSearch, packing_order, plan_names, repeated_number
-from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
+from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, overlap
 from petmjx.plans.raw_tables import BoxList, names_with_lost_rows, row_number, rows_by_name
 from petmjx.plans.reading_candidates import Candidate
 from petmjx.plans.reading_choice import choose_reading
 from petmjx.plans.readings import AmbiguousFile, Reading, Wishes
+
+_MOST_COMPARED: Final = 3000
+"""Largest number of boxes of a plan that are compared in pairs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +83,7 @@ class PlanBuilder:
             )
         self._note_quantities()
         size, low = placed_boxes(self.columns, reading, candidate, plans, self.wishes, self.notes)
+        self._note_plans_apart(plans, size, low)
         for row in rows_below_deck(low, plans, size):
             self.faults.setdefault(row, height_fault(reading, candidate, row))
         self.decks = pallet_rows(self.columns, plans, size, low)
@@ -216,6 +220,27 @@ class PlanBuilder:
                 for number, article in zip(numbers, articles, strict=True)
             ):
                 self.notes.append(f"{printable_name(name)} is above 1 in some rows, but each row is read as one box")
+
+    def _note_plans_apart(self, plans: Mapping[str, NDArray[np.int64]], size: FloatArray, low: FloatArray) -> None:
+        """Add a note about plans whose rows stand apart in a table, with rows of other plans between them, if boxes of
+        one group of rows overlap those of another: two plans may have the same name."""
+        apart = []
+        for name, rows in plans.items():
+            group = np.cumsum(np.diff(rows, prepend=rows[0]) > 1)
+            if group[-1] > 0 and len(rows) <= _MOST_COMPARED:
+                corner = low[rows].T
+                pairs = np.logical_and.reduce(
+                    [
+                        overlap(begin, begin + side, DEFAULT_TOLERANCE_MM)
+                        for begin, side in zip(corner, size[rows].T, strict=True)
+                    ]
+                )
+                if (pairs & (group[:, None] != group)).any():
+                    apart.append(name)
+        if apart:
+            self.notes.append(
+                f"rows of {first_names(apart, 3)} stand apart, and boxes overlap: two plans with one name?"
+            )
 
     def _place_of(self, row: int) -> str:
         """The place of a row in the file, with the name of its box."""

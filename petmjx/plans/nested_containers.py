@@ -200,17 +200,7 @@ def plan_names_of(members: Sequence[NestedBox], articles: Collection[int]) -> li
     Args:
         articles: Python's ``id`` of each object that is an article (``articles_around``).
     """
-    depth = max((len(member.around) for member in members), default=0)
-    levels = [
-        [member.around[level] if level < len(member.around) else ("", {}) for member in members]
-        for level in range(depth)
-    ]
-    several = [
-        level
-        for level in levels
-        if len({id(holder) for _, holder in level}) > 1
-        and not (_is_part(level[0][0]) or all(id(holder) in articles for _, holder in level))
-    ]
+    several = _levels_of_plans(members, articles)
     if not several:
         return [_only_name(members[0].around)] * len(members) if members else []
     names = []
@@ -220,6 +210,41 @@ def plan_names_of(members: Sequence[NestedBox], articles: Collection[int]) -> li
         by_holder = dict(zip(distinct, labels, strict=True))
         names.append([by_holder[id(holder)] for _, holder in level])
     return ["/".join(filter(None, parts)) for parts in zip(*names, strict=True)]
+
+
+def _levels_of_plans(
+    members: Sequence[NestedBox], articles: Collection[int]
+) -> list[list[tuple[str, Mapping[str, Any]]]]:
+    """The levels of nesting at which members are in several objects that are no layers, stacks or articles. Each level
+    has the object around each member, and the object's path."""
+    depth = max((len(member.around) for member in members), default=0)
+    levels = [
+        [member.around[level] if level < len(member.around) else ("", {}) for member in members]
+        for level in range(depth)
+    ]
+    return [
+        level
+        for level in levels
+        if len({id(holder) for _, holder in level}) > 1
+        and not (_is_part(level[0][0]) or all(id(holder) in articles for _, holder in level))
+    ]
+
+
+def repeated_ids(members: Sequence[NestedBox], articles: Collection[int]) -> list[str]:
+    """Ids that several plans have, with the names of their fields ("id 7"). Such plans are named by their numbers. If
+    pallets are in several orders, they may have the same ids in each order, so the list is empty."""
+    levels = _levels_of_plans(members, articles)
+    if len(levels) != 1:
+        return []
+    holders = list({id(holder): (step, holder) for step, holder in levels[0]}.values())
+    ids: Counter[str] = Counter()
+    for name, (_, holder) in zip(_names_of(holders), holders, strict=True):
+        texts = {field: _name_text(holder.get(field)) for field in _NAMES}
+        if name not in texts.values():
+            ids.update(
+                [f"{field} {text}" for field, text in texts.items() if text and field.lower().endswith("id")][:1]
+            )
+    return [text for text, count in ids.items() if count > 1]
 
 
 def _is_part(step: str) -> bool:

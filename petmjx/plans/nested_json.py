@@ -31,6 +31,7 @@ from petmjx.plans.nested_containers import (
     fields_of_article,
     fields_of_part,
     plan_names_of,
+    repeated_ids,
 )
 from petmjx.plans.nested_fields import LEAST_NUMBERS, flattened, rows_by_column, rows_of_numbers
 from petmjx.plans.raw_tables import MOST_ROWS, BoxList, RawTable, flags_unplaced, not_placed, united
@@ -228,9 +229,15 @@ def _by_lines(boxes: BoxList, lines: Sequence[int]) -> BoxList:
 def _members(
     value: Any, path: str, place: str, around: tuple[tuple[str, Mapping[str, Any]], ...], depth: int
 ) -> Iterator[tuple[str, NestedBox]]:
-    """Yield (path, member) for each object in each list inside a value."""
+    """Yield (path, member) for each object in each list inside a value.
+
+    Raises:
+        InputError: a field with a list or an object is repeated, so that boxes of the first one would be lost.
+    """
     if depth > _DEEPEST:
         return
+    if isinstance(value, DuplicateFieldObject) and isinstance(value[value.field], Mapping | list):
+        raise InputError(f"{place}{place and ': '}{printable_name(value.field)} stands twice")
     if isinstance(value, Mapping):
         if (rows := rows_by_column(value)) is not None:
             for index, row in enumerate(rows):
@@ -351,6 +358,8 @@ def _box_list(path: str, members: Sequence[NestedBox]) -> BoxList | None:
     places = [members[number].place or f"[{number}]" for number in box_members]
     table = RawTable(header, rows, places, decimal_of(rows) or "", title=path, has_header=not numbered)
     parts = plan_names_of([members[number] for number in box_members], articles)
+    if ids := repeated_ids([members[number] for number in box_members], articles):
+        notes.append(f"plans are numbered: several have {first_names(ids)}")
     containers: dict[str, Mapping[str, float]] = {}
     for number, part in zip(box_members, parts, strict=True):
         if part not in containers:

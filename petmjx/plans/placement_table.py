@@ -52,6 +52,8 @@ _NUMBER: Final = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"
 _SHORT_WHOLE: Final = r"^[+-]?(\d{1,18}|[1-8]\d{18})$"
 _WHOLE: Final = re.compile(r"[+-]?[0-9]+")
 _MOST_EXACT: Final = 2.0**53
+WIDE_STEP: Final = 10
+"""Programs such as SAP number rows 10, 20, 30 …, so that rows can be inserted later."""
 """Largest n for which float64 represents all whole numbers from 0 to n exactly."""
 
 
@@ -502,7 +504,8 @@ class _TableReader:
     def _plan(self, plan_id: str, begin: int, end: int) -> PlanFields:
         sorted_, rows = self._sorted, slice(begin, end)
         numbers = sorted_["number"][rows]
-        if numbers[0] not in (0, 1) or numbers[-1] - numbers[0] != len(numbers) - 1:
+        step = WIDE_STEP if numbers[0] == WIDE_STEP and not (numbers % WIDE_STEP).any() else 1
+        if numbers[0] not in (0, step) or numbers[-1] - numbers[0] != step * (len(numbers) - 1):
             self.gaps.append(plan_id)
         names = {name: tuple(sorted_[name][rows].tolist()) for name in _TEXTS if name in sorted_}
         groups, materials = (names.get(name, ()) for name in ("product_group", "material"))

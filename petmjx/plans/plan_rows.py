@@ -18,6 +18,7 @@ from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.cell_numbers import cell_text
 from petmjx.plans.column_extraction import IGNORED
 from petmjx.plans.column_names import PALLET_WORDS, may_count, words_of
+from petmjx.plans.placement_table import WIDE_STEP
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, gaps_mm
 from petmjx.plans.plausibility import n_before_support
 from petmjx.plans.raw_tables import rows_by_name
@@ -171,7 +172,7 @@ def packing_order(
     possible = _can_be_placed(order, low, size)
     for name, values in columns.counters.items():
         counted = values[rows]
-        if np.isnan(counted).any() or not _counts_all(counted) or not (np.diff(counted) != 1).any():
+        if np.isnan(counted).any() or not _counts_all(counted) or not (np.diff(counted) < 0).any():
             continue  # some boxes have no number, or the numbers only repeat the order of the rows
         if not _can_be_placed(counted, low, size):
             continue
@@ -210,7 +211,9 @@ def repeated_number(columns: BoxColumns, rows: NDArray[np.int64]) -> str | None:
 
 
 def _counts_all(values: FloatArray) -> bool:
-    """Whether the n numbers are 0, 1, … n − 1 or 1, 2, … n, each once and in any order."""
+    """Whether the n numbers are 0, 1, … n − 1 or 1, 2, … n or 10, 20, … 10 n, each once and in any order."""
+    if values.min() == WIDE_STEP:
+        values = values / WIDE_STEP
     return bool((np.sort(values) - np.arange(len(values)) == min(max(float(values.min()), 0.0), 1.0)).all())
 
 

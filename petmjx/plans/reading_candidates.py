@@ -32,6 +32,16 @@ _PERMUTATIONS: Final = np.array(list(permutations(range(3))))
 in alphabetical order, as in files of other programs: 0 is XYZ, 1 is XZY, and so on (``ROTATION_RULES``)."""
 _ANCHOR_PRIOR: Final = {"corner": 0.0, "centre": 1.0, "base-centre": 1.8, "far-corner": 2.5, "top-centre": 3.0}
 _OTHER_CORNER_COST: Final = 3.0  # cost of a reading with coordinates of a corner that is not in ``_ANCHOR_PRIOR``
+_OF_GRIPPERS: Final = word_set("gripper greifer tcp")
+_GRIPPER_PRIOR: Final = [
+    ("top-centre", 0.0),
+    ("centre", 1.0),
+    ("base-centre", 1.8),
+    ("corner", 2.5),
+    ("far-corner", 3.0),
+]
+"""Words in names of coordinates that mean a robot's gripper, and the costs of anchors for such coordinates: a gripper
+holds a box at the middle of its top."""
 _GUESSED_TURNS: Final = 2.0
 """Cost of a reading in which a column of unknown meaning has rotations."""
 _TURNED_ARRAY: Final = 0.6
@@ -206,6 +216,8 @@ def candidates(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
                         continue
                     for anchor, anchor_prior in _anchors(geometry, form.anchor, wishes):
                         prior = geometry.prior + up_prior + pair_prior + rule_prior + anchor_prior
+                        if rule == "degrees":
+                            prior += pair_prior  # angles are counted from boxes whose length lies along x
                         if geometry.turn is not None and not wishes.rule:
                             if anchor == "centre" or (geometry.turn == np.eye(3)).all():
                                 if rule == POSES[1]:
@@ -375,8 +387,10 @@ def _rules(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tupl
     placed = _FIRM_COST if named_rule == "item" else 0.0
     turned = _FIRM_COST if named_rule == "placed" else 0.0
     if not named_rule:
-        hint = _sizes_by_article(columns, geometry) or _sizes_by_length(columns, geometry)
-        hint = hint or _sizes_by_name(columns, geometry)
+        hint = _sizes_by_article(columns, geometry)
+        if not hint:
+            hints = {_sizes_by_length(columns, geometry), _sizes_by_name(columns, geometry)} - {""}
+            hint = hints.pop() if len(hints) == 1 else ""  # hints that contradict each other decide nothing
         placed, turned = placed + (2.5 if hint == "item" else 0.0), turned + (2.5 if hint == "placed" else 0.0)
     return [("none", placed), *((rule, prior + turned) for rule, prior in rules)]
 
@@ -405,8 +419,9 @@ def _sizes_by_article(columns: BoxColumns, geometry: Geometry) -> str:
 
 
 _LEAST_BY_LENGTH: Final = 3
-"""Least number of turned boxes, and of unturned boxes, with different lengths and widths. With fewer such boxes,
-lengths and widths do not show whether sizes are given for placed boxes or for items."""
+"""Least number of turned boxes, and of unturned boxes, with different lengths and widths; of kinds of such boxes, if no
+kind is both turned and unturned. With fewer of them, lengths and widths do not show whether sizes are given for placed
+boxes or for items."""
 _LONGER_SHARE: Final = 0.9
 """Lengths and widths show whether sizes are given for placed boxes or for items only if the length exceeds the width in
 at least this share of the unturned boxes."""
@@ -422,9 +437,12 @@ def _sizes_by_length(columns: BoxColumns, geometry: Geometry) -> str:
     length, width = (geometry.size[:, geometry.axes.index(side)] for side in ("length", "width"))
     is_turned = turns.codes % 2 == 1 if turns.letters is None else turns.letters[:, 0] == geometry.axes.index("width")
     differ = np.isfinite(length - width) & (length != width)
+    kind = length * width + 1j * geometry.size.sum(axis=1)  # equal for boxes of equal sizes with the same side up
+    is_mixed = np.isin(kind[is_turned & differ], kind[~is_turned & differ]).any()
     shares = []
     for group in (is_turned & differ, ~is_turned & differ):
-        if np.count_nonzero(group) < _LEAST_BY_LENGTH:
+        # if no item is both turned and unturned, many boxes of one item are no more evidence than one box
+        if len(kind[group] if is_mixed else np.unique(kind[group])) < _LEAST_BY_LENGTH:
             return ""
         shares.append(float(np.mean(length[group] > width[group])))
     turned_share, unturned_share = shares
@@ -434,8 +452,9 @@ def _sizes_by_length(columns: BoxColumns, geometry: Geometry) -> str:
 
 
 _OF_ITEMS: Final = word_set("item article sku product original nominal unrotated")
-_OF_YAWS: Final = word_set("yaw theta heading azimuth psi")
-"""Words in names of sizes, and in the name of a column of rotations, that mean sizes before the box is turned."""
+_OF_YAWS: Final = word_set("yaw theta heading azimuth psi rx ry rz x y z")
+"""Words in names of sizes, and in the name of a column of rotations, that mean sizes before the box is turned. An angle
+about an axis ("rz", "rot_z") turns a box whose sizes are known without it."""
 
 
 def _sizes_by_name(columns: BoxColumns, geometry: Geometry) -> str:
@@ -454,6 +473,8 @@ def _anchors(geometry: Geometry, known: str, wishes: Wishes) -> list[tuple[str, 
         return [(geometry.anchor, 0.0)]
     if geometry.turn is not None and not known:
         return [("centre", 0.0), ("base-centre", 1.2), ("corner", 1.8), ("top-centre", 2.4)]
+    if not known and _OF_GRIPPERS.intersection(*(words_of(geometry.columns.get(axis, "")) for axis in XYZ)):
+        return _GRIPPER_PRIOR
     if known:
         return [(anchor, 0.0 if anchor == known else _FIRM_COST + prior) for anchor, prior in _ANCHOR_PRIOR.items()]
     return list(_ANCHOR_PRIOR.items())

@@ -200,6 +200,22 @@ def test_sizes_of_items_are_those_before_turning(tmp_path: Path) -> None:
     assert [plan.size_mm[:, 0].tolist() for plan in (*joined, *by_yaw)] == [sizes] * 2
 
 
+def test_an_angle_about_an_axis_turns_items(tmp_path: Path) -> None:
+    """Sizes as placed would lie as well. Five turned boxes of one kind are no evidence that turned boxes are wider than
+    long. A gripper holds the middle of the top."""
+    rows = [(200 + 400 * k, 150 + 300 * row, 250, 0, 400, 300, 250, 8) for k in range(3) for row in range(2)]
+    rows += [(600, 300, 250 + 300 * k, 90, 200, 300, 300, 9) for k in range(1, 6)]
+    content = table("gripper_x,gripper_y,gripper_z,rz_deg,length_mm,width_mm,height_mm,kg", rows)
+    (plan,) = load(tmp_path, "angles.csv", content).plans
+    assert plan.size_mm[-1].tolist() == [300, 200, 300]
+    assert plan.corner_mm[-1].tolist() == [450, 200, 1450]
+    (refused,) = load(tmp_path, "angles.csv", content.replace("rz_deg", "rotation")).skipped
+    assert "--sizes" in refused.message
+    turned = table("gripper_x,gripper_y,gripper_z,rz_deg,length_mm,width_mm,height_mm,kg", rows[6:])
+    (plan,) = load(tmp_path, "turned.csv", turned, sizes="item").plans
+    assert plan.size_mm.tolist() == [[300, 200, 300]] * 5
+
+
 def test_sheets_with_other_names_of_columns_are_one_file(tmp_path: Path) -> None:
     """The second sheet lacks the packing order."""
     book = openpyxl.Workbook()
@@ -239,3 +255,28 @@ def test_damaged_values(tmp_path: Path, fault: str) -> None:
     plan_set = load(tmp_path, "a.txt" if content == PRINTED else "a.csv", content, units="mm", up="z")
     assert not plan_set.plans
     assert fault in plan_set.skipped[0].message
+
+
+def test_a_repeated_key_of_plans_is_named(tmp_path: Path) -> None:
+    box = json.dumps([dict(zip(("x", "y", "z", "length", "width", "height", "kg"), PILE[0], strict=True))])
+    (refused,) = load(tmp_path, "a.json", f'{{"p": {box}, "p": {box}}}', units="mm").skipped
+    assert refused.message.endswith("a.json: p stands twice")
+
+
+def test_a_repeated_id_of_plans_is_noted(tmp_path: Path) -> None:
+    box = dict(zip(("x", "y", "z", "length", "width", "height", "kg"), PILE[0], strict=True))
+    content = json.dumps([{"id": "p", "boxes": [box]}, {"id": "p", "boxes": [box, {**box, "z": 300}]}])
+    reading = load(tmp_path, "a.json", content, units="mm", up="z").readings[str(tmp_path / "a.json")]
+    assert "plans are numbered: several have id p" in reading.notes
+    rows = [(name, *PILE[0]) for name in "ABA"]
+    content = table("plan,x,y,z,length,width,height,kg", rows)
+    reading = load(tmp_path, "a.csv", content, units="mm", up="z").readings[str(tmp_path / "a.csv")]
+    assert "rows of A stand apart, and boxes overlap: two plans with one name?" in reading.notes
+
+
+def test_numbers_of_sap_are_a_packing_order(tmp_path: Path) -> None:
+    header = "LfdNr,X,Y,Z,Länge mm,Breite mm,Höhe mm,Bruttogew"
+    rows = [(f"{10 * k:05}", *box) for k, box in enumerate(PILE, start=1)]
+    plan_set = load(tmp_path, "a.csv", table(header, rows[::-1]), units="kg")
+    check(plan_set)
+    assert not plan_set.notes

@@ -156,8 +156,12 @@ def test_rows_come_in_any_order() -> None:
 
 
 def test_a_gap_is_told_and_a_duplicate_refused() -> None:
-    plan_set = read(row("A", 1), row("A", 3), row("B", 2), row("C", 7), row("C", 8), row("C", 7))
-    assert ids(plan_set) == ["A", "B"]
+    """Steps of 10 are no gaps."""
+    plan_set = read(
+        *(row("A", 1), row("A", 3), row("B", 2), row("C", 7), row("C", 8), row("C", 7), row("D", 20, z_mm=200)),
+        row("D", 10),
+    )
+    assert ids(plan_set) == ["A", "B", "D"]
     assert plan_set.notes == ["plans.csv: sequence has gaps in 2 plans (A, B); are rows missing?"]
     assert messages(plan_set) == ["plans.csv: plan C, rows 5 and 7: sequence 7 occurs twice"]
 
