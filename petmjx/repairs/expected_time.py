@@ -44,8 +44,9 @@ def size_of(plans: Sequence[Plan], sim: Simulation, options: RepairOptions, engi
     statics = statics_of(plans, partial(deck_mm, sim=sim))
     falls = np.flatnonzero(statics.placed_share < 1).tolist() or [int(np.argmax(n_boxes))]
     scores = Work(sim, n_boxes, placements=1 + worlds, carried=worlds, **statics._asdict())
-    with_errors = TRIALS_WITH_ERRORS + worlds if worlds else 0
-    n_trials = min(TRIALS, options.trials) + with_errors
+    searched = min(TRIALS + TRIALS_WITH_ERRORS if worlds else TRIALS, options.trials)
+    with_errors = max(searched - TRIALS, 0) + worlds
+    n_trials = searched + worlds
     trials = Work(sim, [n_boxes[k] for k in falls], placements=n_trials, carried=with_errors, ties=statics.ties[falls])
     costs = costs_here(trials, threads)
     parts = costs.seconds(scores, threads), replace(costs, kernel_start_s=0, gpu_start_s=0).seconds(trials, threads)

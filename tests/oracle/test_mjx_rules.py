@@ -22,7 +22,6 @@ from support.fake_stepper import (
     run_all,
 )
 
-from petmjx.engines.mjx import batch_run
 from petmjx.engines.mjx.engine import FEWEST_WORLDS, batch_groups
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.options.simulation import Check, Schedule, Simulation
@@ -169,15 +168,13 @@ def test_a_static_world_stands_from_the_soft_start_on(schedule: Schedule) -> Non
         np.testing.assert_allclose(placements(outcome, sim), -200, rtol=FORCE_RELATIVE, atol=0.01)
 
 
-def test_the_shape_of_the_batch_does_not_matter(engine: FakeEngine, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_shape_of_the_batch_does_not_matter(engine: FakeEngine) -> None:
     jobs = [Job(fake_scene(*masses)) for masses in MASSES if len(masses) <= 4]  # one size: fewer programs to compile
     expected = run_all(engine, jobs, SHORT)
-    monkeypatch.setattr(batch_run, "FEWEST_SHRUNK", 1)
-    for jobs_there, lanes, rows in ((jobs[:7], 3, {3}), (jobs[4:5], 1, {1}), (jobs, LANES, {LANES, LANES // 4, 1})):
-        first, other = jobs.index(jobs_there[0]), FakeEngine(lanes)
-        for k, outcome in enumerate(run_all(other, jobs_there, SHORT)):
+    for jobs_there, lanes in ((jobs[:7], 3), (jobs[4:5], 1)):
+        first = jobs.index(jobs_there[0])
+        for k, outcome in enumerate(run_all(FakeEngine(lanes), jobs_there, SHORT)):
             assert_same(outcome, expected[first + k])
-        assert {key.worlds for key in other.programs} == rows
 
 
 def test_a_batch_has_worlds_that_are_alike() -> None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from petmjx.engines.mjx.batch_step import Memory
 from petmjx.engines.mjx.frame_recorder import Recorder
-from petmjx.engines.mjx.host_to_device import Batch, put_into, tables, take
+from petmjx.engines.mjx.host_to_device import Batch, put_into, tables
 from petmjx.engines.mjx.readback import Readback, readbacks_of
 from petmjx.engines.mjx.rollout import Program
 from petmjx.engines.mjx.timetable import Timetable
@@ -27,16 +27,6 @@ from petmjx.world.job import Job
 
 REFILL_SHARE: Final = 8
 """While jobs wait, a batch is interrupted as soon as the worlds of one in ``REFILL_SHARE`` rows have ended."""
-
-
-SHRINK_SHARE: Final = 4
-"""When no job waits, and only the worlds of one in ``SHRINK_SHARE`` rows have not ended, they continue in a batch that
-has only one row in ``SHRINK_SHARE``, whose passes are faster."""
-
-FEWEST_SHRUNK: Final = 32
-"""Smallest number of rows of a batch in which the last worlds of a larger batch continue."""
-
-_select = jax.jit(select_rows)
 
 
 class Phase(NamedTuple):
@@ -96,20 +86,6 @@ class BatchRun:
         """Number of ended worlds for which the batch is interrupted, and of jobs that are added at a time."""
         return max(self.rows // REFILL_SHARE, 1)
 
-    @property
-    def fewer_rows(self) -> int:
-        """Number of rows of a batch in which the last worlds continue; 0: they continue in this batch."""
-        fewer = self.rows // SHRINK_SHARE
-        return fewer if fewer >= FEWEST_SHRUNK and self.batch.recorder.idle else 0
-
-    def is_interrupted(self, waiting: bool) -> bool:
-        """Whether waiting jobs are to get rows of ended worlds or, if no job can get them, whether the worlds that have
-        not ended are to continue in fewer rows. ``waiting``: whether any job waits."""
-        ended = len(self.ended())
-        if waiting and self.refills:
-            return ended >= self.at_once
-        return 0 < len(self.indices) - ended <= self.fewer_rows
-
     def simulate(self, interrupts: Callable[[], bool], progress: Progress, lock: threading.Lock) -> None:
         """Step the batch until all its worlds have ended, or ``interrupts()`` is True between two chunks of passes.
 
@@ -134,7 +110,7 @@ class BatchRun:
             with lock:
                 spent = f"{label} seconds"
                 progress.extra[spent] = progress.extra.get(spent, 0) + time.perf_counter() - begin
-                progress.extra[f"{label} lanes"] = self.rows
+                progress.extra[f"{label} lanes"] = max(progress.extra.get(f"{label} lanes", 0), self.rows)
             if interrupted:
                 return
             del self.phases[0]
@@ -168,29 +144,20 @@ class BatchRun:
         return count
 
     def add(self, jobs: Mapping[int, Job], timetable: Timetable) -> None:
-        """Give free rows to jobs. ``jobs``: index → job."""
+        """Give free rows to jobs. ``jobs``: index → job. Even if memory runs out, the jobs are in ``indices``."""
         batch, width = self.batch, self.batch.worlds.half.shape[1]
         free = [row for row in range(self.rows) if row not in self.indices]
         pairs = list(zip(free, jobs.items(), strict=False))
+        for row, (index, job) in pairs:
+            batch.jobs[row], self.indices[row] = job, index
         for first in range(0, len(pairs), self.at_once):
             some = pairs[first : first + self.at_once]
             new, at = [job for _, (_, job) in some], np.array([row for row, _ in some])
             worlds, states = tables(new, self.at_once, width, batch.profile_rows, self.sim, timetable, batch.boards)
             batch.worlds, batch.table = put_into(batch.worlds, at, worlds), put_into(batch.table, at, states)
-        for row, (index, job) in pairs:
-            batch.jobs[row], self.indices[row] = job, index
         if pairs and self.memory is not None:
             blank = self.phases[0].program.model.blank_memory(self.rows)
-            self.memory = _select(device_array(np.isin(np.arange(self.rows), free)), blank, self.memory)
-
-    def shrunk(self, phases_of: Callable[[Batch], list[Phase]]) -> BatchRun:
-        """The same worlds in a batch of ``fewer_rows`` rows. ``phases_of`` returns all phases of a batch."""
-        rows = np.resize(list(self.indices), self.fewer_rows)
-        batch = self.batch.of_rows(rows)
-        batch.end_padding(len(self.indices))
-        memory = None if self.memory is None else take(self.memory, device_array(rows.astype(np.int32)))
-        phases = phases_of(batch)[-len(self.phases) :]
-        return BatchRun(batch, dict(enumerate(self.indices.values())), self.sim, False, phases, memory)
+            self.memory = select_rows(device_array(np.isin(np.arange(self.rows), free)), blank, self.memory)
 
     def _status(self) -> NDArray[np.int32]:
         """(row,) the status of each world."""

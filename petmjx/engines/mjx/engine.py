@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import closing
 from dataclasses import dataclass
@@ -27,7 +27,8 @@ from petmjx.engines.mjx.padded_sizes import GRANULE, padded_rows, round_up
 from petmjx.engines.mjx.rollout import BatchRollout, Program
 from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.timetable import build_timetable
-from petmjx.engines.mjx.world_state import State
+from petmjx.engines.mjx.world_constants import device_array
+from petmjx.engines.mjx.world_state import State, Status
 from petmjx.engines.protocol import Engine, Progress, RunLock, says_at_hand
 from petmjx.engines.verdict import Flag, Outcome
 from petmjx.options.simulation import Simulation
@@ -41,10 +42,6 @@ On a CPU, if ``lanes`` is not set, each world is a separate batch, and each thre
 reasons: on a CPU, XLA needs eight times as long for eight worlds as for one; and worlds that do not wait for each other
 need fewer steps.
 """
-
-ALIKE_ON_GPU = 32
-"""Plans of up to this number of boxes share a program on a GPU or another accelerator. Programs for fewer boxes would
-each take 20 s to compile, and the last worlds of a batch keep the device no busier if they are small."""
 
 FEWEST_WORLDS = 8
 """Smallest number of rows of a batch. Each number of rows needs its own program, which takes ten seconds to compile."""
@@ -134,7 +131,6 @@ class MjxJaxEngine(Engine):
         set_up_jax()
         self.lanes = lanes or MOST_WORLDS
         self._one_by_one = lanes is None and jax.default_backend() == "cpu"
-        self._alike = GRANULE if jax.default_backend() == "cpu" else ALIKE_ON_GPU
         self._counting = threading.Lock()
         self.programs: dict[ProgramKey, Program] = {}
         """The compiled programs that runs of this engine have used, by key."""
@@ -152,7 +148,7 @@ class MjxJaxEngine(Engine):
 
     @says_at_hand
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
-        """Simulate each job once. The outcomes of a batch are yielded together.
+        """Simulate each job once. Outcomes are yielded as worlds of a batch end.
 
         Raises:
             RuntimeError: an earlier run of the same thread has not ended. (This run waits for runs of other threads.)
@@ -178,22 +174,22 @@ class MjxJaxEngine(Engine):
         """
         most, stop = 1 if self._one_by_one else self.lanes, threading.Event()
         threads = cpu_threads() if self._one_by_one else 1
-        groups = [Group.of(jobs, alike) for alike in batch_groups(jobs, self._alike)]
+        groups = [Group.of(jobs, alike) for alike in batch_groups(jobs)]
         running: dict[Future[None], tuple[Group, BatchRun]] = {}
-
-        def phases_of(batch: Batch) -> list[Phase]:
-            return self._phases(batch, sim, progress)
 
         with ThreadPoolExecutor(threads, thread_name_prefix="petmjx-mjx-jax") as pool:
 
-            def go_on(group: Group, run: BatchRun, shrinks: bool = False) -> None:
+            def go_on(group: Group, run: BatchRun, added: Mapping[int, Job]) -> None:
+                """Give free rows of a batch to jobs (index → job), and simulate the batch. An error becomes that of the
+                simulation, since memory may also run out here."""
+
                 def interrupts() -> bool:
-                    return stop.is_set() or run.is_interrupted(bool(group.indices))
+                    return stop.is_set() or (run.refills and bool(group.indices) and len(run.ended()) >= run.at_once)
 
                 simulation: Future[None] = Future()
                 try:
-                    run = run.shrunk(phases_of) if shrinks else run
-                    run.phases = run.phases or phases_of(run.batch)
+                    run.add(added, build_timetable(sim, group.capacity))
+                    run.phases = run.phases or self._phases(run.batch, sim, progress)
                     simulation = pool.submit(run.simulate, interrupts, progress, self._counting)
                 except Exception as error:
                     simulation.set_exception(error)
@@ -205,7 +201,7 @@ class MjxJaxEngine(Engine):
                         group = next((group for group in groups if group.indices), None)
                         if group is None:
                             break
-                        go_on(group, _load(jobs, group, min(group.rows, most), sim))
+                        go_on(group, _load(jobs, group, min(group.rows, most), sim), {})
                     for simulation in wait(running, return_when=FIRST_COMPLETED).done:
                         group, run = running.pop(simulation)
                         if (failure := simulation.exception()) is not None:
@@ -222,9 +218,8 @@ class MjxJaxEngine(Engine):
                             run.batch.give_up(np.arange(1), Flag.OUT_OF_MEMORY)
                         ended = run.take_ended()
                         some = group.take(run.fitting(jobs[index] for index in group.indices))
-                        run.add({index: jobs[index] for index in some}, build_timetable(sim, group.capacity))
-                        if run.indices:
-                            go_on(group, run, shrinks=len(run.indices) <= run.fewer_rows)
+                        if some or run.indices:
+                            go_on(group, run, {index: jobs[index] for index in some})
                         yield ended
             finally:
                 stop.set()
@@ -272,17 +267,17 @@ def without_skin(sim: Simulation) -> Simulation:
     return sim.changed(physics=sim.physics.changed(skin_m=0.0))
 
 
-def batch_groups(jobs: Sequence[Job], alike: int = GRANULE) -> list[list[int]]:
+def batch_groups(jobs: Sequence[Job]) -> list[list[int]]:
     """Groups of jobs that may share a batch, as lists of the jobs' indices. Groups with the largest plans come first.
 
     All jobs of a group have the same kind of drive, and carriers with the same number of boards. Either all jobs begin
     with a placement, or all begin from a settled state. Boxes that appear at their places, compliant boxes, and film:
-    each of these three occurs in all worlds of a group or in none. Plans of a group are of similar size: with ``alike``
-    = 4, plans of 1 to 4 boxes, of 5 to 8, of 9 to 16, ….
+    each of these three occurs in all worlds of a group or in none. Plans of a group are of similar size: 1 to 4 boxes,
+    5 to 8, 9 to 16, ….
     """
     indices_by_key: dict[tuple[int, int, str | None, bool, bool, bool, bool], list[int]] = {}
     for index, job in enumerate(jobs):
-        size = ((job.scene.n_boxes - 1) // alike).bit_length()
+        size = ((job.scene.n_boxes - 1) // GRANULE).bit_length()
         drive = job.drive.excitation.kind if job.drive is not None else None
         boards, begun = len(job.scene.carrier.half_size), isinstance(job.start, State)
         scene = job.scene
@@ -296,5 +291,7 @@ def _load(jobs: Sequence[Job], group: Group, rows: int, sim: Simulation) -> Batc
     some = group.take(rows)
     timetable = build_timetable(sim, group.capacity)
     batch = load([jobs[index] for index in some], rows, group.capacity, sim, timetable, (0, group.profile_steps))
-    batch.end_padding(len(some))
+    status = np.array(batch.table.status)
+    status[len(some) :] = Status.FINISHED
+    batch.table = batch.table._replace(status=device_array(status))
     return BatchRun(batch, dict(enumerate(some)), sim, refills=rows > 1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final, TypeVar
 
@@ -19,7 +19,7 @@ from petmjx.engines.mjx.padded_sizes import PROFILE_GRANULE, padded_rows, round_
 from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.timetable import Timetable
 from petmjx.engines.mjx.world_constants import NEVER, Worlds, device_array, upload_worlds
-from petmjx.engines.mjx.world_state import State, Status, fresh_state, put_rows, take_rows
+from petmjx.engines.mjx.world_state import State, Status, fresh_state, put_rows
 from petmjx.engines.verdict import Flag
 from petmjx.options.simulation import Check, Schedule, Simulation
 from petmjx.world.free_bodies import FreeBodies
@@ -31,7 +31,6 @@ MOST_KEPT = 16
 
 Table = TypeVar("Table", State, Worlds)
 
-take = jax.jit(take_rows)
 _put = jax.jit(put_rows, donate_argnums=0)
 
 
@@ -56,18 +55,6 @@ class Batch:
     def boards(self) -> int:
         """Number of shapes of a carrier for which the tables have room."""
         return int(self.worlds.shape_half.shape[1] - self.worlds.half.shape[1])
-
-    def of_rows(self, rows: NDArray[np.intp]) -> Batch:
-        """A batch of the worlds in these rows."""
-        at = device_array(rows.astype(np.int32))
-        jobs = [self.jobs[row] for row in rows.tolist()]
-        return replace(self, jobs=jobs, worlds=take(self.worlds, at), table=take(self.table, at))
-
-    def end_padding(self, count: int) -> None:
-        """End the worlds in all rows but the first ``count``."""
-        status = np.array(self.table.status)
-        status[count:] = Status.FINISHED
-        self.table = self.table._replace(status=device_array(status))
 
     def give_up(self, rows: NDArray[np.int64], flag: Flag) -> None:
         """End worlds that cannot be simulated on this device, and give them this flag."""

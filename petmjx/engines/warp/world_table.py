@@ -11,12 +11,12 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.engines.mjx.host_to_device import Batch, put_into, tables, take
+from petmjx.engines.mjx.host_to_device import Batch, put_into, tables
 from petmjx.engines.mjx.padded_sizes import padded_rows
 from petmjx.engines.mjx.scene_rows import more_shapes
 from petmjx.engines.mjx.timetable import Timetable, build_timetable
 from petmjx.engines.mjx.world_constants import NEVER, Worlds, device_array
-from petmjx.engines.mjx.world_state import State, Status, put_resized
+from petmjx.engines.mjx.world_state import State, Status, put_resized, take_rows
 from petmjx.engines.protocol import Progress
 from petmjx.engines.verdict import Flag
 from petmjx.engines.warp.kernel_features import KernelFeatures, size_of
@@ -26,7 +26,7 @@ from petmjx.world.job import Excitation, Job
 
 OVERFLOW_BITS = int(Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW | Flag.OTHER_OVERFLOW)
 
-_put_resized = jax.jit(put_resized, donate_argnums=0)
+_take, _put_resized = jax.jit(take_rows), jax.jit(put_resized, donate_argnums=0)
 
 
 @partial(jax.jit, donate_argnums=0)
@@ -204,7 +204,7 @@ class WorldTable(Batch):
             return None
         jobs, stream_numbers = [self.jobs[row] for row in rows], [self.stream_numbers[row] for row in rows]
         padded = np.resize(rows, padded_rows(len(rows))).astype(np.int32)
-        return RunningWorlds(jobs, stream_numbers, take(self.table, device_array(padded)))
+        return RunningWorlds(jobs, stream_numbers, _take(self.table, device_array(padded)))
 
     def put_running(self, running: RunningWorlds) -> None:
         """Let worlds of another table continue in the first rows, which already have their jobs. The two tables may
