@@ -65,6 +65,12 @@ _NO_WEIGHT: Final = word_set(
     "max maximum limit capacity total load bears bearing strength allowed pallet palette container tare tara"
 )
 """Words in names of columns whose masses are not the weights of boxes."""
+_BEARS: Final = (
+    *("last", "trag", "festigkeit", "draag", "portata", "carico", "resist", "admis", "charge", "soport", "carga"),
+    *("nosno", "udzwig", "obciaz", "capac"),
+)
+"""Parts of words for what a box can bear, in several languages: Traglast, Belastbarkeit, portata, charge admissible,
+carga soportada, nośność. A unit of mass in such a name does not make the column a weight."""
 _UNIT_WORDS: Final = word_set("unit units uom einheit masseinheit unite unites unidad unidades unita jednostka")
 _SURE_UNITS: Final = frozenset(("mm", "cm", "kg", "lb", "lbs", "inch", "inches"))
 """Texts that are recognised as units in a column of any name. Other units, such as "m" or "in", may also be words with
@@ -200,8 +206,11 @@ class ColumnExtraction:
         return number is not None and number.unit in MASS_UNITS
 
     def _names_mass(self, index: int, cells: Sequence[Any]) -> bool:
-        """Whether the name of a column has a unit of mass, and its cells are numbers."""
-        unit = split_unit(self.table.header[index])[1]
+        """Whether the name of a column has a unit of mass but does not say what a box can bear, and its cells are
+        numbers."""
+        name, unit = split_unit(self.table.header[index])[:2]
+        if any(part in plain_text(name).lower() for part in _BEARS):
+            return False
         return unit in MASS_UNITS and unit != "t" and all(is_number(cell) for cell in cells)
 
     def cells(self, index: int) -> list[Any]:

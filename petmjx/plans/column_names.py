@@ -306,7 +306,8 @@ def plain_text(text: str) -> str:
     """Text without accents: "Länge" → "Lange", "długość" → "dlugosc", "Maße" → "Masse". Known words in other scripts
     are translated: "длина" → "length", "x坐标" → "x coordinate"."""
     if not text.isascii():
-        text = _IN_OTHER_SCRIPT.sub(lambda match: f" {_OTHER_SCRIPTS[match[0].lower()]} ", text).strip()
+        # a few letters equal others without regard to case, and yet have no lower case
+        text = _IN_OTHER_SCRIPT.sub(lambda match: f" {_OTHER_SCRIPTS.get(match[0].lower(), match[0])} ", text).strip()
     text = (
         _NUMBER_SIGN.sub("No ", text)
         .replace("ł", "l")

@@ -280,3 +280,14 @@ def test_numbers_of_sap_are_a_packing_order(tmp_path: Path) -> None:
     plan_set = load(tmp_path, "a.csv", table(header, rows[::-1]), units="kg")
     check(plan_set)
     assert not plan_set.notes
+
+
+@pytest.mark.parametrize("name", ["Traglast [kg]", "Stapellast (kg)", "Portata [kg]", "Charge admissible [kg]"])
+def test_what_a_box_bears_is_no_weight(tmp_path: Path, name: str) -> None:
+    rows = [(*row[:6], 60 + number) for number, row in enumerate(PILE)]
+    plan_set = load(tmp_path, "a.csv", table(f"x,y,z,L [mm],B [mm],H [mm],{name}", rows))
+    assert plan_set.plans[0].mass_kg.max() < 60
+
+
+def test_a_letter_without_a_lower_case_is_read(tmp_path: Path) -> None:
+    assert known_meanings(["\u1c80\u0435\u0441"]) is not None
