@@ -10,8 +10,10 @@ import numpy as np
 
 from petmjx.engines.metrics import BoxMetrics
 from petmjx.engines.mujoco.box_motion import excess
-from petmjx.engines.verdict import _EPSILON, Outcome, Verdict
+from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.options.thresholds import Thresholds
+
+_EPSILON: Final = float(np.finfo(np.float64).eps)
 
 DROPPED_EXCESS: Final = 2.0
 """Smallest excess of a dropped box. (The excess says how far a box is beyond its thresholds.) With this value, the

@@ -22,7 +22,7 @@ from petmjx.engines.attempt_with_fallback import AttemptResult, AttemptRunner, P
 from petmjx.engines.contact_penetration import may_penetrate
 from petmjx.engines.job_stream import JobBounds, JobStream
 from petmjx.engines.protocol import GPU_WORLDS, Capability, Engine, Progress
-from petmjx.engines.subprocess.attempt_process import READY, WORTH_A_PROCESS, AttemptAnswer, AttemptTask
+from petmjx.engines.subprocess.attempt_process import JOBS_WORTH_A_PROCESS, READY, AttemptAnswer, AttemptTask
 from petmjx.engines.subprocess.check_pool import LARGE, CheckPool
 from petmjx.engines.verdict import Reason, Verdict
 from petmjx.engines.world_prefetch import PENDING_BOXES, PENDING_BOXES_GPU, WorldPrefetch
@@ -328,13 +328,13 @@ class _AttemptTasks(Generic[AnyWorld]):
 
     def prepare(self, jobs: Sequence[Job], retries: Sequence[AttemptRecipe]) -> None:
         """At the beginning of a run, start two kinds of processes. In a large run, these are check processes. With
-        ``WORTH_A_PROCESS`` jobs, the process that makes attempts starts, too, if few worlds need them. It first
+        ``JOBS_WORTH_A_PROCESS`` jobs, the process that makes attempts starts, too, if few worlds need them. It first
         simulates one box. So the kernel of this process is compiled early: compiling takes as long as simulating many
         worlds."""
         if self.needs_pool:
             self.check_pool = self.check_pool or self.lent or check_pool_for(self.engines.primary, len(jobs))
         name = ATTEMPT_ENGINES.get(self.engines.primary.name)
-        if name is None or len(jobs) < WORTH_A_PROCESS:
+        if name is None or len(jobs) < JOBS_WORTH_A_PROCESS:
             return
         if self.sim.physics.cone is not Cone.ELLIPTIC or self.sim.has_soft:
             return

@@ -215,9 +215,6 @@ def judge_all(
     return verdict, np.select(box_masks, [str(reason) for reason in reasons], str(Reason.NONE))
 
 
-_EPSILON: Final = float(np.finfo(np.float64).eps)
-
-
 @dataclass(frozen=True)
 class Attempt:
     """The record of one attempt (simulation) of a world. The last attempt gives the verdict."""

@@ -70,12 +70,18 @@ _BEARS: Final = (
     *("nosno", "udzwig", "obciaz", "capac"),
 )
 """Parts of words for what a box can bear, in several languages: Traglast, Belastbarkeit, portata, charge admissible,
-carga soportada, nośność. A unit of mass in such a name does not make the column a weight."""
+carga soportada, nośność. Masses in such a column are not the weights of boxes either."""
 _UNIT_WORDS: Final = word_set("unit units uom einheit masseinheit unite unites unidad unidades unita jednostka")
 _SURE_UNITS: Final = frozenset(("mm", "cm", "kg", "lb", "lbs", "inch", "inches"))
 """Texts that are recognised as units in a column of any name. Other units, such as "m" or "in", may also be words with
 another meaning."""
 _ORDER_WORDS: Final = frozenset(("order", "ordre", "orden", "ordine", "ordem"))
+
+
+def _is_other_mass(name: str) -> bool:
+    """Whether the name of a column says that its masses are not the weights of boxes."""
+    words = words_of(name)
+    return bool(_NO_WEIGHT.intersection(words)) or any(part in word for word in words for part in _BEARS)
 
 
 def role_of(axis: str) -> str:
@@ -174,7 +180,7 @@ class ColumnExtraction:
             elif (
                 "weight" not in kinds
                 and (all(map(self._is_mass, cells)) or self._names_mass(index, cells))
-                and not _NO_WEIGHT.intersection(words_of(self.table.header[index]))
+                and not _is_other_mass(self.table.header[index])
             ):
                 unit = split_unit(self.table.header[index])[1]
                 self.meanings[index] = ColumnMeaning("weight", unit=unit if unit in MASS_UNITS else "")
@@ -206,11 +212,8 @@ class ColumnExtraction:
         return number is not None and number.unit in MASS_UNITS
 
     def _names_mass(self, index: int, cells: Sequence[Any]) -> bool:
-        """Whether the name of a column has a unit of mass but does not say what a box can bear, and its cells are
-        numbers."""
-        name, unit = split_unit(self.table.header[index])[:2]
-        if any(part in plain_text(name).lower() for part in _BEARS):
-            return False
+        """Whether the name of a column has a unit of mass, and its cells are numbers."""
+        unit = split_unit(self.table.header[index])[1]
         return unit in MASS_UNITS and unit != "t" and all(is_number(cell) for cell in cells)
 
     def cells(self, index: int) -> list[Any]:

@@ -430,9 +430,9 @@ def _from_the_middle(plan: Plan, way: Convention | None, extent_mm: tuple[float,
     return bool(on_it and (corner[:, :2] < -DEFAULT_TOLERANCE_MM).any())
 
 
-def densities_kg_m3(plan: Plan) -> FloatArray:
+def _densities_kg_m3(size_mm: FloatArray, mass_kg: FloatArray) -> FloatArray:
     """(n,) density of each box, kg/m³."""
-    return np.asarray(plan.mass_kg / (plan.size_mm.prod(axis=1) / _MM3_PER_M3))
+    return np.asarray(mass_kg / (size_mm.prod(axis=1) / _MM3_PER_M3))
 
 
 def odd_boxes(plans: Sequence[Plan]) -> list[str]:
@@ -440,8 +440,8 @@ def odd_boxes(plans: Sequence[Plan]) -> list[str]:
     list is empty if there are no such boxes, or if most boxes have such densities, because other lines then say so."""
     if not plans:
         return []
-    volume = np.concatenate([plan.size_mm for plan in plans]).prod(axis=1) / _MM3_PER_M3
-    density = np.concatenate([plan.mass_kg for plan in plans]) / volume
+    size_mm, mass_kg = (np.concatenate([getattr(plan, name) for plan in plans]) for name in ("size_mm", "mass_kg"))
+    density = _densities_kg_m3(size_mm, mass_kg)
     (odd,) = np.nonzero((density < LIGHTEST_BOX_KG_M3) | (density > HEAVIEST_BOX_KG_M3))
     if not len(odd) or 2 * len(odd) > len(density):
         return []
@@ -469,7 +469,7 @@ def _odd_densities(plans: Sequence[Plan]) -> dict[str, tuple[Convention, str]]:
     reasons = {}
     for index in np.flatnonzero((density < LIGHTEST_KG_M3) | (density > HEAVIEST_KG_M3)).tolist():
         plan, light = plans[index], density[index] < LIGHTEST_KG_M3
-        of_boxes = densities_kg_m3(plan)
+        of_boxes = _densities_kg_m3(plan.size_mm, plan.mass_kg)
         box = int(of_boxes.argmin() if light else of_boxes.argmax())
         reason = TONNES if light else _why_dense(density[index], volume[index] / plan.n_boxes)
         reasons[plan.plan_id] = reason, f"{_box(plan, box)} has {three_digits(of_boxes[box])} kg/m³"

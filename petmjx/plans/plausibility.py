@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
-from petmjx.plans.plan_warnings import shared_length
+from petmjx.plans.plan_warnings import meets, overlap, shared_length
 
 _OVERLAP, _FLOAT, _OUTSIDE, _SUPPORT, _TOUCH = 25.0, 20.0, 20.0, 4.0, 2.0
 """Costs of five faults of a layout, each if all boxes have the fault: boxes overlap, float, are outside the carrier,
@@ -122,11 +122,15 @@ def _floor_of(low: FloatArray, high: FloatArray, tolerance: float) -> float:
     other box, and only a few boxes are lower. Then the floor is at this level, and the heights of the few lower boxes
     are errors of the file."""
     bottoms = np.sort(low[:, 2])
-    for level in bottoms[1 : max(1, int(_FEW_BELOW * len(low))) + 1]:
+    for level in np.unique(bottoms[1 : max(1, int(_FEW_BELOW * len(low))) + 1]):
         below, at = low[:, 2] < level - tolerance, np.abs(low[:, 2] - level) <= tolerance
-        common = [shared_length(low[:, axis], high[:, axis])[below][:, at] > tolerance for axis in range(2)]
-        carries = common[0] & common[1] & (np.abs(high[below, 2] - level) <= tolerance)[:, None]
-        if below.any() and np.count_nonzero(~carries.any(axis=0)) >= max(_LEAST_AT_FLOOR, below.sum() + 1):
+        if not below.any():
+            continue
+        carries = np.repeat(np.abs(high[below, 2] - level)[:, None] <= tolerance, np.count_nonzero(at), axis=1)
+        for axis in range(2):
+            ends = np.minimum.outer(high[below, axis], high[at, axis])
+            carries &= ends - np.maximum.outer(low[below, axis], low[at, axis]) > tolerance
+        if np.count_nonzero(~carries.any(axis=0)) >= max(_LEAST_AT_FLOOR, below.sum() + 1):
             return float(level)
     return float(bottoms[0])
 
@@ -308,9 +312,9 @@ measured has such a box. If these plans are read along another vertical axis, 42
 def n_before_support(low: FloatArray, size: FloatArray, tolerance: float) -> int:
     """Number of boxes that are listed before a box on which they rest."""
     high = low + size
-    carries = np.abs(np.subtract.outer(high[:, 2], low[:, 2])) <= tolerance  # rows are lower boxes
+    carries = meets(low[:, 2], high[:, 2], tolerance)  # rows are lower boxes
     for axis in range(2):
-        carries &= shared_length(low[:, axis], high[:, axis]) > tolerance
+        carries &= overlap(low[:, axis], high[:, axis], tolerance)
     return int(np.count_nonzero(np.tril(carries, -1).any(axis=0)))
 
 

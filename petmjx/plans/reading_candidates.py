@@ -209,9 +209,10 @@ def candidates(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
     sizes, places = wishes.length_units
     scale = LENGTH_UNITS[sizes] / LENGTH_UNITS[places] if sizes != places else 1.0
     for geometry in columns.geometries:
+        rules = _rules(geometry, columns, wishes)
         for up, up_prior in _ups(geometry, columns, wishes):
             for pair, pair_prior in _pairs(geometry, up, columns, wishes):
-                for rule, rule_prior in _rules(geometry, columns, wishes):
+                for rule, rule_prior in rules:
                     if rule == "letters" and pair != (0, 1, 2):
                         continue
                     for anchor, anchor_prior in _anchors(geometry, form.anchor, wishes):

@@ -34,7 +34,7 @@ from petmjx.engines.subprocess.attempt_process import AttemptAnswer, AttemptProc
 from petmjx.engines.warp import world_table
 from petmjx.engines.warp.cpu_engine import MjxWarpCpuEngine
 from petmjx.engines.warp.engine import MjxWarpEngine
-from petmjx.engines.warp.long_worlds import ContinuedWorlds, most_steps
+from petmjx.engines.warp.long_worlds import LongWorlds, most_steps
 from petmjx.options.simulation import Simulation
 
 LIMIT = 40
@@ -59,12 +59,12 @@ def leaving(monkeypatch: pytest.MonkeyPatch, simulator: AttemptSimulator) -> lis
     def limits(jobs: Sequence[Job], sim: Simulation) -> NDArray[np.int32]:
         return np.where(most_steps(jobs, sim) == NEVER, NEVER, LIMIT).astype(np.int32)
 
-    def continued(self: MjxWarpEngine, sim: Simulation, progress: Progress) -> ContinuedWorlds | None:
-        return None if isinstance(self, MjxWarpCpuEngine) else ContinuedWorlds(simulator, sim, progress)
+    def continued(self: MjxWarpEngine, sim: Simulation, progress: Progress) -> LongWorlds | None:
+        return None if isinstance(self, MjxWarpCpuEngine) else LongWorlds(simulator, sim, progress)
 
     monkeypatch.setattr(simulator, "begin", noted)
     monkeypatch.setattr(world_table, "most_steps", limits)
-    monkeypatch.setattr(MjxWarpEngine, "_continued", continued)
+    monkeypatch.setattr(MjxWarpEngine, "_long_worlds", continued)
     return steps
 
 
@@ -174,7 +174,7 @@ class Late(AttemptSimulator):
 def test_a_run_pauses_while_only_long_worlds_are_left() -> None:
     job, progress = Job(make_scene(2)), Progress(message="placed 3 of 4", pauses=True)
     states = State(**(dict.fromkeys(State._fields) | {"status": np.int32(Status.LEFT)}))  # type: ignore[arg-type]
-    continued, messages, answers = ContinuedWorlds(Late(3), Simulation(), progress), list[str](), list[Outcome]()
+    continued, messages, answers = LongWorlds(Late(3), Simulation(), progress), list[str](), list[Outcome]()
     assert not continued.take(job, make_outcome(2, job=6))
     assert continued.take(job, make_outcome(2, job=7, state=states))
     for outcome in continued.last():

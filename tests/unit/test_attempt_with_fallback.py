@@ -196,7 +196,7 @@ def test_a_large_run_has_what_may_be_needed_beside_it_compiled_at_once(monkeypat
     kernel = Scripted("mjx-warp-cpu", never, Reason.SINKING)
     scored(Scripted("mjx-warp", never), Scripted("mujoco", never), monkeypatch, kernel=kernel)
     assert kernel.sims == []
-    monkeypatch.setattr(simulation_loop, "WORTH_A_PROCESS", WORLDS)
+    monkeypatch.setattr(simulation_loop, "JOBS_WORTH_A_PROCESS", WORLDS)
     results, notes = scored(Scripted("mjx-warp", never), Scripted("mujoco", never), monkeypatch, kernel=kernel)
     assert kernel.sims == [ATTEMPTS[5].apply_to_sim(Simulation())]
     assert all(len(result.attempts) == 1 for result in results)

@@ -43,7 +43,7 @@ READY = -1
 """Number of a task whose answer is not needed. The task only makes an engine compile its programs."""
 
 
-WORTH_A_PROCESS: Final = 64
+JOBS_WORTH_A_PROCESS: Final = 64
 """If a run begins with this number of jobs or more on a GPU, processes for single worlds start before a world needs
 them. Such a process takes some seconds to start."""
 

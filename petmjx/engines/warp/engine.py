@@ -23,7 +23,7 @@ from petmjx.engines.warp.block_queues import Queues
 from petmjx.engines.warp.equal_beginnings import beginnings
 from petmjx.engines.warp.free_bodies import paths
 from petmjx.engines.warp.kernel_features import KernelFeatures, queue_of
-from petmjx.engines.warp.long_worlds import ContinuedWorlds
+from petmjx.engines.warp.long_worlds import LongWorlds
 from petmjx.engines.warp.memory_shortage import KeptRollouts, smaller_parts
 from petmjx.engines.warp.open_worlds import WarpWorlds
 from petmjx.engines.warp.table_jobs import TableJobs
@@ -109,7 +109,7 @@ class MjxWarpEngine(Engine):
         with self._running:
             return paths(bodies, sim, self._blocks, self.slice_ns, self.most_rows)
 
-    def _continued(self, sim: Simulation, progress: Progress) -> ContinuedWorlds | None:
+    def _long_worlds(self, sim: Simulation, progress: Progress) -> LongWorlds | None:
         """An object that takes long worlds from this engine, and simulates them to their ends. If the result is None,
         this engine simulates all worlds to their ends."""
         return None
@@ -138,7 +138,7 @@ class MjxWarpEngine(Engine):
         """The outcomes of all jobs of a source, with the stream numbers of the jobs."""
         while not source.ended:
             waits = source.recorded
-            continued = self._continued(sim, progress)
+            continued = self._long_worlds(sim, progress)
             slices = self._slices(source, sim, progress, waits, continued)
             try:
                 for outcome in outcomes_of(slices, sim, progress, waits=waits, continued=continued):
@@ -182,7 +182,7 @@ class MjxWarpEngine(Engine):
         sim: Simulation,
         progress: Progress,
         waits: bool,
-        continued: ContinuedWorlds | None,
+        continued: LongWorlds | None,
     ) -> Generator[SliceResult]:
         """The ended worlds of one table after another. The iteration stops before a table that needs the other value of
         ``waits``.

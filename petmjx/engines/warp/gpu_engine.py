@@ -5,7 +5,7 @@ from __future__ import annotations
 from petmjx.engines.protocol import Progress
 from petmjx.engines.subprocess.attempt_process import AttemptProcess
 from petmjx.engines.warp.engine import MjxWarpEngine
-from petmjx.engines.warp.long_worlds import ContinuedWorlds
+from petmjx.engines.warp.long_worlds import LongWorlds
 from petmjx.options.simulation import Simulation
 
 
@@ -20,6 +20,6 @@ class MjxWarpGpuEngine(MjxWarpEngine):
     def __init__(self, lanes: int | None = None) -> None:
         super().__init__(lanes)
 
-    def _continued(self, sim: Simulation, progress: Progress) -> ContinuedWorlds | None:
-        """See ``MjxWarpEngine._continued``."""
-        return ContinuedWorlds(AttemptProcess("petmjx.engines.warp.cpu_engine"), sim, progress)
+    def _long_worlds(self, sim: Simulation, progress: Progress) -> LongWorlds | None:
+        """See ``MjxWarpEngine._long_worlds``."""
+        return LongWorlds(AttemptProcess("petmjx.engines.warp.cpu_engine"), sim, progress)

@@ -1,4 +1,4 @@
-"""``ContinuedWorlds``: the long worlds of a GPU, which CPU threads simulate to their ends.
+"""``LongWorlds``: the long worlds of a GPU, which CPU threads simulate to their ends.
 
 A thread block of a GPU takes about four times as long for a step as a CPU thread, so a run would wait for its longest
 worlds. A world leaves the GPU after a number of steps that depends on its job alone (``most_steps``). So its outcome
@@ -22,7 +22,7 @@ from petmjx.engines.failed_world import failed_outcome
 from petmjx.engines.mjx.world_constants import NEVER
 from petmjx.engines.mjx.world_state import State, Status
 from petmjx.engines.protocol import Progress
-from petmjx.engines.subprocess.attempt_process import READY, WORTH_A_PROCESS, AttemptSimulator, AttemptTask
+from petmjx.engines.subprocess.attempt_process import JOBS_WORTH_A_PROCESS, READY, AttemptSimulator, AttemptTask
 from petmjx.engines.verdict import Flag, Outcome
 from petmjx.options.simulation import Schedule, Simulation
 from petmjx.world.job import Job
@@ -52,7 +52,7 @@ ENGINE: Final = "mjx-warp-cpu"
 """Name of the engine that simulates long worlds to their ends."""
 
 
-class ContinuedWorlds:
+class LongWorlds:
     """Simulates worlds that have left a GPU.
 
     Args:
@@ -62,7 +62,7 @@ class ContinuedWorlds:
     def __init__(self, simulator: AttemptSimulator, sim: Simulation, progress: Progress) -> None:
         self._simulator, self._sim, self._progress = simulator, sim, progress
         self._many, self._prepared = False, set[bool]()
-        """Two values: whether there are at least ``WORTH_A_PROCESS`` jobs; and the kinds of worlds for which the
+        """Two values: whether there are at least ``JOBS_WORTH_A_PROCESS`` jobs; and the kinds of worlds for which the
         process has been made ready, True for worlds with a drive and False for worlds without."""
         self._left: dict[int, tuple[Job, Outcome]] = {}
         """For each world that a CPU thread continues: stream number → the job of the world, and the outcome with which
@@ -71,7 +71,7 @@ class ContinuedWorlds:
     def prepare(self, jobs: Sequence[Job]) -> None:
         """Start the process before the first slice, if there are many jobs. The process then simulates a world of one
         box, so that it has loaded its kernel and programs before they are needed."""
-        self._many = len(jobs) >= WORTH_A_PROCESS
+        self._many = len(jobs) >= JOBS_WORTH_A_PROCESS
         if self._many:
             self._get_ready(jobs[0])
 

@@ -30,7 +30,7 @@ from petmjx.engines.warp.compiled_programs import READ_COUNTS, programs
 from petmjx.engines.warp.frame_buffers import PickedFrames, hand_over, pick_frames, room_for
 from petmjx.engines.warp.kernel_features import size_of
 from petmjx.engines.warp.kernel_launcher import SLICE_NS
-from petmjx.engines.warp.long_worlds import ContinuedWorlds
+from petmjx.engines.warp.long_worlds import LongWorlds
 from petmjx.engines.warp.table_jobs import TableJobs
 from petmjx.engines.warp.world_table import TableRun, WorldTable
 from petmjx.options.simulation import Simulation
@@ -304,7 +304,7 @@ def outcomes_of(
     progress: Progress,
     *,
     waits: bool,
-    continued: ContinuedWorlds | None = None,
+    continued: LongWorlds | None = None,
 ) -> Iterator[Outcome]:
     """The outcomes of the worlds that end in these slices, with the stream numbers of their jobs.
 
