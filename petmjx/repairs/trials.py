@@ -64,13 +64,13 @@ LONGEST_WAIT_S: Final = 2.0
 
 JUDGED_ITERATIONS: Final = 25_000
 """Largest number of solver iterations of a world in which a draft of up to ``SIZE`` boxes is only judged. Larger drafts
-have as many more for each further ``SIZE`` boxes. Of 160 generated plans of 15 to 50 boxes, those that stand take up to
-1,275 steps, and those that fall up to 4,400 steps, of two to four iterations each. A pile that rocks without end would
-keep its search waiting: of 12,749 drafts that a GPU judged, one took 13.5 s of the 40 s of all searches."""
+have as many more for each further ``SIZE`` boxes (``Job.iteration_limit``). Of 160 generated plans of 15 to 50 boxes,
+those that stand take up to 1,275 steps, and those that fall up to 4,400 steps, of two to four iterations each. A pile
+that rocks without end would keep its search waiting: of 12,749 drafts that a GPU judged, one took 13.5 s of the 40 s of
+all searches."""
 
 SIZE: Final = 64
-"""Number of boxes for which drafts have ``JUDGED_ITERATIONS``. Drafts with different limits cannot share a run of an
-engine, so this number is larger than most plans."""
+"""Number of boxes for which drafts have ``JUDGED_ITERATIONS``."""
 
 JUDGED_TILT_DEG: Final = 5.0
 """A box that tilts by more than this counts as fallen if a draft is only judged. A shift alone does not end the
@@ -179,9 +179,6 @@ class Question:
             self._variants = [placement for placement, _ in Design(self._error_sweep).placements()]
             with_errors = _quick(self._error_sweep.simulation)
             self._quick[1] = self._quick[0] if with_errors == self._quick[0] else with_errors
-        self._judging: dict[tuple[bool, int], Simulation] = {}
-        """(whether the options for worlds with errors are used, number of boxes divided by ``SIZE`` and rounded up) →
-        options of judged drafts"""
 
     @property
     def is_wide(self) -> bool:
@@ -260,7 +257,8 @@ class Question:
                 worlds = [asked[number].world for number in numbers]
                 scenes = self._with_errors(draft.plan, scene, worlds) if has_errors else repeat(scene)
                 for number, its_scene in zip(numbers, scenes, strict=False):
-                    jobs[number] = Job(its_scene, has_errors=True)
+                    limit = JUDGED_ITERATIONS * math.ceil(its_scene.n_boxes / SIZE)
+                    jobs[number] = Job(its_scene, has_errors=True, iteration_limit=limit)
         return jobs
 
     def _with_errors(self, plan: Plan, scene: Scene, worlds: Sequence[int]) -> Iterator[Scene]:
@@ -273,13 +271,7 @@ class Question:
     def lane(self, one: Asked, job: Job) -> Lane:
         """The engine and the options with which a draft is judged."""
         engine = self._engines.for_job(job, self.sim, ATTEMPTS[0], soft=job.scene.soft is not None)
-        has_errors = one.world > 0 and self._quick[1] is not self._quick[0]
-        size = has_errors, math.ceil(job.scene.n_boxes / SIZE)
-        if size not in self._judging:
-            limit = JUDGED_ITERATIONS * size[1]
-            limit = min(limit, self.sim.iteration_limit or limit)
-            self._judging[size] = self._quick[int(has_errors)].changed(iteration_limit=limit)
-        return Lane(engine, self._judging[size])
+        return Lane(engine, self._quick[one.world > 0])
 
     def judged(self, outcome: Outcome, one: Asked, job: Job, sim: Simulation) -> Trial:
         """The trial of a draft that was judged.
@@ -288,7 +280,10 @@ class Question:
             sim: the options with which the draft was judged.
         """
         trial = _trial_of(outcome, one.draft.order, sim)
-        if trial.reason == Reason.ITERATION_LIMIT.value and self.sim.iteration_limit != sim.iteration_limit:
+        if (
+            trial.reason == Reason.ITERATION_LIMIT.value
+            and job.most_iterations(sim.iteration_limit) != sim.iteration_limit
+        ):
             # The search has set this limit, not the user. So the trial is valid: the draft counts as one that falls.
             return trial._replace(verdict=Verdict.UNSTABLE.value)
         if one.world or not trial.stands or outcome.flags & Flag.MOVING:

@@ -137,6 +137,9 @@ class Job:
             has the options of ``petmjx.engines.contact_penetration.stiffened``. If ``stiff`` is None, the world has the
             run's options. ``stiff`` is set only on engines with ``Capability.STIFF_JOBS``, for a world that is
             simulated again together with other worlds.
+        iteration_limit: largest number of solver iterations of the placement, and of the drive. The smaller of
+            ``iteration_limit`` and ``Simulation.iteration_limit`` applies; None: only the run's limit applies. Further
+            attempts do not change ``iteration_limit``.
         edge_risk: what statics says about the loads of the scene (``petmjx.world.edge_distances.EdgeRisk``), for the
             order in which an engine simulates worlds; None if it is not known.
     """
@@ -151,7 +154,13 @@ class Job:
     has_errors: bool = False
     confirms: bool = False
     stiff: float | None = None
+    iteration_limit: int | None = None
     edge_risk: int | None = None
+
+    def most_iterations(self, limit_of_run: int | None) -> int | None:
+        """The smaller of this job's limit and the run's limit (``Simulation.iteration_limit``); None: no limit."""
+        limits = [limit for limit in (self.iteration_limit, limit_of_run) if limit is not None]
+        return min(limits, default=None)
 
     @property
     def settles(self) -> bool:

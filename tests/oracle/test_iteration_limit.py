@@ -106,3 +106,15 @@ def test_a_drive_has_as_many_iterations_again(name: str) -> None:
     assert directly.reason is fork.reason is Reason.ITERATION_LIMIT
     assert directly.n_steps == placement.n_steps + fork.n_steps
     assert fork.n_steps > 50
+
+
+@pytest.mark.parametrize("name", ["mujoco", "mjx-warp"])
+def test_worlds_of_a_run_may_have_different_limits(name: str) -> None:
+    """The smaller of the job's and the run's limit applies."""
+    engine: Engine = MujocoEngine(1) if name == "mujoco" else shared_engine()
+    scene = build_scene(make_plan("pile", stack(4)), SHORT)
+    whole, cut = run_all(engine, [Job(scene), Job(scene, iteration_limit=LIMIT)], SHORT)
+    assert (whole.verdict, cut.reason) == (Verdict.STABLE, Reason.ITERATION_LIMIT)
+    jobs = [Job(scene, iteration_limit=limit) for limit in (None, LIMIT, MOST_ITERATIONS)]
+    for outcome in run_all(engine, jobs, SHORT.changed(iteration_limit=LIMIT)):
+        assert_same(outcome, cut)

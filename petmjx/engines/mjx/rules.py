@@ -209,7 +209,7 @@ class Rules:
             flags=state.flags | jnp.where(nonfinite, int(Flag.NONFINITE), 0),
             status=jnp.where(nonfinite, Status.FINISHED, state.status),
         )
-        state = self._end_spent(state)
+        state = self._end_spent(state, worlds)
         state = self._look_at_the_end(self._proceed(state, worlds), worlds)
         if self.carries:
             state = hand.carry_on(state, worlds, state.running & in_hand, self.sim)
@@ -307,12 +307,10 @@ class Rules:
             status=jnp.where(stopped | exploded, Status.FINISHED, state.status),
         )
 
-    def _end_spent(self, state: State) -> State:
-        """End the worlds that have used up their iterations (``Simulation.iteration_limit``), unless they end after
-        this step anyway."""
-        if self.sim.iteration_limit is None:
-            return state
-        spent = state.running & (state.iterations_done >= self.sim.iteration_limit)
+    def _end_spent(self, state: State, worlds: Worlds) -> State:
+        """End the worlds that have used up their iterations (``Worlds.most_iterations``), unless they end after this
+        step anyway."""
+        spent = state.running & (state.iterations_done >= worlds.most_iterations)
         spent &= ~((state.step > 0) & (state.step >= state.end))
         failed = state.metrics.has_failed(self.sim.thresholds)
         flags = jnp.where(failed, int(Flag.EARLY_STOP), int(Flag.ITERATION_LIMIT))

@@ -55,6 +55,7 @@ class Worlds(NamedTuple):
     ``pauses``: when its boxes are at rest, the world waits for further boxes (petmjx/engines/open_world_protocol.py).
     ``ends_when_gone``: the world is a trial, which ends when a box is gone (``petmjx.engines.metrics.GONE_TILT``).
     ``most_steps`` is the number of steps after which the world leaves a GPU (petmjx/engines/warp/long_worlds.py).
+    ``most_iterations`` is the largest number of solver iterations of the placement or the drive; ``NEVER``: no limit.
 
     Placing: ``start`` is the release pose of a box whose ``support`` is at its planned place. If the support has sunk
     or risen, the box is released lower or higher, by at most ``most_followed``, m (petmjx/world/release_places.py).
@@ -104,6 +105,7 @@ class Worlds(NamedTuple):
     pauses: Bool[Array, " world"]
     ends_when_gone: Bool[Array, " world"]
     most_steps: Int[Array, " world"]
+    most_iterations: Int[Array, " world"]
     appears: Bool[Array, " world"]
     way_offset: Float[Array, "world box 3"]
     way_steps: Int[Array, "world box"]
@@ -156,7 +158,7 @@ def upload_worlds(
     on_host = rows if rows - len(jobs) < MANY_PADDING_ROWS else padded_rows(len(jobs))
     padding = on_host - len(jobs)
     of_scenes = _rows_of_scenes(jobs, width, sim, boards, padding)
-    of_jobs = _rows_of_jobs(jobs, profiles, sim.physics.timestep_s)
+    of_jobs = _rows_of_jobs(jobs, profiles, sim)
     of_jobs = {name: with_padding_rows(values, padding) for name, values in of_jobs.items()}
     columns = of_scenes | of_jobs | {"ends_when_gone": np.zeros(on_host, np.bool_)}
     worlds = Worlds(**dict(zip(columns, device_arrays(columns.values()), strict=True)))
@@ -194,8 +196,9 @@ def _with_padding_rows(worlds: Worlds, rows: int) -> Worlds:
 _NO_DRIVE: Final = Drive(Excitation("none", FORCE, np.zeros((0, 3))), scale=0.0, rest_s=0.0)
 
 
-def _rows_of_jobs(jobs: Sequence[Job], profiles: dict[int, int], timestep_s: float) -> Rows:
+def _rows_of_jobs(jobs: Sequence[Job], profiles: dict[int, int], sim: Simulation) -> Rows:
     """The fields that depend on the job, not only on its scene."""
+    timestep_s = sim.physics.timestep_s
     drives = [job.drive or _NO_DRIVE for job in jobs]
     profiles = {id(_NO_DRIVE.excitation): 0, **profiles}
     profile_steps = np.array([len(drive.excitation.samples) for drive in drives], np.int32)
@@ -219,4 +222,5 @@ def _rows_of_jobs(jobs: Sequence[Job], profiles: dict[int, int], timestep_s: flo
         "confirm_steps": np.array([confirm_steps if job.confirms else NEVER for job in jobs], np.int32),
         "allowed_sway": np.array([drive.allowed_sway_m for drive in drives], np.float32),
         "most_steps": np.full(len(jobs), NEVER, np.int32),
+        "most_iterations": np.array([job.most_iterations(sim.iteration_limit) or NEVER for job in jobs], np.int32),
     }

@@ -27,16 +27,17 @@ class Stepper:
         sim: the options, which determine when the rules check whether the pallet is quiet. The largest forces on tops
             include the forces in the steps of these checks.
         budget: the time budget of the world. If ``budget`` is None, there is no limit.
+        iteration_limit: largest number of solver iterations; None: no limit.
 
     Attributes:
-        is_spent: whether the world has used up its iterations (``Simulation.iteration_limit``).
+        is_spent: whether the world has used up its iterations (``iteration_limit``).
     """
 
-    def __init__(self, sim: Simulation, budget: Budget | None) -> None:
+    def __init__(self, sim: Simulation, budget: Budget | None, iteration_limit: int | None) -> None:
         self._looks, self._poll_steps = sim.waits_for_rest, sim.quiet.poll_steps
         self._budget = budget
         self._placed, self._restless = 0, True
-        self._iteration_limit, self._iterations, self.is_spent = sim.iteration_limit, 0, False
+        self._iteration_limit, self._iterations, self.is_spent = iteration_limit, 0, False
 
     def restart_iterations(self) -> None:
         """Count the iterations of the solver from 0 on."""

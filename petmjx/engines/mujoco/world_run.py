@@ -73,7 +73,8 @@ class WorldRun:
         cancelled: Callable[[], bool],
         budget: Budget | None = None,
     ) -> None:
-        self._stepper, self._budget = Stepper(sim, budget), budget
+        self._stepper = Stepper(sim, budget, job.most_iterations(sim.iteration_limit))
+        self._budget = budget
         self._begun, self._stream_number = False, stream_number
         self._job = job
         self._sim = sim

@@ -88,7 +88,6 @@ def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
         "waits_for_rest": int(sim.waits_for_rest),
         "extends": int(sim.waits_for_rest and sim.total_time_factor is None),
         "early_stop": int(sim.early_stop),
-        "iteration_limit": sim.iteration_limit or NEVER,
         "soft_start": SOFT_START_STEPS,
         "sample_every": timetable.sample_every,
         "rest_steps": timetable.rest_steps,

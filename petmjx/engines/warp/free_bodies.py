@@ -37,7 +37,6 @@ _NO_RULES: Final[dict[str, Any]] = {
     "waits_for_rest": 0,
     "extends": 0,
     "early_stop": 0,
-    "iteration_limit": NEVER,
     "sample_every": NEVER,
 }
 """Values for constants of the kernels (``world_arrays.Model``). With these values, a driven world continues to its last

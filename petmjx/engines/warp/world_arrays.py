@@ -109,7 +109,6 @@ class Model:
     waits_for_rest: int
     extends: int  # 1 if a world that still moves at its planned end gets more time.
     early_stop: int
-    iteration_limit: int  # Largest number of solver iterations of a placement or a drive; NEVER: no limit.
     soft_start: int  # Number of steps of a soft start.
     sample_every: int
     rest_steps: int

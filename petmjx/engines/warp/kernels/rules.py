@@ -291,7 +291,7 @@ def after_step(
         lost = any_of_all(lost)
     stopped = lost and model.early_stop != 0 and not last
     # a world that ends after this step anyway did not end because of its iterations
-    spent = iterations >= model.iteration_limit and not (last or stopped or exploded or nonfinite)
+    spent = iterations >= worlds.most_iterations[world] and not (last or stopped or exploded or nonfinite)
     finished = stopped or exploded or nonfinite or spent
     if signs:
         sign_step = step
