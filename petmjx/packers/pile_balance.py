@@ -40,8 +40,8 @@ this number."""
 MARGIN_M: Final = 0.020
 MARGIN_SHARE: Final = 0.2
 """How far inside the hull of its supports the load of a box must act: ``MARGIN_M``, or ``MARGIN_SHARE`` of the base's
-shorter side if that is smaller. With 10 mm instead of ``MARGIN_M`` and a supported share of at least 0.6, all of 60
-plans stood, too. The larger ``MARGIN_M`` allows for the errors of a robot."""
+shorter side if that is smaller. With a margin of 10 mm and a supported share of at least 0.6, all of 60 plans stood as
+well. The larger ``MARGIN_M`` allows for the errors of a robot."""
 
 FAR_M: Final = 0.2
 """Upper limit of computed margins against tipping, m. A box on the carrier has the margin ``FAR_M``."""

@@ -53,9 +53,9 @@ class Balance(NamedTuple):
     Attributes:
         box: (k,) numbers of the boxes whose loads are beyond an edge, in order of time.
         step: (k,) position in packing order of the box whose placement moves each load beyond the edge.
-        cause: (k,) number of the box at that position.
+        cause: (k,) number of the box whose placement moves each load beyond the edge.
         depth_mm: (k,) largest distance of each load beyond the edge.
-        weight: (k,) weight of each load in ``trouble``: 1 to 2, times ``PERHAPS`` if the load may be inside.
+        weight: (k,) weight of each load in ``trouble``: 1 to 2, times ``PERHAPS`` if the load may be inside the edge.
         last_mm: (k,) distance of each load from the edge once all boxes are placed, positive inside.
         trouble: sum of the weights of the loads that are beyond an edge.
         weakness: a number for the risk that the plan falls with errors, as a sum over loads and boxes. A load that is

@@ -118,7 +118,7 @@ class Repaired:
         return next((change.turns for change in reversed(self.changes) if hasattr(change, "turns")), None)
 
     def undone(self, number: int) -> Plan | None:
-        """The plan with all changes but one; None if the others are impossible without it.
+        """The plan with all changes but one; None if the other changes are impossible without this change.
 
         Raises:
             InputError: there is no change with this number.
@@ -157,7 +157,7 @@ class Repaired:
 
     @property
     def doubt(self) -> str:
-        """A line about simulations of changed plans that were invalid; empty without such simulations."""
+        """A line about invalid simulations of changed plans; empty if no simulation was invalid."""
         if not self.invalid:
             return ""
         reasons = ", ".join(f"{number:,} {reason}" for reason, number in self.invalid.items())
@@ -275,8 +275,8 @@ class RepairInterrupted(KeyboardInterrupt):
     """An interrupt of ``petmjx.repair``.
 
     Attributes:
-        repairs: the results of the plans whose search had ended. Shares are missing if their worlds with errors were
-            not simulated yet.
+        repairs: the results of the plans whose search had ended. Shares are missing if the worlds with errors were not
+            simulated yet.
     """
 
     def __init__(self, repairs: Repairs) -> None:

@@ -179,8 +179,8 @@ class Search(Candidates):
     built_falls: bool = False
 
     def take(self, other: Search) -> None:
-        """Take over the results that the same search has reached in another process. If the unchanged plan stands, as
-        this search already knows, there are no results."""
+        """Take over the results that the same search has reached in another process. If this search already knows that
+        the unchanged plan stands, the results of the other process are ignored."""
         if self.complete:
             return
         self.before, self.repairs, self.n_trials = other.before or self.before, other.repairs, other.n_trials
@@ -220,8 +220,8 @@ class Search(Candidates):
         elif trial.culprit is not None and max(trial.culprit + 1, trial.n_placed) <= self.rules.built:
             yield from self._begun_with_built(trial)
         if not (self._stands or self.built_falls):
-            # if the plan fell when judged, its judged trial, not its score, shows where to change it, because its
-            # changed plans are judged as well
+            # a plan that fell when judged is changed where it fell in this judged trial, not where it fell in its
+            # score, because its changed plans are judged as well
             known = trial if is_scored and not trial.stands else self.before or trial
             try:
                 yield from self._mended(State(self._start, (), known))
@@ -300,7 +300,7 @@ class Search(Candidates):
             (trial,) = yield from self._simulated([draft])
             if trial.stands:
                 best, high = [State(draft, (film,), trial)], turns
-                self.repairs = tuple(best)  # kept if the trials are spent, or the time is up
+                self.repairs = tuple(best)  # the result if the trials are spent, or the time is up
             else:
                 low = turns
             turns = (low + high) // 2
@@ -318,11 +318,11 @@ class Search(Candidates):
         end, nodes = last, list(start)
         ways = Counter(_kind_of(node.state) for node in nodes)
         standing: list[State] = []
-        judged: list[State] = []  # states that stand
+        judged: list[State] = []  # states that stand when judged, without the doubtful ones
         doubtful: list[State] = []  # states that may fall when scored (``_is_doubtful``)
         is_late = is_widened = False
         n_anew, may_rebuild = 0, Kind.PLACE in kinds and options.profile is None
-        # if boxes may be left out, many rounds without this last resort have been in vain, and are counted here
+        # Boxes may be left out only after many rounds in which no box was left out. These rounds are counted here.
         n_rounds = len(WIDE_AT_ONCE) if Kind.LEAVE_OUT in kinds else 0
         queues: list[list[Candidate]] = []
         while self.n_trials < last and not self._stands:
@@ -372,7 +372,7 @@ class Search(Candidates):
                 last = min(last, self.n_trials + int(SHORTER * most_trials))
             standing = shortest([*standing, *shortened])
             self.repairs = tuple(standing)
-            if is_late and standing:  # plans built anew hardly need fewer changes next time
+            if is_late and standing:  # to build plans anew once more would hardly give a repair with fewer changes
                 break
             pairs = zip(states, batch, strict=True)
             changed = [Node(one, self._remaining(one, c.parent), rank=c.key) for one, c in pairs]
@@ -646,10 +646,11 @@ class Search(Candidates):
         """The candidates that stand, and stand in more worlds with errors than the plan ``weak`` from which they were
         made.
 
-        A world with errors has five times as many steps as one without errors, in which no hand lowers the boxes. So
-        needless worlds with errors are avoided in the following way. Candidates that stand without errors are judged in
-        worlds in which ``weak`` falls, one world after the other, until enough of them stand. The best candidates are
-        judged in all worlds with errors, one world after the other, until one stands in ``wanted`` of them.
+        A world with errors has five times as many steps as a world without errors, because a hand lowers the boxes only
+        in worlds with errors. So needless worlds with errors are avoided in the following way. Candidates that stand
+        without errors are judged in worlds in which ``weak`` falls, one world after the other, until enough of them
+        stand. The best candidates are judged in all worlds with errors, one world after the other, until one stands in
+        ``wanted`` of them.
         """
         judged = yield from self._judged(batch)
         standing = [state for state in judged if state.trial.stands]
@@ -690,8 +691,8 @@ class Search(Candidates):
         return state
 
     def _reduced(self, state: State) -> Steps[State]:
-        """The state without needless changes that can be left out in groups. Halves of the changes are tried first,
-        then smaller groups. A state with at most ``MOST_UNDONE`` changes is returned unchanged."""
+        """The state after needless changes have been taken back in groups. Halves of the changes are tried first, then
+        smaller groups. A state with at most ``MOST_UNDONE`` changes is returned unchanged."""
         size = len(state.changes) // 2 if len(state.changes) > MOST_UNDONE else 0
         shorter = state
         while size > 1:

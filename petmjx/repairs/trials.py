@@ -1,4 +1,4 @@
-"""Trials of changed plans by simulation: at rest or after a drive, exactly placed and with errors."""
+"""Trials: simulations of changed plans at rest or after a drive, with boxes placed exactly or with errors."""
 
 from __future__ import annotations
 
@@ -390,7 +390,7 @@ class Lane(NamedTuple):
     def can_pause(self) -> bool:
         """Whether placements can pause, so that worlds with the same first boxes share the simulation of these boxes.
         On a GPU, placements do not pause: a paused world waits for the end of a time slice, and a measured run with
-        pauses made fewer trials per second than without."""
+        pauses made fewer trials per second than a run without pauses."""
         waits = self.sim.schedule is Schedule.ADAPTIVE and self.sim.check is Check.ONE_BY_ONE
         pauses = Capability.PAUSES in getattr(self.engine, "capabilities", Capability(0))
         return waits and pauses and self.engine.name != ON_A_GPU
@@ -583,8 +583,8 @@ def _quick(sim: Simulation) -> Simulation:
 
 
 def _engines(run: RunOptions) -> tuple[Engine, Choice, RunOptions | None]:
-    """The engine of all trials, the reason for its choice, and the options of the second opinion on standing plans;
-    None: no second opinion.
+    """The engine of all trials, the reason for its choice, and the options of the second opinion on standing plans
+    (None: no second opinion).
 
     ``auto`` takes the kernels of Warp, on a GPU or on CPU threads, since hundreds of plans are simulated. A score of a
     single plan uses C MuJoCo. So a repaired plan must also stand on C MuJoCo: this is the second opinion.
