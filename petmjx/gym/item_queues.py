@@ -75,8 +75,9 @@ class Queues:
         used only if all boxes so far have been removed from the front of the queues.
 
         Returns:
-            (k,) the queue of each of these k boxes, as an index into ``rows``; (k,) its position in this queue; and (k,
-            8) its values in ``Boxes.rows``. Boxes are sorted by queue, and then by position.
+            (k,) the queue of each of these k boxes, as an index into ``rows``; (k,) the position of each box in its
+            queue; and (k, 8) the values of each box, as in ``Boxes.rows``. Boxes are sorted by queue, and then by
+            position.
         """
         queues = [
             (self._boxes[row], count) for row, count in zip(rows.tolist(), self.counts[rows].tolist(), strict=True)

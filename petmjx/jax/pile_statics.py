@@ -163,7 +163,8 @@ def with_box(
     load = mass_kg * jnp.stack([jnp.float32(1.0), x, y])
     loads = statics.load + jnp.einsum("bxy,y->bx", passed, load, precision=_EXACT)
     planes = hull_planes(contacts)[0]
-    # ``planes`` is for x and y measured from the middle of the box's base; ``offset``, for x and y from the origin
+    # The distances d in ``planes`` are for coordinates relative to the middle of the box's base. ``offset`` has the
+    # distances d for coordinates relative to the origin.
     offset = planes[:, 0] - planes[:, 1] * x - planes[:, 2] * y
     is_edge = planes[:, 0] > _NO_EDGE
     planes = jnp.stack([jnp.where(is_edge, offset, _NO_EDGE), planes[:, 1], planes[:, 2]], axis=1)

@@ -47,9 +47,9 @@ STANDS: Final = 1
 FALLS: Final = -1
 
 KNIFE_SHARE: Final = 0.25
-"""A load that a placement changes must act inside the edges of its bearing at a certain distance from them
-(``_least_margin``). For all other loads, ``KNIFE_SHARE`` times this distance is enough. If a load acts nearer to the
-edge than required, the box may seem to rest while it already begins to turn."""
+"""If a placement changes the load of a box, this load must act inside the edges of the box's bearing, at a certain
+distance from them (``_least_margin``). For all other loads, ``KNIFE_SHARE`` times this distance is enough. If a load
+acts nearer to the edge than required, the box may seem to rest while it already begins to turn."""
 
 MOST_LOAD: Final = 100.0
 """A new box stands beyond doubt only if no box that carries it bears more than this load, as a multiple of the carrying

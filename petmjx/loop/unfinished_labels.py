@@ -77,8 +77,8 @@ class LabelParts:
             self.n_labels, self.next_episode = entries["labels"], entries["next_episode"]
             self._tables = Tables(folder, _CheckedParts.of(folder, entries))
             self._check_parts()
-            # the last episode may give more labels than the set needs, so the count of the earlier command is always
-            # allowed
+            # Only whole episodes are kept, so the parts may have more labels than the set needs. So the count of the
+            # earlier command is always allowed.
             if count < self.n_labels and count != entries["count"]:
                 raise InputError(
                     f"{folder}: holds {count_text(self.n_labels, 'label')}; pass {option('-n', python='count')} "
@@ -128,7 +128,7 @@ class LabelParts:
         (self._folder / UNFINISHED).unlink(missing_ok=True)
         for file in part_files(self._folder, TABLE):
             file.unlink()
-        with suppress(OSError):  # an OSError: it has other files, or does not exist
+        with suppress(OSError):  # an OSError means that the folder has other files, or does not exist
             (self._folder / TABLE).rmdir()
 
     def _list(self) -> None:

@@ -101,7 +101,7 @@ def _off_centre(
     low: FloatArray, high: FloatArray, volume: FloatArray, middle: FloatArray, extent: FloatArray
 ) -> FloatArray:
     """(c,) distance of the centre of volume from the target's middle, if the candidate's box is added. The distances
-    along x and y are divided by the target's extent along this axis; their sum is multiplied by 4.
+    along x and y are each divided by the target's extent along the same axis, and added. The sum is multiplied by 4.
 
     Args:
         low, high: (n, 3) lowest and highest corners of the placed boxes, mm.

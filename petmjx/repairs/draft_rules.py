@@ -189,9 +189,9 @@ class Rules:
             changed: for each draft, the boxes that differ from an allowed draft in place, turn or position in the
                 packing order. All other boxes must have the same places as in the allowed draft, and the same order
                 relative to each other. None: every box is checked.
-            parent: the allowed draft from which the drafts were made, needed if changed boxes may have been supports of
-                other boxes in this draft; None: no changed box was a support. If a draft has one sheet more than
-                ``parent``, all its boxes are checked.
+            parent: the allowed draft from which the drafts were made. It is needed if changed boxes may have been
+                supports of other boxes in this draft. None means that no changed box was a support. If a draft has one
+                sheet more than ``parent``, all its boxes are checked.
         """
         allowed = np.zeros(len(drafts), bool)
         sizes: dict[int, list[int]] = {}

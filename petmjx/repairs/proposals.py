@@ -60,8 +60,8 @@ class Target(NamedTuple):
     Attributes:
         box: number of the box that fails: its load is beyond the edge of its supports, it floats or overlaps, or it
             falls.
-        cause: number of the box whose placement moves the load beyond the edge; equal to ``box`` if its own weight is
-            beyond the edge.
+        cause: number of the box whose placement moves the load beyond the edge; equal to ``box`` if the own weight of
+            the failing box is beyond the edge.
         depth_mm: distance of the load beyond the edge; 0 if the load is inside by statics.
         is_squeezed: whether the box needs room beside it, since it falls with errors and is lowered between two others.
     """
@@ -362,10 +362,10 @@ def _exchanges(draft: Draft, rules: Rules, near: Sequence[int], done: Collection
 
 
 def _exchanged_places(draft: Draft, pairs: IntArray) -> tuple[Places, BoolArray]:
-    """The places of pairs of boxes after their exchange, and (k, 2) whether each of the two is turned by the exchange.
-    Three kinds of exchanges are left out: exchanges of boxes of equal sizes and nearly equal masses; exchanges of boxes
-    of different heights, if a box stands on one of them; and exchanges of boxes whose lengths or widths are too
-    different. ``pairs``: (p, 2) numbers of the boxes."""
+    """The places of pairs of boxes after their exchange, and (k, 2) whether each of the two boxes is turned by the
+    exchange. Three kinds of exchanges are left out: exchanges of boxes of equal sizes and nearly equal masses;
+    exchanges of boxes of different heights, if a box stands on one of them; and exchanges of boxes whose lengths or
+    widths are too different. ``pairs``: (p, 2) numbers of the boxes."""
     size, mass = draft.size_mm[pairs], draft.mass_kg[pairs]
     differ = np.abs(size[:, 0] - size[:, 1])
     uneven = differ[:, 2] > TOLERANCE_MM

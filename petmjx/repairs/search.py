@@ -82,8 +82,8 @@ BUILT_ANEW: Final = 0.2
 
 ROUNDS_ANEW: Final = 6
 """Largest number of rounds in which plans are built anew. Almost always, the first or second round finds a plan that
-stands. Each round takes a second of statics, even if few of its plans are worth judging, so the few plans for which
-these two rounds find no repair would keep all others waiting."""
+stands. Each round takes a second of statics, even if few of its plans are worth judging. With more rounds, the few
+plans for which no repair is found would keep all other plans waiting."""
 
 PAIR: Final = 2
 """Once a repair with ``PAIR`` + 1 changes is known, the search for a repair with ``PAIR`` changes is wide: it judges
@@ -94,8 +94,9 @@ PAIRS: Final = 0.2
 """Share of all trials that the wide search for a repair with ``PAIR`` changes may take."""
 
 SURPLUS: Final = 1.0
-"""The wide search also changes a plan further if the expected number of changes of its repair exceeds that of the known
-repair by less than this value: one change may mend two of the faults that were counted."""
+"""The wide search also changes a plan further if the plan is expected to need more changes than the known repair has,
+but the difference is less than this value. The expected number may be too large, because one change may mend two
+faults."""
 
 PAIRS_AT_ONCE: Final = 24
 """Number of changes of the original plan that are judged at once in the wide search for a repair with ``PAIR`` changes.
@@ -135,17 +136,18 @@ WIDE: Final = 2
 by this factor, and the search has fewer rounds. (For single changes, ``WIDE_AT_ONCE`` holds instead.)"""
 
 STRENGTHENED: Final = 0.33
-"""Share of all trials in which a repair is changed further, so that it stands in more worlds with errors."""
+"""Share of all trials that may be spent on further changes of a repair, so that the repair stands in more worlds with
+errors."""
 
 MORE_TO_COMPARE: Final = 24
-"""Number of additional changed plans that are judged at once, so that there are more repairs of which one is chosen by
-simulations with errors."""
+"""Number of additional changed plans that are judged at once, so that simulations with errors can choose among more
+repairs."""
 
 MOST_UNDONE: Final = 8
 """Limit of the total number of changes in all repairs that are compared. For each change, the search judges the repair
-without this change, so the more changes repairs have, the fewer repairs are compared. Of the chosen repair, the plans
-without one change are also scored, unless the repair has more changes than the limit. On a GPU, they are only judged:
-scores of plans that fall would keep all searches waiting."""
+without this change, so the more changes repairs have, the fewer repairs are compared. For the chosen repair, the plans
+without one of its changes are also scored, unless the repair has more changes than the limit. On a GPU, they are only
+judged: scores of plans that fall would keep all searches waiting."""
 
 
 @dataclass(eq=False)
