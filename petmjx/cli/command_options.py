@@ -317,7 +317,7 @@ def _setting(text: str, settable: Collection[str]) -> tuple[tuple[str, ...], Any
         raise InputError(f"--set {printable(names[0])}: unknown field; there are {', '.join(settable)}")
     try:
         return names, tomllib.loads(f"value = {value}")["value"]
-    # The text is not TOML, or has a number with thousands of digits or lists nested too deeply.
+    # The value is plain text if it is not TOML, or has a number with thousands of digits or lists nested too deeply.
     except (ValueError, RecursionError):
         return names, value.strip()
 

@@ -211,7 +211,7 @@ def _run(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[str] 
         # the reader of the output has closed the pipe (petmjx … | head); typer and rich then raise SystemExit
         return ExitCode.OK
     except OSError as error:
-        if error.filename is not None or error.errno != errno.ENOSPC:  # errors about named files are InputErrors
+        if error.filename is not None or error.errno != errno.ENOSPC:  # any error but a full disk at standard output
             return _report(_inside(error), ExitCode.FAILURE)
         return _report(f"cannot write to standard output: {error.strerror}", ExitCode.FAILURE)
     except Exception as error:

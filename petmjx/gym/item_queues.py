@@ -120,7 +120,8 @@ class Queues:
     def _fill(self, row: int) -> None:
         """Move the remaining boxes of a row to the row's beginning, and append boxes until the row is full."""
         boxes, table = self._boxes[row], self._next[row]
-        # ``_behind`` is too large if more boxes were left out than the table held.
+        # ``_behind`` is too large if more boxes were left out than the table held, so it is limited to the remaining
+        # boxes.
         behind = min(int(self._behind[row]), int(self.counts[row]))
         n_items, first = int(self.counts[row]) - behind, int(self._first[row])
         table[:n_items] = table[first : first + n_items].copy()

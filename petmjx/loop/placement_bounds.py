@@ -494,7 +494,7 @@ def _hull_edges(corners: FloatArray) -> FloatArray:
     the left of the edge. If a hull has fewer than e edges, the remaining edges are infinitely far away.
     """
     m = len(corners)
-    along = corners[:, None] - corners[:, :, None]  # (m, first, second, 2) from a first to a second corner
+    along = corners[:, None] - corners[:, :, None]  # (m, first, second, 2) vectors between corners
     length = np.linalg.norm(along, axis=-1)
     left = along[..., None, 0] * along[:, :, None, :, 1] - along[..., None, 1] * along[:, :, None, :, 0]
     is_edge = (left >= -ROUNDING_MM2).all(axis=-1) & (length > TOUCH_MM)

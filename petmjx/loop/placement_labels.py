@@ -422,7 +422,7 @@ class _Packing:
         episode.labels.append(label)
         self._schedule.note_label()
         self.scoring.discard(row)
-        # in a repeated simulation, the pallet may stand although the open pallet has fallen
+        # the label may be from a repeated simulation, in which the pallet may stand although the open pallet has fallen
         if label["stands"] and not pallets.ended[row]:
             episode.next, episode.again = episode.next + 1, False
             if pallets.n_boxes[row] >= pallets.most_boxes:

@@ -100,7 +100,7 @@ def fills_for(start: Packing) -> Fills:
     Python.
     """
     if why_no_warp_on_cpu() is None:
-        with suppress(Exception):  # Warp cannot be loaded, or cannot compile the function
+        with suppress(Exception):  # if Warp cannot be loaded, or cannot compile, Python is used
             from petmjx.packers.compiled_fill import FillKernel
 
             return FillKernel(start)

@@ -177,9 +177,9 @@ class Balance:
         return Margins(let_down, min(box_margin, FAR_M), min(pile, FAR_M))
 
     def _over_planes(self, let_down: Rest) -> FloatArray:
-        """(k,) a scalar product, kg·m, for each edge of a hull in the pile, moved inwards by the margin (see
-        ``Rest.planes``). The load is the load of the box on this hull, after one more box is placed. If the product is
-        above 0, the load acts outside the moved edge."""
+        """(k,) for each edge of a hull in the pile, the scalar product of the edge and a load, kg·m. The edges are
+        moved inwards by the margin (see ``Rest.planes``). The load is that of the box on this hull, after one more box
+        is placed. If the product is above 0, the load acts outside the moved edge."""
         assert let_down.passed is not None
         after = self._load[: self.n] + let_down.passed @ let_down.load
         excess: FloatArray = np.einsum("kc,kc->k", self._planes, after[self._owner])

@@ -104,7 +104,7 @@ def balances(
     """
     results: list[Balance] = []
     is_plain = are_plain(drafts, sim)
-    if len({*is_plain}) == 2:  # for example, only some of the drafts have sheets
+    if len({*is_plain}) == 2:  # not all drafts are equally plain: for example, only some have sheets
         parts = [[k for k, plain in enumerate(is_plain) if plain is one] for one in (True, False)]
         of_parts = [
             balances([drafts[k] for k in part], sim, spare_mm=spare_mm, with_loads=with_loads) for part in parts
@@ -174,7 +174,7 @@ def _balances(
     end the number of all boxes."""
     order = np.concatenate([draft.rows for draft in drafts])
     rows = (loads.least_mm < 0).nonzero()[0]
-    rows = rows[np.lexsort((order[loads.box[rows]], loads.step[rows]))]  # steps increase from draft to draft
+    rows = rows[np.lexsort((order[loads.box[rows]], loads.step[rows]))]  # drafts stay in order, as their steps do
     depth_mm, steps = -loads.least_mm[rows], loads.step[rows].astype(np.intp)
     weight = np.where(loads.is_sure[rows], 1.0, PERHAPS) * (1 + np.minimum(depth_mm / DEEP_MM, 1.0))
     box, cause, last_mm = order[loads.box[rows]], order[steps], loads.last_mm[rows]
@@ -304,7 +304,7 @@ def _missing(low: FloatArray, high: FloatArray, begin: int) -> FloatArray:
     """(c, n − begin) numbers as in ``_missing_room``, for c drafts of n boxes. ``low``, ``high``: (c, n, 3) corners of
     the boxes, mm. Boxes before the box ``begin`` get no number."""
     n = low.shape[1]
-    before = np.triu(np.ones((n, n), bool), k=1)[:, begin:]  # the row's box is placed before the column's
+    before = np.triu(np.ones((n, n), bool), k=1)[:, begin:]  # the row's box is placed before the column's box
     stands = before & (high[:, :, None, 2] > low[:, None, begin:, 2] + TOLERANCE_MM)
     stands &= low[:, :, None, 2] < high[:, None, begin:, 2] - TOLERANCE_MM
     stood, lowered = np.divmod(np.flatnonzero(stands), n - begin)

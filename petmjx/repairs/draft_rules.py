@@ -104,7 +104,7 @@ class _Layouts(NamedTuple):
     def of(cls, drafts: Sequence[Draft]) -> _Layouts:
         low = np.stack([draft.corner_mm for draft in drafts])
         high = low + np.stack([draft.size_mm for draft in drafts])
-        with_order = {id(draft.order): draft for draft in drafts}  # drafts with the same order have the same rank
+        with_order = {id(draft.order): draft for draft in drafts}  # one draft per order, which determines the rank
         rank = np.stack([with_order[id(draft.order)].rank for draft in drafts])
         return cls.between(low, high, rank, np.stack([draft.turned for draft in drafts]))
 

@@ -277,7 +277,8 @@ class Search(Candidates):
             fewest = len(self.repairs[0].changes)
             if self.options.worlds:
                 yield from self._strengthened()
-            # with a profile, each trial is already a score
+            # On a GPU, it is enough that plans are judged (``MOST_UNDONE``). With a profile, each trial is already a
+            # score.
             is_enough = self.is_wide or self.options.profile is not None
             if not is_enough and len(self.repairs[0].changes) == fewest <= MOST_UNDONE:
                 (shorter,) = yield from self._pruned(self.repairs[:1], judged=False)
@@ -352,7 +353,7 @@ class Search(Candidates):
                 last = self.n_trials  # as if the trials were spent: other ways to build plans anew may remain
                 break
             queues = self._queues(useful, kinds, anew=is_late)
-            # one trial is kept, with which a repair is scored
+            # one trial is kept for the score of a repair
             batch = batch_of(queues, min(at_once, last - self.n_trials, self._n_left - 1))
             n_rounds += 1
             if not batch:  # no queue is left, or fewer trials are left than there are queues
@@ -361,7 +362,7 @@ class Search(Candidates):
             if self.before is None:
                 parts.append(self._begun(self._known[key_of(self._start)]))
             states, *_ = yield Together(parts)
-            if any(state.trial.stands for state in states):  # further candidates may stand in more worlds with errors
+            if any(state.trial.stands for state in states):  # judge further candidates: they may stand more often
                 if not self.is_wide:
                     # one trial is kept, as above
                     count = min(last - self.n_trials, self._n_left - 1)
@@ -538,7 +539,7 @@ class Search(Candidates):
         """The state without the boxes that fall. Boxes that fall are left out one by one, with all boxes that would
         lose their support, until the remaining boxes stand. The result is empty if a box that is already built, or the
         last box, would have to be left out. The loop always ends, since each step leaves out a box. If scores are
-        deferred, plans are judged before they are scored."""
+        deferred (``_defers_scores``), plans are judged before they are scored."""
         while True:
             while not state.trial.stands:
                 lifted = lifted_with(state.draft, _lost(state.draft, state.trial))

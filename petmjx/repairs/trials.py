@@ -71,7 +71,7 @@ s of all searches."""
 
 SIZE: Final = 64
 """Number of boxes for which drafts have ``JUDGED_ITERATIONS``. Drafts with different limits cannot share a run of an
-engine, so this number is larger than most plans."""
+engine. Most plans have fewer boxes than this number, so most drafts have the same limit."""
 
 JUDGED_TILT_DEG: Final = 5.0
 """A box that tilts by more than this counts as fallen if a draft is only judged. A shift alone does not end the
@@ -176,7 +176,8 @@ class Question:
         self._drive_sweep(self.sim.wrap.turns)  # an unusable profile is refused before anything is simulated
         if options.worlds:
             self._error_sweep = confidence_sweep(ERROR_WORLDS, self._errors, of_simulation)
-            # the first variant of a sweep of errors has no errors
+            # variant 0 of a sweep of errors has no errors, so the worlds with errors have the numbers of the variants
+            # from 1 on
             self._variants = [placement for placement, _ in Design(self._error_sweep).placements()]
             with_errors = _quick(self._error_sweep.simulation)
             self._quick[1] = self._quick[0] if with_errors == self._quick[0] else with_errors
