@@ -117,7 +117,7 @@ def balances(
         built = building_loads_of(bearing, np.diff(bearing.boxes.first).tolist())
         perhaps = depends_on_sharing(bearing, built)
         edge_mm = MM_PER_M * built.edge_m - spare_mm
-        rows = np.flatnonzero(~np.isnan(edge_mm))  # NaN: the box has no supports, so no edge
+        rows = np.flatnonzero(~np.isnan(edge_mm))  # NaN: the box has no supports, so it has no edge
         loads = _loads(built.box[rows], built.step[rows], edge_mm[rows], perhaps[rows])
         results += _balances(some, loads, _missing_room(some), bearing.boxes.first, with_loads=with_loads)
     return results
