@@ -273,8 +273,8 @@ class _Turns(NamedTuple):
 
     Attributes:
         rows: (r,) index of the box.
-        towards: (r, 2) horizontal direction in which the box turns; ``edge``: (r,) position of the edge along this
-            direction, mm.
+        towards: (r, 2) horizontal direction in which the box turns.
+        edge: (r,) position of the edge along the direction ``towards``, mm.
         outside: (r,) distance beyond the edge at which the weight of the box acts, mm.
         apart: (r, k) distance of the pallet's boxes from their planned places, mm.
     """

@@ -356,7 +356,7 @@ class Candidates:
                 if trial.culprit is None:
                     continue
                 lost |= {trial.culprit, *draft.below(trial.culprit)}
-                last -= 1  # the last placed box may still have been moving at the end
+                last -= 1  # effects of the last placement may not have ended: do not learn from it
             for box, step, depth_mm in zip(balance.box.tolist(), balance.step, balance.depth_mm.tolist(), strict=True):
                 if step < last and box not in lost:
                     self._held_mm[box] = max(self._held_mm.get(box, 0.0), depth_mm)

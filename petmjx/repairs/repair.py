@@ -275,8 +275,8 @@ class RepairInterrupted(KeyboardInterrupt):
     """An interrupt of ``petmjx.repair``.
 
     Attributes:
-        repairs: the results of the plans whose search had ended. Shares are missing if the worlds with errors were not
-            simulated yet.
+        repairs: the results of the plans whose search had ended. The shares of worlds that stand are missing if the
+            worlds with errors were not simulated yet.
     """
 
     def __init__(self, repairs: Repairs) -> None:

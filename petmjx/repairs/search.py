@@ -325,7 +325,7 @@ class Search(Candidates):
         doubtful: list[State] = []  # states that may fall when scored (``_is_doubtful``)
         is_late = is_widened = False
         n_anew, may_rebuild = 0, Kind.PLACE in kinds and options.profile is None
-        # Boxes may be left out only after many rounds in which no box was left out. These rounds are counted here.
+        # Boxes may be left out only after many rounds in which no box was left out, so the count begins with these.
         n_rounds = len(WIDE_AT_ONCE) if Kind.LEAVE_OUT in kinds else 0
         queues: list[list[Candidate]] = []
         while self.n_trials < last and not self._stands:
