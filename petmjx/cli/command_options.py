@@ -100,7 +100,8 @@ def files_by_kind(overwrite: bool, inputs: Iterable[Path], **paths: Path | None)
     Args:
         overwrite: whether existing files may be replaced.
         inputs: files and folders that the command reads.
-        paths: kind of a file, which is also the suffix of its name → path; None if the user has not requested the file.
+        paths: kind of a file → path, or None if the user has not requested the file. The kind is also the suffix of the
+            file's name.
 
     Raises:
         InputError: the suffix of a name is not the file's kind, or a file already exists or cannot be written.
@@ -161,8 +162,8 @@ class _Option:
 
     @property
     def parameter(self) -> inspect.Parameter:
-        """The function parameter from which typer makes the option, and whose value is None if the user does not set
-        the option."""
+        """The function parameter from which typer makes the option. The value of this parameter is None if the user
+        does not set the option."""
         names = [name for name in (self.flag.name, self.flag.short) if name]
         option = typer.Option(
             *names,
@@ -316,7 +317,7 @@ def _setting(text: str, settable: Collection[str]) -> tuple[tuple[str, ...], Any
         raise InputError(f"--set {printable(names[0])}: unknown field; there are {', '.join(settable)}")
     try:
         return names, tomllib.loads(f"value = {value}")["value"]
-    # The text is not TOML, or has a number with thousands of digits or lists nested too deeply.
+    # The value is plain text if it is not TOML, or has a number with thousands of digits or lists nested too deeply.
     except (ValueError, RecursionError):
         return names, value.strip()
 

@@ -43,7 +43,7 @@ _BY_SIGNAL = {
     signal.SIGINT: ExitCode.INTERRUPTED,
     signal.SIGTERM: ExitCode.TERMINATED,
 }
-"""Signal → exit code after this signal, which is 128 + the number of the signal, as in shells."""
+"""Signal → exit code after this signal: 128 + the number of the signal, as in shells."""
 
 
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__base__ or typer.BadParameter
@@ -75,8 +75,8 @@ _COMMANDS = {
     "warm-up": "Compile all kernels now, so that no run waits for them.",
     "doctor": "Show versions, devices and which engines work here.",
 }
-"""Name of a command → what the command does, as text for the list of commands. The command's module in this package and
-the function in this module have the same name as the command, with underscores."""
+"""Name of a command → what the command does, as text for the list of commands. Each command is a function in a module
+of this package. The function and the module have the name of the command, with underscores instead of hyphens."""
 
 
 WIDTH = 110
@@ -106,8 +106,8 @@ class SectionedCommand(TyperCommand):
 
 
 def application(words: Sequence[str] = ()) -> typer.Typer:
-    """Make the application. If ``words``, the arguments of the command line, name a command, the application has only
-    this command; otherwise, the application has all commands.
+    """Make the application. ``words`` are the arguments of the command line. If they name a command, the application
+    has only this command. Otherwise, the application has all commands.
 
     Loading the modules of all commands would take longer than scoring a few plans.
     """
@@ -211,7 +211,7 @@ def _run(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[str] 
         # the reader of the output has closed the pipe (petmjx … | head); typer and rich then raise SystemExit
         return ExitCode.OK
     except OSError as error:
-        if error.filename is not None or error.errno != errno.ENOSPC:  # errors about named files are InputErrors
+        if error.filename is not None or error.errno != errno.ENOSPC:  # any error but a full disk at standard output
             return _report(_inside(error), ExitCode.FAILURE)
         return _report(f"cannot write to standard output: {error.strerror}", ExitCode.FAILURE)
     except Exception as error:

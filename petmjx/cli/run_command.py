@@ -32,7 +32,8 @@ run once."""
 
 
 AGAIN_S: Final = 0.05
-"""Delay before a signal is sent again, s, if it arrived at a moment at which Python would ignore its exception."""
+"""If a signal arrives at a moment at which Python would ignore the signal's exception, the signal is sent again after
+this delay, s."""
 
 
 class RunInterrupted(Exception):
@@ -181,7 +182,8 @@ def _how_far(folder: Path, watcher: Any, earlier: tuple[int, int] | None) -> str
     """A text that tells how far an interrupted run has come.
 
     Args:
-        earlier: the version of the run that was to be overwritten (``_version_of_run``); None: there was none.
+        earlier: the version of the run that was to be overwritten (``_version_of_run``); None if no run was to be
+            overwritten.
     """
     from petmjx.results.run_reader import load_run
 

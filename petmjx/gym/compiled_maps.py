@@ -27,7 +27,7 @@ def raise_heights(
 
     Args:
         pallet: (m,) pallet of each new box, each pallet once; ``span``: (m, 2, 2) the cells that the box covers
-            (``petmjx.loop.height_maps.spans``); ``top_mm``: (m,) height of its top.
+            (``petmjx.loop.height_maps.spans``); ``top_mm``: (m,) height of the box's top.
         heights: (n, x, y) the maps of all pallets, mm.
     """
     of_rows = table(pallet, wp.int64), table(span.reshape(-1, 4), wp.vec4i), table(top_mm, wp.float32)
@@ -40,8 +40,8 @@ def put_loads(
     """Make the maps of loads of some pallets anew. The maps change in place.
 
     Args:
-        pallet: (m,) the pallets, each pallet once; ``force_n``: (m, k) force on the top of each of their boxes, N; 0 or
-            less after the last box.
+        pallet: (m,) the pallets, each pallet once; ``force_n``: (m, k) force on the top of each box on these pallets,
+            N; 0 or less after the last box of a pallet.
         span: (n, c, 2, 2) the cells that each box on each pallet covers, as in ``raise_heights``; c ≥ k.
         loads: (n, x, y) the maps of all pallets, N.
     """

@@ -75,8 +75,9 @@ class Queues:
         used only if all boxes so far have been removed from the front of the queues.
 
         Returns:
-            (k,) the queue of each of these k boxes, as an index into ``rows``; (k,) its position in this queue; and (k,
-            8) its values in ``Boxes.rows``. Boxes are sorted by queue, and then by position.
+            (k,) the queue of each of these k boxes, as an index into ``rows``; (k,) the position of each box in its
+            queue; and (k, 8) the values of each box, as in ``Boxes.rows``. Boxes are sorted by queue, and then by
+            position.
         """
         queues = [
             (self._boxes[row], count) for row, count in zip(rows.tolist(), self.counts[rows].tolist(), strict=True)
@@ -119,7 +120,8 @@ class Queues:
     def _fill(self, row: int) -> None:
         """Move the remaining boxes of a row to the row's beginning, and append boxes until the row is full."""
         boxes, table = self._boxes[row], self._next[row]
-        # ``_behind`` is too large if more boxes were left out than the table held.
+        # ``_behind`` is too large if more boxes were left out than the table held, so it is limited to the remaining
+        # boxes.
         behind = min(int(self._behind[row]), int(self.counts[row]))
         n_items, first = int(self.counts[row]) - behind, int(self._first[row])
         table[:n_items] = table[first : first + n_items].copy()

@@ -77,7 +77,7 @@ class Maps:
             self._code.put_loads(rows, force, self._spans, self.loads)
             return
         count = (force > 0).sum(axis=1)
-        # pallets with similar numbers of loaded boxes are computed together
+        # pallets with similar numbers of loaded boxes are computed together, which saves time
         fullest = np.argsort(-count, kind="stable")
 
         def load(some: NDArray[np.intp]) -> None:

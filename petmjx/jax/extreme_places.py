@@ -23,9 +23,10 @@ from petmjx.packers.learned_candidates import MIRRORS, OVERHANG_MM
 FEATURES: Final = ("turned", "x", "y", "z", "length_x", "length_y", "height", "mass", "support", "inside", "below")
 """Features of a candidate (a box at a place): whether the box is turned by 90°; its corner and its extents, mm; its
 mass, kg; and the supported share of its base. ``inside`` is the distance of the box's centre of mass from the edge of
-the hull of the box's contacts, mm. ``below`` is 200 mm if the candidate stands on the carrier. Otherwise, ``below`` is
-computed with the candidate on the pile: the smallest distance, mm, of a pile box's load from the edge of the hull of
-that box's contacts. Both distances are positive inside a hull, negative outside, and at most 200 mm."""
+the hull of the box's contacts, mm. ``below`` is 200 mm if the candidate stands on the carrier. Otherwise, the candidate
+is put onto the pile, and for each box of the pile, the distance of the box's load from the edge of the hull of the
+box's contacts is computed. ``below`` is the smallest of these distances, mm. All distances are positive inside a hull,
+negative outside, and at most 200 mm."""
 
 _PER_ASIDE: Final = 0.01
 """Cost of a millimetre of distance from the nearest edges of the carrier, as millimetres of height. Because distances
@@ -178,7 +179,7 @@ class Candidates:
     ) -> tuple[Array, Bool[Array, " action"]]:
         """(q,) the indices of the q places with the lowest cost, and (q,) whether each place can be used. Each place is
         listed once, although several points may give the same place. To leave out repeated places, the method takes the
-        cheapest remaining place again and again, which on a GPU is also faster than sorting all places."""
+        cheapest remaining place again and again. On a GPU, this is also faster than sorting all places."""
 
         def take(cost: jax.Array, _: None) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
             best = cost.argmin()

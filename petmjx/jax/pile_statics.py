@@ -153,8 +153,8 @@ def with_box(
     stored in row ``row``. If ``row`` is beyond the last row, the box is ignored."""
     (x, y), on_carrier = contacts.middle[0], contacts.on_carrier[0]
     moments, inverse = _moments(contacts)
-    # Loads are relative to the origin, the moments of ``contacts`` to the middle of the base. The first matrix converts
-    # a load from the origin to the middle, the second one converts it back.
+    # Loads are relative to the origin, but the moments of ``contacts`` are relative to the middle of the base. The
+    # first matrix converts a load from the origin to the middle, and the second matrix converts it back.
     seen_there = jnp.eye(3).at[1, 0].set(-x).at[2, 0].set(-y)
     seen_here = jnp.eye(3).at[1, 0].set(x).at[2, 0].set(y)
     share = jnp.einsum("xa,kab,bc,cy->kxy", seen_here, moments[0], inverse[0], seen_there, precision=_EXACT)
@@ -163,7 +163,8 @@ def with_box(
     load = mass_kg * jnp.stack([jnp.float32(1.0), x, y])
     loads = statics.load + jnp.einsum("bxy,y->bx", passed, load, precision=_EXACT)
     planes = hull_planes(contacts)[0]
-    # ``planes`` is for x and y measured from the middle of the box's base; ``offset``, for x and y from the origin
+    # The distances d in ``planes`` are for coordinates relative to the middle of the box's base. ``offset`` has the
+    # distances d for coordinates relative to the origin.
     offset = planes[:, 0] - planes[:, 1] * x - planes[:, 2] * y
     is_edge = planes[:, 0] > _NO_EDGE
     planes = jnp.stack([jnp.where(is_edge, offset, _NO_EDGE), planes[:, 1], planes[:, 2]], axis=1)

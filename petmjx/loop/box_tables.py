@@ -24,8 +24,8 @@ class BoxTable:
 
     Attributes:
         count: (n,) number of boxes on each pallet.
-        size_mm, corner_mm: (n, k, 3) extents and corners of the boxes, ``mass_kg``: (n, k) masses of the boxes. Values
-            after the last box of a pallet are NaN.
+        size_mm, corner_mm: (n, k, 3) extents and corners of the boxes. Values after the last box of a pallet are NaN.
+        mass_kg: (n, k) masses of the boxes. Values after the last box of a pallet are NaN.
     """
 
     def __init__(self, n: int) -> None:

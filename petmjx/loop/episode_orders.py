@@ -109,8 +109,8 @@ class Orders:
 
     Args:
         source: ``endless``; a file of orders in any form that ``petmjx samples --orders`` reads; a data frame; or a
-            list of ``Order``. A data frame may have the columns ``strength_n``, N, and ``upright``: text with the
-            letters of the sizes that may be vertical (l for length, w for width, h for height).
+            list of ``Order``. A data frame may have a column ``strength_n`` with strengths in N, and a column
+            ``upright`` with the letters of the sizes that may be vertical (l for length, w for width, h for height).
         seed: seed of the generator of random orders.
         articles: a table of articles, whose strengths take precedence over ``strength_n``.
         reading: how to read files of orders that are not in BED-BPP's form. If ``reading`` is None, the most plausible

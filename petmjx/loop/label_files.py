@@ -103,7 +103,7 @@ def write_labels(
             damaged or were made with other orders or options, there is no place for any box of the orders, or shapely
             is missing.
     """
-    need_packers()  # the card's rules need SciPy and shapely, but are evaluated only after all labels are made
+    need_packers()  # the card at the end needs SciPy and shapely, so check for them before the labels are made
     files = label_files(folder)
     outputs = [*files.values(), folder / CARD, folder / README]
     inputs = [source] if isinstance(source, Path) else []

@@ -13,8 +13,7 @@ SLACK = wp.constant(wp.float64(SHARE_SLACK))
 
 @wp.func
 def _is_before(a: wp.vec3d, b: wp.vec3d) -> bool:
-    """Whether a place is lower than another place, or equally low and has a smaller x, or also an equal x and a smaller
-    y."""
+    """Whether place ``a`` comes before place ``b`` if places are sorted by height, then by x, then by y."""
     if a[2] != b[2]:
         return a[2] < b[2]
     if a[0] != b[0]:
@@ -52,7 +51,7 @@ def add_points(
     for number in range(int(n_known[on]), int(n_boxes[on])):
         near = corner[on, number]
         far = near + size[on, number] + free
-        # not in one assignment, which would make four names of one variable
+        # four assignments, because with a single assignment, Warp would make four names of one variable
         south = wp.float64(0.0)
         west = wp.float64(0.0)
         west_on_top = wp.float64(0.0)
@@ -101,8 +100,8 @@ def lower_boxes(
 ) -> None:
     """One thread for each new box. The arguments are those of ``petmjx.loop.compiled_places.lowered_boxes``. The thread
     of index 0 has the row ``first_row`` of ``pallet`` and ``size``. The last three arguments are the results: (m,) the
-    number of places of each new box, and (p, m) their corners and supported shares, place by place: few boxes have many
-    places, so few rows of these tables are written."""
+    number of places of each new box, and (p, m) the corners and the supported shares. Row k of these two tables has the
+    place k of each box. Few boxes have many places, so few rows are written."""
     row = first_row + wp.tid()
     on = pallet[row]
     gap = free[0]

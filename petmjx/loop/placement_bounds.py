@@ -47,9 +47,9 @@ STANDS: Final = 1
 FALLS: Final = -1
 
 KNIFE_SHARE: Final = 0.25
-"""A load that a placement changes must act inside the edges of its bearing at a certain distance from them
-(``_least_margin``). For all other loads, ``KNIFE_SHARE`` times this distance is enough. If a load acts nearer to the
-edge than required, the box may seem to rest while it already begins to turn."""
+"""If a placement changes the load of a box, this load must act inside the edges of the box's bearing, at a certain
+distance from them (``_least_margin``). For all other loads, ``KNIFE_SHARE`` times this distance is enough. If a load
+acts nearer to the edge than required, the box may seem to rest while it already begins to turn."""
 
 MOST_LOAD: Final = 100.0
 """A new box stands beyond doubt only if no box that carries it bears more than this load, as a multiple of the carrying
@@ -273,8 +273,8 @@ class _Turns(NamedTuple):
 
     Attributes:
         rows: (r,) index of the box.
-        towards: (r, 2) horizontal direction in which the box turns; ``edge``: (r,) position of the edge along this
-            direction, mm.
+        towards: (r, 2) horizontal direction in which the box turns.
+        edge: (r,) position of the edge along the direction ``towards``, mm.
         outside: (r,) distance beyond the edge at which the weight of the box acts, mm.
         apart: (r, k) distance of the pallet's boxes from their planned places, mm.
     """
@@ -494,7 +494,7 @@ def _hull_edges(corners: FloatArray) -> FloatArray:
     the left of the edge. If a hull has fewer than e edges, the remaining edges are infinitely far away.
     """
     m = len(corners)
-    along = corners[:, None] - corners[:, :, None]  # (m, first, second, 2) from a first to a second corner
+    along = corners[:, None] - corners[:, :, None]  # (m, first, second, 2) vectors between corners
     length = np.linalg.norm(along, axis=-1)
     left = along[..., None, 0] * along[:, :, None, :, 1] - along[..., None, 1] * along[:, :, None, :, 0]
     is_edge = (left >= -ROUNDING_MM2).all(axis=-1) & (length > TOUCH_MM)

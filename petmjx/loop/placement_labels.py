@@ -59,8 +59,8 @@ GROUPS_ON_GPU: Final = 2
 results of the other group and chooses its next places."""
 
 PALLETS_ON_GPU: Final = 4096
-"""Default number of pallets that are packed at the same time on a GPU. One of the two groups (``GROUPS_ON_GPU``), half
-of these pallets, is enough to keep the GPU busy; the groups take turns on the GPU."""
+"""Default number of pallets that are packed at the same time on a GPU. Half of these pallets, that is, one of the two
+groups (``GROUPS_ON_GPU``), is enough to keep the GPU busy. The two groups take turns on the GPU."""
 
 PALLETS_ON_CPU: Final = 64
 
@@ -422,7 +422,7 @@ class _Packing:
         episode.labels.append(label)
         self._schedule.note_label()
         self.scoring.discard(row)
-        # in a repeated simulation, the pallet may stand although the open pallet has fallen
+        # the label may be from a repeated simulation, in which the pallet may stand although the open pallet has fallen
         if label["stands"] and not pallets.ended[row]:
             episode.next, episode.again = episode.next + 1, False
             if pallets.n_boxes[row] >= pallets.most_boxes:

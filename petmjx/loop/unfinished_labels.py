@@ -77,8 +77,8 @@ class LabelParts:
             self.n_labels, self.next_episode = entries["labels"], entries["next_episode"]
             self._tables = Tables(folder, _CheckedParts.of(folder, entries))
             self._check_parts()
-            # the last episode may give more labels than the set needs, so the count of the earlier command is always
-            # allowed
+            # Only whole episodes are kept, so the parts may have more labels than the set needs. So the count of the
+            # earlier command is always allowed.
             if count < self.n_labels and count != entries["count"]:
                 raise InputError(
                     f"{folder}: holds {count_text(self.n_labels, 'label')}; pass {option('-n', python='count')} "
@@ -128,7 +128,7 @@ class LabelParts:
         (self._folder / UNFINISHED).unlink(missing_ok=True)
         for file in part_files(self._folder, TABLE):
             file.unlink()
-        with suppress(OSError):  # an OSError: it has other files, or does not exist
+        with suppress(OSError):  # an OSError means that the folder has other files, or does not exist
             (self._folder / TABLE).rmdir()
 
     def _list(self) -> None:
@@ -167,7 +167,7 @@ def check_same_set(folder: Path, before: Mapping[str, Any], now: Mapping[str, An
     if isinstance(orders, Mapping) and orders_now["sha256"] and orders.get("sha256") == orders_now["sha256"]:
         before = {**before, "orders": {**orders, "source": orders_now["source"]}}
     for name, earlier, later in differing_settings(before, now):
-        if earlier != later:  # a missing entry counts as null
+        if earlier != later:  # equal if one is null and the other missing
             different = f"{name} was {json.dumps(earlier)}, is {json.dumps(later)}"
             raise InputError(f"{folder}: cannot be resumed: its labels differ from these ({different})")
 

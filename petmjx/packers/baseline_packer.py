@@ -160,7 +160,7 @@ class _Pile:
         box's base.
 
         Args:
-            corners, bases: (c, 2) corners (x, y), and sides along x and y, of the boxes, mm.
+            corners, bases: (c, 2) lowest x and y of the boxes, and (c, 2) sides of their bases along x and y, mm.
         """
         z, carried = let_down(self._overlap(corners, bases), self._high[: self.n, 2])
         share: FloatArray = np.where(z > 0, carried / bases.prod(axis=1), 1.0)

@@ -100,7 +100,7 @@ def fills_for(start: Packing) -> Fills:
     Python.
     """
     if why_no_warp_on_cpu() is None:
-        with suppress(Exception):  # Warp cannot be loaded, or cannot compile the function
+        with suppress(Exception):  # if Warp cannot be loaded, or cannot compile, Python is used
             from petmjx.packers.compiled_fill import FillKernel
 
             return FillKernel(start)
@@ -164,11 +164,11 @@ def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fil
                 packing.put(candidate)
                 packing.fill(most=stride - 1)
                 boxes = frozenset(packing.placed)
-            # an earlier packing of this step has the same boxes at the same places
+            # skip this packing: an earlier packing of this step has the same boxes at the same places
             if boxes in seen_packings:
                 continue
             seen_packings.add(boxes)
-            if number == 0:  # the best candidate is the next box of way.filled, so this full packing is already known
+            if number == 0:  # way.filled places the best candidate first, so it is the full packing of candidate 0
                 filled: RankedPacking | None = way.filled
             else:
                 filled = _full_packing(fills, packing, first, _worst(best, width, packing.n_items))
@@ -180,8 +180,8 @@ def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fil
 
 
 def _worst(best: Sequence[_SearchBranch], width: int, n_items: int) -> float:
-    """Largest height with which a further packing is among the ``width`` best packings, mm. The height is infinite if
-    ``best`` has fewer than ``width`` packings, or if the worst packing in ``best`` lacks boxes."""
+    """Largest height with which a further packing can still be among the ``width`` best packings, mm. The height is
+    infinite if ``best`` has fewer than ``width`` packings, or if the worst packing in ``best`` lacks boxes."""
     if len(best) < width or len(best[-1].filled.placed) < n_items:  # a packing with more boxes is better at any height
         return inf
     return best[-1].filled.height_mm

@@ -93,8 +93,7 @@ class Candidates:
         self._add_points([(x, y) for x, y in points[:, 0].tolist()])
 
     def _cover(self, corner: tuple[float, float], ends: tuple[float, float, float]) -> None:
-        """Update those candidates whose base is above the newest box, if the newest box is now the highest box under
-        the base."""
+        """Update the candidates whose base is over the newest box, unless the base is also over a higher box."""
         area = overlap(self.points, self.base, np.array([corner]), np.array([ends[:2]]))[:, :, 0]
         hit, top = area > 0, ends[2]
         higher = hit & (top > self.z + TOUCH_MM)

@@ -24,8 +24,8 @@ SOURCE = "pack"
 """Text that messages show as the source of packed plans, which come from no file."""
 
 FIRST_WORLDS: Final = 4
-"""Number of worlds with errors that are simulated first. Most packings that fall too often can be refused after this
-number."""
+"""Number of worlds with errors that are simulated first. Most packings that fall too often can be refused after these
+worlds."""
 
 
 @dataclass(frozen=True)

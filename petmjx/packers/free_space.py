@@ -42,9 +42,9 @@ def free_space(surface: HeightMap, low: FloatArray, high: FloatArray) -> dict[st
 
     Returns:
         A dict: name in ``NAMES`` → (c,) values. ``room_small`` and ``room_large`` measure how low the next small or
-        large carton could stand. They are the mean, over cartons, of the height of a carton's lowest place plus the
-        cost of the air below the carton, m. ``level_small`` and ``level_large`` are the share of places that are level,
-        as the mean over small or large cartons.
+        large carton could stand. The cost of a place is its height plus the cost of the air below the carton. The value
+        is the smallest cost of a place for each carton, averaged over the small or large cartons, m. ``level_small``
+        and ``level_large`` are the shares of places that are level, averaged over the small or large cartons.
     """
     lines = np.concatenate([surface.lines(low), surface.lines(high)], axis=1)[:, :, None]
     x, y = (np.arange(n) for n in surface.height.shape)

@@ -24,8 +24,8 @@ from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM
 from petmjx.plans.order import Item
 
 LEAST_SUPPORT: Final = 0.2
-"""Smallest supported share of a base. This share can be low, because the static balance, and the probability to stand
-that a network predicts, also decide where boxes are placed."""
+"""Smallest supported share of a base. This share can be low, because a box is placed only where the pile stays in
+static balance, and where a network predicts that the box is likely to stand."""
 
 COARSE_MM: Final = 50.0
 
@@ -56,8 +56,8 @@ class MirroredCandidates(Candidates):
     def __init__(self, base: FloatArray, height: FloatArray, extent_mm: tuple[float, float], most_boxes: int) -> None:
         super().__init__(base, height, extent_mm, most_boxes)
         self.corners, self.rests = np.zeros((0, 2)), np.zeros(0)
-        # lowest and highest corners of the boxes in each mirror image; the corner points of all mirror images; and
-        # whether x and y are mirrored in the mirror image of each point
+        # _lows, _highs: corners of the boxes in each mirror image; _points: the corner points of all mirror images;
+        # _in: whether x and y are mirrored in the mirror image to which each point belongs
         self._lows, self._highs = np.zeros((2, len(MIRRORS), most_boxes, 3))
         self._points = np.zeros((len(MIRRORS), 2))
         self._in = np.array(MIRRORS)
@@ -141,7 +141,7 @@ class FourSidedStream(ItemStream):
     def places(self, least_support: float = LEAST_SUPPORT) -> Places:
         """All candidates with sufficient support that are not too high, for the boxes that the packer sees.
 
-        The candidates are not checked for balance, which ``keeps_balance`` does later.
+        Whether the pile keeps its balance with a candidate is checked later, by ``keeps_balance``.
 
         Args:
             least_support: smallest allowed supported share of a base.

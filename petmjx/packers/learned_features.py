@@ -19,8 +19,8 @@ from petmjx.packers.learned_candidates import FourSidedStream
 from petmjx.packers.pile_balance import TOUCH_MM
 
 LATE: Final = ("z", "support", "rougher", "room_small", "room_large")
-"""Features that appear a second time, multiplied by the pile's mean height in m. A feature and its multiple have
-separate weights, so the effect of the feature on the score can depend on the height of the pile."""
+"""Features that appear a second time, multiplied by the pile's mean height in m. A feature and its product with the
+mean height have separate weights, so the effect of the feature on the score can depend on the height of the pile."""
 
 NAMES: Final = (
     *("z", "grows", "below_top"),
@@ -100,8 +100,8 @@ def features(stream: FourSidedStream, places: Places) -> FloatArray:
 def _off_centre(
     low: FloatArray, high: FloatArray, volume: FloatArray, middle: FloatArray, extent: FloatArray
 ) -> FloatArray:
-    """(c,) how far the centre of volume of all boxes, with the candidate's box, is off the target's middle: 4 × the sum
-    of the distances between the two along x and y, each divided by the target's extent.
+    """(c,) distance of the centre of volume from the target's middle, if the candidate's box is added. The distances
+    along x and y are each divided by the target's extent along the same axis, and added. The sum is multiplied by 4.
 
     Args:
         low, high: (n, 3) lowest and highest corners of the placed boxes, mm.
@@ -138,8 +138,8 @@ def _neighbour_features(
         extent: (2,) length and width of the target, mm.
     """
     size = end - start
-    # arrays (3, c, n), one value per axis, candidate and box: gap if the box is before the candidate, gap if the box is
-    # after the candidate, and overlap
+    # before, after and shared have one value for each axis, candidate and box, (3, c, n): the gap if the box is before
+    # the candidate, the gap if the box is after the candidate, and the overlap
     starts, ends, lows, highs = start.T[:, :, None], end.T[:, :, None], low.T[:, None, :], high.T[:, None, :]
     before, after = starts - highs, lows - ends
     shared = -np.maximum(np.maximum(before, after), np.maximum(lows - highs, starts - ends))

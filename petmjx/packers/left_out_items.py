@@ -17,7 +17,7 @@ FALLS: Final = "packings with more boxes do not stand often enough"
 
 @dataclass(frozen=True)
 class LeftOutItems:
-    """Items of one order for which the packer found no place.
+    """Items of one order that a packing leaves out.
 
     Attributes:
         order_id: id of the order and of the plan.

@@ -138,7 +138,7 @@ def orders_of(
 
     Args:
         orders, n, seed, on_bad_order: as in ``pack``.
-        reading: how a file is read that is not in BED-BPP's form. If ``reading`` is None, the file is read in the most
+        reading: how to read a file that is not in BED-BPP's form. If ``reading`` is None, the file is read in the most
             plausible way.
     """
     integer_of(seed, "seed", 0)

@@ -46,7 +46,7 @@ class PackedOrder:
         order_id: id of the order and of its plan.
         n_items: number of boxes in the order.
         taken: the chosen packing; None if there is no place for any box.
-        tried: number of packings among which the packing was chosen: all packings up to the first good one.
+        tried: number of packings among which the packing was chosen (see ``decisive_evaluations``).
         n_simulated: number of simulated worlds, which may depend on other orders.
         good: whether the plan stands as often as requested.
         left_out: items that the packing leaves out; None if it leaves out no item.
@@ -164,7 +164,7 @@ class Packed:
         - ``n_worlds``: number of worlds with errors.
         - ``n_standing``: number of worlds with errors in which the plan stands.
         - ``share``: n_standing / n_worlds, with its Wilson 95 % interval ``low``, ``high``.
-        - ``tried``: number of simulated packings.
+        - ``tried``: number of packings among which the packing was chosen.
         - ``good``: whether the plan stands as often as requested.
         """
         return pd.DataFrame([packed.row() for packed in self.packed_orders])

@@ -75,8 +75,8 @@ class Packing:
 
     Attributes:
         n_items: number of boxes in the order.
-        extent_mm: length and width of the target, mm, each plus ``clearance_mm``: the last box of a row needs no free
-            space behind it.
+        extent_mm: length and width of the target, mm, each plus ``clearance_mm``. The larger extent is needed because
+            the base of each box includes free space, although the last box of a row needs no free space behind it.
         placed: placed boxes in packing order. Placed boxes refer to the same objects as ``items``.
         top_mm: height of the highest top, mm.
         volume_m3: volume of the placed boxes, m³.

@@ -41,8 +41,8 @@ With check ``one-by-one``, schedule ``adaptive`` and physics ``pallet``, 38 of t
 strict plans."""
 
 MOST_SAMPLES = 200_000
-"""Largest number of plans in a set: twenty times BED-BPP's number. A file with this number of plans has nearly 4 GiB,
-which is the largest size of a file that petmjx reads."""
+"""Largest number of plans in a set: twenty times BED-BPP's number. A file with this number of plans has nearly 4 GiB.
+Larger files cannot be read by petmjx."""
 
 LOOSE_SUPPORT = (0.3, 0.6)
 """Range of the random ``min_support`` of loose plans. Strict plans have the default of ``PackRules``."""
@@ -168,8 +168,8 @@ def pack_orders(
         on_bad_order: function that is called with the error of each bad order; the order is then skipped. If
             ``on_bad_order`` is None, the error is raised.
         on_left_out: function that is called with the items that a plan leaves out, just before the plan is yielded.
-        reading: how a file is read that is not in BED-BPP's form, and its target. If ``reading`` is None, the file is
-            read in the most plausible way.
+        reading: how to read a file that is not in BED-BPP's form, and the target of its orders. If ``reading`` is None,
+            the file is read in the most plausible way.
 
     Raises:
         InputError: the file has no orders, the packer is unknown, or an order is bad and ``on_bad_order`` is None.

@@ -53,9 +53,9 @@ class Balance(NamedTuple):
     Attributes:
         box: (k,) numbers of the boxes whose loads are beyond an edge, in order of time.
         step: (k,) position in packing order of the box whose placement moves each load beyond the edge.
-        cause: (k,) number of the box at that position.
+        cause: (k,) number of the box whose placement moves each load beyond the edge.
         depth_mm: (k,) largest distance of each load beyond the edge.
-        weight: (k,) weight of each load in ``trouble``: 1 to 2, times ``PERHAPS`` if the load may be inside.
+        weight: (k,) weight of each load in ``trouble``: 1 to 2, times ``PERHAPS`` if the load may be inside the edge.
         last_mm: (k,) distance of each load from the edge once all boxes are placed, positive inside.
         trouble: sum of the weights of the loads that are beyond an edge.
         weakness: a number for the risk that the plan falls with errors, as a sum over loads and boxes. A load that is
@@ -104,7 +104,7 @@ def balances(
     """
     results: list[Balance] = []
     is_plain = are_plain(drafts, sim)
-    if len({*is_plain}) == 2:  # for example, only some of the drafts have sheets
+    if len({*is_plain}) == 2:  # not all drafts are equally plain: for example, only some have sheets
         parts = [[k for k, plain in enumerate(is_plain) if plain is one] for one in (True, False)]
         of_parts = [
             balances([drafts[k] for k in part], sim, spare_mm=spare_mm, with_loads=with_loads) for part in parts
@@ -117,7 +117,7 @@ def balances(
         built = building_loads_of(bearing, np.diff(bearing.boxes.first).tolist())
         perhaps = depends_on_sharing(bearing, built)
         edge_mm = MM_PER_M * built.edge_m - spare_mm
-        rows = np.flatnonzero(~np.isnan(edge_mm))  # NaN: the box has no supports, so no edge
+        rows = np.flatnonzero(~np.isnan(edge_mm))  # NaN: the box has no supports, so it has no edge
         loads = _loads(built.box[rows], built.step[rows], edge_mm[rows], perhaps[rows])
         results += _balances(some, loads, _missing_room(some), bearing.boxes.first, with_loads=with_loads)
     return results
@@ -174,7 +174,7 @@ def _balances(
     end the number of all boxes."""
     order = np.concatenate([draft.rows for draft in drafts])
     rows = (loads.least_mm < 0).nonzero()[0]
-    rows = rows[np.lexsort((order[loads.box[rows]], loads.step[rows]))]  # steps increase from draft to draft
+    rows = rows[np.lexsort((order[loads.box[rows]], loads.step[rows]))]  # drafts stay in order, as their steps do
     depth_mm, steps = -loads.least_mm[rows], loads.step[rows].astype(np.intp)
     weight = np.where(loads.is_sure[rows], 1.0, PERHAPS) * (1 + np.minimum(depth_mm / DEEP_MM, 1.0))
     box, cause, last_mm = order[loads.box[rows]], order[steps], loads.last_mm[rows]
@@ -304,7 +304,7 @@ def _missing(low: FloatArray, high: FloatArray, begin: int) -> FloatArray:
     """(c, n − begin) numbers as in ``_missing_room``, for c drafts of n boxes. ``low``, ``high``: (c, n, 3) corners of
     the boxes, mm. Boxes before the box ``begin`` get no number."""
     n = low.shape[1]
-    before = np.triu(np.ones((n, n), bool), k=1)[:, begin:]  # the row's box is placed before the column's
+    before = np.triu(np.ones((n, n), bool), k=1)[:, begin:]  # the row's box is placed before the column's box
     stands = before & (high[:, :, None, 2] > low[:, None, begin:, 2] + TOLERANCE_MM)
     stands &= low[:, :, None, 2] < high[:, None, begin:, 2] - TOLERANCE_MM
     stood, lowered = np.divmod(np.flatnonzero(stands), n - begin)

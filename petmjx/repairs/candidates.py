@@ -178,7 +178,7 @@ def way_of(state: State) -> tuple[object, ...]:
 
 
 def batch_of(queues: Sequence[list[Candidate]], count: int) -> list[Candidate]:
-    """Take equally many candidates off each ranked queue, the most promising ones."""
+    """Take the most promising candidates off the ranked queues, equally many off each queue."""
     batch = []
     for queue in queues:
         n_taken = max(count, 0) // len(queues)
@@ -270,7 +270,7 @@ class Candidates:
         self._seen: set[bytes] = set()
         self._known: dict[bytes, Trial] = {}  # key of each draft that was judged → its trial
         self._falls: dict[bytes, Trial] = {}  # key of the placements up to an early fall → the trial
-        self._held_mm: dict[int, float] = {}  # box → largest depth of its load beyond an edge without a fall
+        self._held_mm: dict[int, float] = {}  # box → largest depth of its load beyond an edge at which it did not fall
         self._in_worlds: dict[bytes, dict[int, Trial]] = {}  # key of a draft → number of a world → trial
         self._balances: dict[bytes, Balance] = {}  # key of a draft → its balance, for drafts that may be judged
 
@@ -292,7 +292,8 @@ class Candidates:
         return [self._ranked(*row) for row in zip(nodes, causes, ways, strict=True)]
 
     def _ranked(self, node: Node, causes: Sequence[Target], some: Iterable[Proposal]) -> list[Candidate]:
-        """Of the plans that some proposals give, the allowed and new ones, the most promising first."""
+        """The candidates that result from proposals, the most promising first. Candidates that are not allowed, or not
+        new, are left out."""
         state = node.state
         failing = {cause.box: cause.depth_mm for cause in causes if cause.depth_mm > 0}
         pairs = [(draft, p) for p in some if (draft := applied(state.draft, p)) is not None]
@@ -355,7 +356,7 @@ class Candidates:
                 if trial.culprit is None:
                     continue
                 lost |= {trial.culprit, *draft.below(trial.culprit)}
-                last -= 1  # the last placed box may still have been moving at the end
+                last -= 1  # effects of the last placement may not have ended: do not learn from it
             for box, step, depth_mm in zip(balance.box.tolist(), balance.step, balance.depth_mm.tolist(), strict=True):
                 if step < last and box not in lost:
                     self._held_mm[box] = max(self._held_mm.get(box, 0.0), depth_mm)
@@ -456,7 +457,8 @@ class Candidates:
     def _falls_early(self, key: bytes) -> bool:
         """Whether a draft with this key must fall like a draft that was judged before: both begin with the same
         placements, and the judged draft fell before its next box was placed."""
-        # the draft must have a box after these placements, since the wait after the last box is longer than other waits
+        # Without its last byte, the key of a draft that has no further box does not match. Such a draft need not fall
+        # in the same way, because the wait after the last box is longer than other waits.
         longer = key[:-1]
         return longer.startswith((*self._falls,))
 

@@ -1,4 +1,4 @@
-"""Changes of a plan: their effect on a draft, their cost, and their words.
+"""Changes of a plan: their effect on a draft, their cost, and their descriptions in plain words.
 
 The number of a box is its position in the packing order of the unchanged plan, from 0. Left is −x, right +x, front −y
 and back +y.
@@ -332,8 +332,8 @@ def with_turns_told(draft: Draft, changes: Sequence[Change]) -> tuple[Change, ..
 def with_change(changes: Sequence[Change], change: Change) -> tuple[Change, ...]:
     """A list of changes with one more change. A move becomes part of an earlier change of the same boxes. Of two
     changes of a box's order, only the second one is kept. If a box is put elsewhere or left out, its earlier changes
-    are dropped. The returned changes may give another draft than all changes in turn, because a later change of other
-    boxes may depend on a dropped change."""
+    are dropped. Applying the returned list may give another draft than applying all changes in turn, because a later
+    change of other boxes may depend on a dropped change."""
     for at in reversed(range(len(changes))):
         earlier = changes[at]
         if isinstance(change, Order) and isinstance(earlier, Order) and earlier.box == change.box:

@@ -20,7 +20,7 @@ from petmjx.world.job import EngineState, Job
 
 LEAST_SAVED: Final = 40
 """A common placement is simulated in a job of its own only if it saves the placements of at least this many boxes,
-because a pause takes as long as the placements of some boxes."""
+because a pause takes as long as the placements of several boxes."""
 
 MOST_KEPT_BYTES: Final = 64 << 20
 """Largest memory for the states of common placements that are kept for further worlds. The states of worlds with errors
@@ -34,8 +34,8 @@ class World(NamedTuple, Generic[Tag]):
 
     Attributes:
         tag: the mark by which the outcome of the world is recognised.
-        keys: the keys of its beginnings (``Engine.beginnings``): key k is equal for worlds that are the same until the
-            box k is placed.
+        keys: the keys of the world's beginnings (``Engine.beginnings``). Two worlds have the same key k if they are the
+            same until the box k is placed.
     """
 
     job: Job
@@ -45,7 +45,8 @@ class World(NamedTuple, Generic[Tag]):
 
 @dataclass(frozen=True, eq=False)
 class Placement(Generic[Tag]):
-    """A job that simulates the common beginning of several worlds, or one world to its end; and these worlds.
+    """A job, and the worlds that share it. The job simulates the common beginning of several worlds, or a single world
+    to its end.
 
     Attributes:
         job: the job; it pauses if there are several worlds.
@@ -108,8 +109,8 @@ class CommonPlacements(Generic[Tag]):
         self, worlds: tuple[World[Tag], ...], n_common: int, n_placed: int, start: EngineState | None
     ) -> Iterator[Placement[Tag]]:
         """The next jobs of worlds that have ``n_common`` boxes in common. The worlds are divided into groups that also
-        have the next box in common, and each group has its jobs. A world that ends with this box has a group of its
-        own."""
+        have the next box in common, and each group has its jobs. If this next box is the last box of a world, the world
+        has a group of its own."""
         groups: dict[object, list[World[Tag]]] = {}
         for number, world in enumerate(worlds):
             is_last = world.job.scene.n_boxes == n_common + 1

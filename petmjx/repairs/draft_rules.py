@@ -33,12 +33,12 @@ class Oddities(NamedTuple):
     Attributes:
         row, other: (k,) the pairs: the position of one box among the r boxes, and the number of the other box in the
             draft.
-        overlap_mm: (k,) depth by which the two overlap, along the axis of least depth; at most 0: no overlap.
+        overlap_mm: (k,) depth by which the two overlap, along the axis of least depth; zero or negative: no overlap.
         blocks: (k,) whether the box is above the place of the other box, and is placed before the other box.
         is_blocked: (k,) whether the other box is above the place of the box, and is placed before the box.
         gap_mm: (r,) height of the box above its support when it is placed.
-        outside_mm: (r,) distance by which the box reaches beyond the limits of ``Rules``: the edges of the carrier, or
-            of the plan if it overhangs, and the largest height.
+        outside_mm: (r,) distance by which the box reaches beyond the limits of ``Rules``. The limits are the largest
+            height and the carrier's edges or, if the plan overhangs these edges, the plan's edges.
         through_mm: (r,) depth by which the box reaches through a wall of the carrier.
     """
 
@@ -57,10 +57,10 @@ class Places(NamedTuple):
 
     Attributes:
         boxes: (k, b) numbers of the boxes.
-        corner_mm, size_mm: (k, b, 3) their corners and extents, mm.
-        turned: (k, b) whether they are turned by 90° from their orientations in the plan.
-        rank: (k, b) numbers that give their positions in packing order: a box is placed before all boxes of the draft
-            with larger numbers (``Draft.rank``).
+        corner_mm, size_mm: (k, b, 3) corners and extents of the boxes, mm.
+        turned: (k, b) whether the boxes are turned by 90° from their orientations in the plan.
+        rank: (k, b) numbers that give the boxes' positions in packing order: a box is placed before all boxes of the
+            draft with larger numbers (``Draft.rank``).
     """
 
     boxes: IntArray
@@ -77,7 +77,7 @@ class _Limits(NamedTuple):
         overlap_mm: (m, m) depth by which two boxes may overlap.
         gap_mm, through_mm: (m,) as in ``Oddities``.
         blocked: (m, m) whether the row's box may be placed before the column's box, although the row's box is above the
-            column's place.
+            place of the column's box.
     """
 
     overlap_mm: FloatArray
@@ -104,7 +104,7 @@ class _Layouts(NamedTuple):
     def of(cls, drafts: Sequence[Draft]) -> _Layouts:
         low = np.stack([draft.corner_mm for draft in drafts])
         high = low + np.stack([draft.size_mm for draft in drafts])
-        with_order = {id(draft.order): draft for draft in drafts}  # drafts that share one order also share its rank
+        with_order = {id(draft.order): draft for draft in drafts}  # one draft per order, which determines the rank
         rank = np.stack([with_order[id(draft.order)].rank for draft in drafts])
         return cls.between(low, high, rank, np.stack([draft.turned for draft in drafts]))
 
@@ -165,7 +165,7 @@ class Rules:
 
     @property
     def floating(self) -> list[int]:
-        """Boxes of the plan without support at their placement."""
+        """Numbers of the boxes of the plan that have no support when they are placed."""
         return np.flatnonzero(self._before.gap_mm > TOLERANCE_MM).tolist()
 
     @property
@@ -189,9 +189,9 @@ class Rules:
             changed: for each draft, the boxes that differ from an allowed draft in place, turn or position in the
                 packing order. All other boxes must have the same places as in the allowed draft, and the same order
                 relative to each other. None: every box is checked.
-            parent: the allowed draft from which the drafts were made, needed if changed boxes may have been supports of
-                other boxes in this draft; None: no changed box was a support. If a draft has one sheet more than
-                ``parent``, all its boxes are checked.
+            parent: the allowed draft from which the drafts were made. It is needed if changed boxes may have been
+                supports of other boxes in this draft. None means that no changed box was a support. If a draft has one
+                sheet more than ``parent``, all its boxes are checked.
         """
         allowed = np.zeros(len(drafts), bool)
         sizes: dict[int, list[int]] = {}

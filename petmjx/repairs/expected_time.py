@@ -51,7 +51,7 @@ def size_of(plans: Sequence[Plan], sim: Simulation, options: RepairOptions, engi
     costs = costs_here(trials, threads)
     parts = costs.seconds(scores, threads), replace(costs, kernel_start_s=0, gpu_start_s=0).seconds(trials, threads)
     size = f"{amount}, about {rounded_text(float(scores.steps.sum() + trials.steps.sum()))} steps"
-    if engine not in parts[0]:  # an engine of the user
+    if engine not in parts[0]:  # the speed of a user's own engine is unknown
         return size
     seconds = sum(part[engine] for part in parts) + len(falls) * PROPOSALS_S / threads
     return f"{size}, about {duration(seconds)}"

@@ -60,8 +60,8 @@ class Target(NamedTuple):
     Attributes:
         box: number of the box that fails: its load is beyond the edge of its supports, it floats or overlaps, or it
             falls.
-        cause: number of the box whose placement moves the load beyond the edge; equal to ``box`` if its own weight is
-            beyond the edge.
+        cause: number of the box whose placement moves the load beyond the edge; equal to ``box`` if the own weight of
+            the failing box is beyond the edge.
         depth_mm: distance of the load beyond the edge; 0 if the load is inside by statics.
         is_squeezed: whether the box needs room beside it, since it falls with errors and is lowered between two others.
     """
@@ -77,9 +77,9 @@ def targets(
 ) -> list[Target]:
     """The causes of a failure, at most ``MOST_TARGETS``, the likeliest first.
 
-    A cause is a box whose load went beyond an edge before the world ended, if this box is, or bears, the culprit or
-    another fallen box. A box that floats or overlaps in the plan is a cause, too, if it is, or bears, a fallen box, or
-    if no load is a cause. The culprit and its supports are less likely causes.
+    A cause is a box whose load went beyond an edge before the world ended. This box must have fallen, or bear a fallen
+    box. A box that floats or overlaps in the plan is also a cause if it has fallen or bears a fallen box. If no load is
+    a cause, all boxes that float or overlap are causes. The culprit and its supports are less likely causes.
 
     Args:
         culprit: number of the box that first crossed a limit; None if no box crossed one.
@@ -134,7 +134,7 @@ def _makers(
     done: Collection[int],
     options: RepairOptions,
 ) -> tuple[tuple[Kind, Callable[[], Iterator[Proposal]]], ...]:
-    """Pairs: a kind of changes; a function that proposes changes of this kind for a cause.
+    """Pairs of a kind of changes and a function that proposes changes of this kind for a cause.
 
     Args:
         near: boxes to change for the cause.
@@ -157,8 +157,8 @@ def _makers(
 
 
 def _near(draft: Draft, rules: Rules, target: Target) -> list[int]:
-    """Boxes to change for a cause: the box that fails, the box whose placement moves the load beyond the edge, and the
-    supports of the failing box and the boxes on it."""
+    """Boxes to change for a cause: the box that fails, the box whose placement moves the load beyond the edge, the
+    supports of the failing box, and the boxes on the failing box."""
     box = target.box
     supports = np.flatnonzero(draft.on_top[:, box]).tolist()
     riders = sorted(np.flatnonzero(draft.on_top[box]).tolist(), key=lambda rider: draft.rank[rider])
@@ -216,8 +216,8 @@ def _clearances(draft: Draft, rules: Rules, target: Target, most_mm: float) -> I
 
 
 def _tight(draft: Draft, target: Target) -> list[tuple[int, int, float]]:
-    """Boxes beside a squeezed box that are placed before it, with less room than ``ROOM_MM``: number, axis (0: x, 1: y)
-    and gap, mm."""
+    """Boxes that are placed before a squeezed box, and stand beside it with a gap of less than ``ROOM_MM``. Each result
+    is the number of the box, the axis of the gap (0: x, 1: y), and the gap, mm."""
     if not target.is_squeezed:
         return []
     low, high = draft.corner_mm, draft.high_mm
@@ -243,8 +243,8 @@ def _neighbours(draft: Draft, box: int) -> list[int]:
 def _moves(
     draft: Draft, rules: Rules, near: Sequence[int], new: Collection[int], target: Target, most_mm: float
 ) -> Iterator[Proposal]:
-    """Moves of boxes alone, and with the boxes on them, along x and y, and along both at once. Boxes that are not in
-    ``new`` are moved only by lengths that depend on the cause."""
+    """Moves of boxes along x, along y, and along both at once. Each box is moved alone, and together with the boxes on
+    it. Boxes that are not in ``new`` are moved only by lengths that depend on the cause."""
     needed = [math.ceil(target.depth_mm + spare) for spare in SPARE_MM] if target.depth_mm > 0 else []
     for box in near:
         riders = tuple(sorted(rider for rider in draft.above(box) if rider < draft.plan.n_boxes))
@@ -285,8 +285,8 @@ def _pushes(draft: Draft, rules: Rules, target: Target, most_mm: float) -> Itera
 
 
 def _pushed(draft: Draft, box: int, dx_mm: float, dy_mm: float, *, alone: bool) -> set[int]:
-    """Numbers of the boxes that move if a box does: the boxes on it (unless it is moved ``alone``), and the boxes in
-    the way, with all boxes on those. The boxes move along x or along y."""
+    """Numbers of the boxes that move if a box is moved along x or along y: the box itself, and all boxes in its way.
+    The boxes on these boxes move as well, unless the box is moved ``alone``."""
     axis, way_mm = (0, dx_mm) if dx_mm else (1, dy_mm)
     low, high = draft.corner_mm[:, axis], draft.high_mm[:, axis]
     in_line = draft.shares[1 - axis] & draft.shares[2] & np.isfinite(draft.rank)
@@ -362,10 +362,10 @@ def _exchanges(draft: Draft, rules: Rules, near: Sequence[int], done: Collection
 
 
 def _exchanged_places(draft: Draft, pairs: IntArray) -> tuple[Places, BoolArray]:
-    """The places of pairs of boxes after their exchange, and (k, 2) whether each of the two is turned by the exchange.
-    Left out are exchanges of boxes of equal sizes and nearly equal masses, exchanges of boxes of different heights if a
-    box stands on one of them, and exchanges of boxes whose lengths or widths are too different. ``pairs``: (p, 2)
-    numbers of the boxes."""
+    """The places of pairs of boxes after their exchange, and (k, 2) whether each of the two boxes is turned by the
+    exchange. Three kinds of exchanges are left out: exchanges of boxes of equal sizes and nearly equal masses;
+    exchanges of boxes of different heights, if a box stands on one of them; and exchanges of boxes whose lengths or
+    widths are too different. ``pairs``: (p, 2) numbers of the boxes."""
     size, mass = draft.size_mm[pairs], draft.mass_kg[pairs]
     differ = np.abs(size[:, 0] - size[:, 1])
     uneven = differ[:, 2] > TOLERANCE_MM
@@ -373,7 +373,8 @@ def _exchanged_places(draft: Draft, pairs: IntArray) -> tuple[Places, BoolArray]
     is_possible = ~uneven | draft.is_bare[pairs].all(axis=1)
     alike = (differ <= TOLERANCE_MM).all(axis=1) & (np.abs(mass[:, 0] / mass[:, 1] - 1) < 0.01)
     pairs = pairs[is_possible & ~alike]
-    # axes: pair; way to turn the two; end at which both stand; box of the pair; x, y and z
+    # axes of these arrays: pair; way to turn the two boxes; end of the places at which both stand; box of the pair; x,
+    # y and z
     turns = np.array([[False, False], [False, True], [True, False], [True, True]])[:, None]
     before, size = draft.size_mm[pairs][:, None, None], draft.size_mm[pairs][:, None, None]
     size = np.where(turns[..., None], size[..., [1, 0, 2]], size)

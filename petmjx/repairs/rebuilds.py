@@ -214,8 +214,9 @@ class _Pile:
     def _placed(self, box: int, later: Collection[int]) -> Judging[Place | None]:
         """Put a box at the best place; None: there is no place. The best place is the one with the least trouble
         (``Balance``). Places with equal trouble are ranked by the number of later boxes that they obstruct, then by
-        weakness, then by height. The places in the way of the fewest later boxes are tried first, of these the lowest
-        first. When a place adds no trouble, no further places are tried."""
+        weakness, then by height. The places that obstruct the fewest later boxes are tried first. Of places that
+        obstruct equally many boxes, the lowest is tried first. When a place adds no trouble, no further places are
+        tried."""
         planned = self._draft.corner_mm[box]
         places = [
             Place(box, corner, bool(self._draft.turned[box]) != turn, differs=turn)

@@ -42,7 +42,7 @@ OF_READING: Final = (*READING, "articles", "limit", "strict")
 
 AT_ONCE: Final = 256
 """Largest number of plans that are repaired at the same time. The trials of plans that are repaired at the same time
-share runs of the engine, which fills a GPU."""
+share runs of the engine, so that a GPU has enough worlds to be busy."""
 
 SHOWN: Final = (
     ShownColumn("plan_id", "plan"),
@@ -69,8 +69,8 @@ class Repaired:
             overlap, float, …), or stands in too few worlds with errors (``RepairOptions.share``).
         trial_before, trial_after: the simulations of the plan and of the repaired plan. ``trial_after`` is None if no
             repair is known.
-        share_before, share_after: shares of worlds with errors in which the two plans stand; None: the worlds were not
-            simulated, or the time was up before all of them had ended.
+        share_before, share_after: shares of worlds with errors in which the plan stands before and after its repair;
+            None: the worlds were not simulated, or the time was up before all of these worlds had ended.
         n_trials: number of simulations of changed plans.
         invalid: reason → number of those simulations that were invalid for this reason, such as ``iteration-limit``.
             Invalid simulations count as falls.
@@ -118,7 +118,7 @@ class Repaired:
         return next((change.turns for change in reversed(self.changes) if hasattr(change, "turns")), None)
 
     def undone(self, number: int) -> Plan | None:
-        """The plan with all changes but one; None if the others are impossible without it.
+        """The plan with all changes but one; None if the other changes are impossible without this change.
 
         Raises:
             InputError: there is no change with this number.
@@ -157,7 +157,7 @@ class Repaired:
 
     @property
     def doubt(self) -> str:
-        """A line about simulations of changed plans that were invalid; empty without such simulations."""
+        """A line about invalid simulations of changed plans; empty if no simulation was invalid."""
         if not self.invalid:
             return ""
         reasons = ", ".join(f"{number:,} {reason}" for reason, number in self.invalid.items())
@@ -275,8 +275,8 @@ class RepairInterrupted(KeyboardInterrupt):
     """An interrupt of ``petmjx.repair``.
 
     Attributes:
-        repairs: the results of the plans whose search had ended. Shares are missing if their worlds with errors were
-            not simulated yet.
+        repairs: the results of the plans whose search had ended. The shares of worlds that stand are missing if the
+            worlds with errors were not simulated yet.
     """
 
     def __init__(self, repairs: Repairs) -> None:
@@ -296,10 +296,10 @@ def repair(
 
     ``petmjx.repair("plans.json", forbid=["leave-out"], built=12).save("repaired.json")``
 
-    Changes are another order, place or turn, moves by some millimetres, exchanges, tie sheets, film if the pallet must
-    survive a profile, and as the last resort boxes that are left out. Without ``seconds``, a plan always gets the same
-    repair on the same engine: only the errors are random numbers, and these are the same for the same plan id and the
-    same file ``errors``.
+    Possible changes are another order, place or turn of a box, moves by some millimetres, exchanges of two boxes, and
+    tie sheets. If the pallet must survive a profile, film can be added. As the last resort, boxes are left out. Without
+    ``seconds``, a plan always gets the same repair on the same engine: only the errors are random numbers, and these
+    are the same for the same plan id and the same file ``errors``.
 
     Args:
         plans: as for ``petmjx.score``.
@@ -433,7 +433,7 @@ def _first(search: Search) -> State | None:
 
 def _weak_note(results: Sequence[Repaired], share: float) -> list[str]:
     """A line about repaired plans that stand in a smaller share of the worlds with errors than requested; an empty list
-    if there is none."""
+    if there are no such plans."""
     repaired = [one for one in results if one.stands and not one.trial_before.stands]
     weak = [one.plan.plan_id for one in repaired if one.share_after is not None and one.share_after.value < share]
     if not weak:

@@ -82,8 +82,8 @@ BUILT_ANEW: Final = 0.2
 
 ROUNDS_ANEW: Final = 6
 """Largest number of rounds in which plans are built anew. Almost always, the first or second round finds a plan that
-stands. Each round takes a second of statics, even if few of its plans are worth judging, so the few plans for which
-these two rounds find no repair would keep all others waiting."""
+stands. Each round takes a second of statics, even if few of its plans are worth judging. With more rounds, the few
+plans for which no repair is found would keep all other plans waiting."""
 
 PAIR: Final = 2
 """Once a repair with ``PAIR`` + 1 changes is known, the search for a repair with ``PAIR`` changes is wide: it judges
@@ -94,8 +94,9 @@ PAIRS: Final = 0.2
 """Share of all trials that the wide search for a repair with ``PAIR`` changes may take."""
 
 SURPLUS: Final = 1.0
-"""The wide search also changes a plan further if the expected number of changes of its repair exceeds that of the known
-repair by less than this value: one change may mend two of the faults that were counted."""
+"""The wide search also changes a plan further if the plan is expected to need more changes than the known repair has,
+but the difference is less than this value. The expected number may be too large, because one change may mend two
+faults."""
 
 PAIRS_AT_ONCE: Final = 24
 """Number of changes of the original plan that are judged at once in the wide search for a repair with ``PAIR`` changes.
@@ -135,17 +136,18 @@ WIDE: Final = 2
 by this factor, and the search has fewer rounds. (For single changes, ``WIDE_AT_ONCE`` holds instead.)"""
 
 STRENGTHENED: Final = 0.33
-"""Share of all trials in which a repair is changed further, so that it stands in more worlds with errors."""
+"""Share of all trials that may be spent on further changes of a repair, so that the repair stands in more worlds with
+errors."""
 
 MORE_TO_COMPARE: Final = 24
-"""Number of additional changed plans that are judged at once, so that there are more repairs of which one is chosen by
-simulations with errors."""
+"""Number of additional changed plans that are judged at once, so that simulations with errors can choose among more
+repairs."""
 
 MOST_UNDONE: Final = 8
 """Limit of the total number of changes in all repairs that are compared. For each change, the search judges the repair
-without this change, so the more changes repairs have, the fewer repairs are compared. Of the chosen repair, the plans
-without one change are also scored, unless the repair has more changes than the limit. On a GPU, they are only judged:
-scores of plans that fall would keep all searches waiting."""
+without this change, so the more changes repairs have, the fewer repairs are compared. For the chosen repair, the plans
+without one of its changes are also scored, unless the repair has more changes than the limit. On a GPU, they are only
+judged: scores of plans that fall would keep all searches waiting."""
 
 
 @dataclass(eq=False)
@@ -179,8 +181,8 @@ class Search(Candidates):
     built_falls: bool = False
 
     def take(self, other: Search) -> None:
-        """Take over the results that the same search has reached in another process. If the unchanged plan stands, as
-        this search already knows, there are no results."""
+        """Take over the results that the same search has reached in another process. If this search already knows that
+        the unchanged plan stands, the results of the other process are ignored."""
         if self.complete:
             return
         self.before, self.repairs, self.n_trials = other.before or self.before, other.repairs, other.n_trials
@@ -220,8 +222,8 @@ class Search(Candidates):
         elif trial.culprit is not None and max(trial.culprit + 1, trial.n_placed) <= self.rules.built:
             yield from self._begun_with_built(trial)
         if not (self._stands or self.built_falls):
-            # if the plan fell when judged, its judged trial, not its score, shows where to change it, because its
-            # changed plans are judged as well
+            # a plan that fell when judged is changed where it fell in this judged trial, not where it fell in its
+            # score, because its changed plans are judged as well
             known = trial if is_scored and not trial.stands else self.before or trial
             try:
                 yield from self._mended(State(self._start, (), known))
@@ -275,7 +277,8 @@ class Search(Candidates):
             fewest = len(self.repairs[0].changes)
             if self.options.worlds:
                 yield from self._strengthened()
-            # with a profile, each trial is already a score
+            # On a GPU, it is enough that plans are judged (``MOST_UNDONE``). With a profile, each trial is already a
+            # score.
             is_enough = self.is_wide or self.options.profile is not None
             if not is_enough and len(self.repairs[0].changes) == fewest <= MOST_UNDONE:
                 (shorter,) = yield from self._pruned(self.repairs[:1], judged=False)
@@ -300,7 +303,7 @@ class Search(Candidates):
             (trial,) = yield from self._simulated([draft])
             if trial.stands:
                 best, high = [State(draft, (film,), trial)], turns
-                self.repairs = tuple(best)  # kept if the trials are spent, or the time is up
+                self.repairs = tuple(best)  # the result if the trials are spent, or the time is up
             else:
                 low = turns
             turns = (low + high) // 2
@@ -318,11 +321,11 @@ class Search(Candidates):
         end, nodes = last, list(start)
         ways = Counter(_kind_of(node.state) for node in nodes)
         standing: list[State] = []
-        judged: list[State] = []  # states that stand
+        judged: list[State] = []  # states that stand when judged, without the doubtful ones
         doubtful: list[State] = []  # states that may fall when scored (``_is_doubtful``)
         is_late = is_widened = False
         n_anew, may_rebuild = 0, Kind.PLACE in kinds and options.profile is None
-        # if boxes may be left out, many rounds without this last resort have been in vain, and are counted here
+        # Boxes may be left out only after many rounds in which no box was left out, so the count begins with these.
         n_rounds = len(WIDE_AT_ONCE) if Kind.LEAVE_OUT in kinds else 0
         queues: list[list[Candidate]] = []
         while self.n_trials < last and not self._stands:
@@ -350,7 +353,7 @@ class Search(Candidates):
                 last = self.n_trials  # as if the trials were spent: other ways to build plans anew may remain
                 break
             queues = self._queues(useful, kinds, anew=is_late)
-            # one trial is kept, with which a repair is scored
+            # one trial is kept for the score of a repair
             batch = batch_of(queues, min(at_once, last - self.n_trials, self._n_left - 1))
             n_rounds += 1
             if not batch:  # no queue is left, or fewer trials are left than there are queues
@@ -359,7 +362,7 @@ class Search(Candidates):
             if self.before is None:
                 parts.append(self._begun(self._known[key_of(self._start)]))
             states, *_ = yield Together(parts)
-            if any(state.trial.stands for state in states):  # further candidates may stand in more worlds with errors
+            if any(state.trial.stands for state in states):  # judge further candidates: they may stand more often
                 if not self.is_wide:
                     # one trial is kept, as above
                     count = min(last - self.n_trials, self._n_left - 1)
@@ -372,7 +375,7 @@ class Search(Candidates):
                 last = min(last, self.n_trials + int(SHORTER * most_trials))
             standing = shortest([*standing, *shortened])
             self.repairs = tuple(standing)
-            if is_late and standing:  # plans built anew hardly need fewer changes next time
+            if is_late and standing:  # to build plans anew once more would hardly give a repair with fewer changes
                 break
             pairs = zip(states, batch, strict=True)
             changed = [Node(one, self._remaining(one, c.parent), rank=c.key) for one, c in pairs]
@@ -536,7 +539,7 @@ class Search(Candidates):
         """The state without the boxes that fall. Boxes that fall are left out one by one, with all boxes that would
         lose their support, until the remaining boxes stand. The result is empty if a box that is already built, or the
         last box, would have to be left out. The loop always ends, since each step leaves out a box. If scores are
-        deferred, plans are judged before they are scored."""
+        deferred (``_defers_scores``), plans are judged before they are scored."""
         while True:
             while not state.trial.stands:
                 lifted = lifted_with(state.draft, _lost(state.draft, state.trial))
@@ -646,10 +649,11 @@ class Search(Candidates):
         """The candidates that stand, and stand in more worlds with errors than the plan ``weak`` from which they were
         made.
 
-        A world with errors has five times as many steps as one without errors, in which no hand lowers the boxes. So
-        needless worlds with errors are avoided in the following way. Candidates that stand without errors are judged in
-        worlds in which ``weak`` falls, one world after the other, until enough of them stand. The best candidates are
-        judged in all worlds with errors, one world after the other, until one stands in ``wanted`` of them.
+        A world with errors has five times as many steps as a world without errors, because a hand lowers the boxes only
+        in worlds with errors. So needless worlds with errors are avoided in the following way. Candidates that stand
+        without errors are judged in worlds in which ``weak`` falls, one world after the other, until enough of them
+        stand. The best candidates are judged in all worlds with errors, one world after the other, until one stands in
+        ``wanted`` of them.
         """
         judged = yield from self._judged(batch)
         standing = [state for state in judged if state.trial.stands]
@@ -690,8 +694,8 @@ class Search(Candidates):
         return state
 
     def _reduced(self, state: State) -> Steps[State]:
-        """The state without needless changes that can be left out in groups. Halves of the changes are tried first,
-        then smaller groups. A state with at most ``MOST_UNDONE`` changes is returned unchanged."""
+        """The state after needless changes have been taken back in groups. Halves of the changes are tried first, then
+        smaller groups. A state with at most ``MOST_UNDONE`` changes is returned unchanged."""
         size = len(state.changes) // 2 if len(state.changes) > MOST_UNDONE else 0
         shorter = state
         while size > 1:

@@ -66,9 +66,9 @@ class _Task:
 
     Attributes:
         whole: the task of which this task is a part; None for a whole search.
-        place: position among the parts of ``whole``, or of a whole search among all searches.
+        place: position of this part among the parts of ``whole``; position of a whole search among all searches.
         results: the results of the parts of this task that run side by side.
-        n_running: number of these parts that have not ended.
+        n_running: number of the parts of this task that have not ended.
     """
 
     steps: Steps[Any]

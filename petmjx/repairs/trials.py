@@ -1,4 +1,4 @@
-"""Trials of changed plans by simulation: at rest or after a drive, exactly placed and with errors."""
+"""Trials: simulations of changed plans at rest or after a drive, with boxes placed exactly or with errors."""
 
 from __future__ import annotations
 
@@ -63,11 +63,11 @@ LONGEST_WAIT_S: Final = 2.0
 """Longest wait for a pallet to come to rest, s, in the simulation of a draft that is only judged."""
 
 JUDGED_ITERATIONS: Final = 25_000
-"""Largest number of solver iterations of a world in which a draft of up to ``SIZE`` boxes is only judged. Larger drafts
-have as many more for each further ``SIZE`` boxes (``Job.iteration_limit``). Of 160 generated plans of 15 to 50 boxes,
-those that stand take up to 1,275 steps, and those that fall up to 4,400 steps, of two to four iterations each. A pile
-that rocks without end would keep its search waiting: of 12,749 drafts that a GPU judged, one took 13.5 s of the 40 s of
-all searches."""
+"""Largest number of solver iterations of a world in which a draft of up to ``SIZE`` boxes is only judged. For each
+further ``SIZE`` boxes, the limit is larger by the same number (``Job.iteration_limit``). Of 160 generated plans of 15
+to 50 boxes, the plans that stand take up to 1,275 steps, and the plans that fall take up to 4,400 steps. Each step has
+two to four iterations. A pile that rocks without end would keep its search waiting: of 12,749 drafts that a GPU judged,
+one took 13.5 s of the 40 s of all searches."""
 
 SIZE: Final = 64
 """Number of boxes for which drafts have ``JUDGED_ITERATIONS``."""
@@ -175,7 +175,8 @@ class Question:
         self._drive_sweep(self.sim.wrap.turns)  # an unusable profile is refused before anything is simulated
         if options.worlds:
             self._error_sweep = confidence_sweep(ERROR_WORLDS, self._errors, of_simulation)
-            # the first variant of a sweep of errors has no errors
+            # variant 0 of a sweep of errors has no errors, so the worlds with errors have the numbers of the variants
+            # from 1 on
             self._variants = [placement for placement, _ in Design(self._error_sweep).placements()]
             with_errors = _quick(self._error_sweep.simulation)
             self._quick[1] = self._quick[0] if with_errors == self._quick[0] else with_errors
@@ -385,7 +386,7 @@ class Lane(NamedTuple):
     def can_pause(self) -> bool:
         """Whether placements can pause, so that worlds with the same first boxes share the simulation of these boxes.
         On a GPU, placements do not pause: a paused world waits for the end of a time slice, and a measured run with
-        pauses made fewer trials per second than without."""
+        pauses made fewer trials per second than a run without pauses."""
         waits = self.sim.schedule is Schedule.ADAPTIVE and self.sim.check is Check.ONE_BY_ONE
         pauses = Capability.PAUSES in getattr(self.engine, "capabilities", Capability(0))
         return waits and pauses and self.engine.name != ON_A_GPU
@@ -578,8 +579,8 @@ def _quick(sim: Simulation) -> Simulation:
 
 
 def _engines(run: RunOptions) -> tuple[Engine, Choice, RunOptions | None]:
-    """The engine of all trials, the reason for its choice, and the options of the second opinion on standing plans;
-    None: no second opinion.
+    """The engine of all trials, the reason for its choice, and the options of the second opinion on standing plans
+    (None: no second opinion).
 
     ``auto`` takes the kernels of Warp, on a GPU or on CPU threads, since hundreds of plans are simulated. A score of a
     single plan uses C MuJoCo. So a repaired plan must also stand on C MuJoCo: this is the second opinion.

@@ -30,8 +30,8 @@ from petmjx.show.table_layout import (
 
 
 def packer_tables(comparison: PackerComparison, max_rows: int = 40) -> Iterator[RenderableType]:
-    """All tables and lines about a comparison of packers. For each pair of packers, at most ``max_rows`` orders are
-    named in which the plan of only one packer stands."""
+    """All tables and lines about a comparison of packers. For each pair of packers, the orders for which only one
+    packer's plan stands are named, but at most ``max_rows`` of them."""
     for name, folder in comparison.runs.items():
         yield line(f"{printable_name(name)}  {folder}")
     for note in comparison.notes:

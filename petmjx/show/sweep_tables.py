@@ -33,8 +33,8 @@ from petmjx.show.table_layout import (
 )
 
 MAX_VALUES: Final = 50
-"""Largest number of rows of a table whose rows are not about single plans or single searches. The run's table
-``summary`` has all rows."""
+"""Largest number of rows in the tables of shares, of largest levels, of EUMOS's test at each level, and of turns of
+film. The run's table ``summary`` has all rows."""
 
 _QUANTILES: Final = {"min": 0.0, "25 %": 0.25, "median": 0.5, "75 %": 0.75, "max": 1.0}
 

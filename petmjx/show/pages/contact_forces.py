@@ -17,7 +17,7 @@ class Pushes(NamedTuple):
     Attributes:
         frame: (k,) number of the frame of each push.
         point: (k, 3) point at which each push acts, m: the mean position of the contacts, weighted by their forces.
-        force: (k, 3) force on one of the two bodies, N: on the body that is pushed down, so that z is never positive.
+        force: (k, 3) force, N, on that body of the pair that is pushed down. So z is never positive.
     """
 
     frame: NDArray[np.int32]

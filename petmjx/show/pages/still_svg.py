@@ -36,9 +36,9 @@ _SUNWARD: Final = np.array(_LOOK["sunward"]) / np.linalg.norm(_LOOK["sunward"])
 _WIDTH: Final = 800.0
 _MARGIN: Final = 12.0
 _TOUCHING_M: Final = 1e-3
-"""Largest overlap of two boxes that still count as side by side, m."""
+"""Two boxes that overlap by at most this length, m, count as side by side."""
 
-# numbers of the four corners of each face of a box: −x, +x, −y, +y, −z, +z
+# the numbers of the four corners of each face of a box; the faces are −x, +x, −y, +y, −z, +z
 _FACES: Final = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
 
 

@@ -22,11 +22,12 @@ from petmjx.world.job import FORCE
 
 _FAR_M: Final = 0.8
 _FAR_SHARE: Final = 0.5
-"""The view must show those boxes that, at the end, are nearer to the planned load than ``_FAR_M`` + this share × the
-height of the load."""
+"""The view must show each box whose distance from the planned load at the end is less than ``_FAR_M`` + ``_FAR_SHARE``
+× the height of the load."""
 _LOST_M: Final = 50.0
 """Distance from the origin beyond which boxes are not drawn, m. Boxes beyond 50 m occur in simulations that became
-numerically unstable. If they were drawn, all other positions would be stored less precisely."""
+numerically unstable. If they were drawn, the range of the stored positions would be much larger, so all positions would
+be stored less precisely."""
 _ARROW_M: Final = 0.45
 """Width of the space to the left of the carrier for the arrow of gravity, m (petmjx/show/pages/static/arrows.js)."""
 
@@ -117,8 +118,8 @@ def _frames(story: Story, limits: Thresholds) -> dict[str, NDArray[Any] | Packed
     """The arrays of the block ``frames``, for f frames of n boxes. ``shift_mm`` and ``tilt_deg`` are the values to
     which the thresholds apply.
 
-    Instead of a force, its square root is stored, with the force's sign, since impacts are a thousand times as large as
-    forces at rest.
+    For each force, the square root of its magnitude is stored, with the sign of the force. Impacts are a thousand times
+    as large as forces at rest, and with square roots, forces at rest are stored precisely enough, too.
     """
     history = story.history
     n_frames, n = history.pos.shape[:2]

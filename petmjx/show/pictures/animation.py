@@ -142,7 +142,7 @@ def write_mp4(
                 if progress is not None:
                     progress(number + 1)
     except (RuntimeError, OSError) as error:
-        full = os.strerror(errno.ENOSPC)  # the encoder, a process, reports a full disk in its own error
+        full = os.strerror(errno.ENOSPC)  # ffmpeg is a process of its own, and reports a full disk in its output
         fault = f"cannot be written: {full}" if full in str(error) else f"the film cannot be encoded: {one_line(error)}"
         raise InputError(f"{path}: {fault}") from error
 

@@ -174,7 +174,7 @@ def _flips(runs: Sequence[ReportRun], pair: Comparison) -> Markup:
     a, b = (run.name for run in runs)
     caption = f"Flipped verdicts ({len(flips):,})"
     caption += f": the first {MOST_FLIPS}" if len(flips) > MOST_FLIPS else ""
-    within = None if pair.other_plans else pair.flips_within  # this needs the same plans in both runs
+    within = None if pair.other_plans else pair.flips_within  # margins of different plans say nothing about flips
     note = (
         "" if within is None else f"Each has a margin within ±{three_digits(within)} of a threshold in one of the runs."
     )

@@ -61,7 +61,7 @@ class Quantity:
         return values.where(np.isfinite(values))
 
     def scale(self, values: pd.Series) -> Scale:
-        """The axis for histograms of this metric, which extends from the metric's lower end to the largest value."""
+        """The axis for histograms of this metric. The axis extends from the metric's lower end to the largest value."""
         return Scale.over(values.to_numpy(), log_from=self.log_from, lowest=self.lowest, zero=True)
 
     def across(self, values: pd.Series) -> Scale:

@@ -181,7 +181,7 @@ def _details_of(run: ReportRun) -> list[tuple[str, str, Markup]]:
     titles = {Kind.CONFIDENCE: "How sure are the verdicts?", Kind.CHAIN: "How likely do pallets arrive?"}
     title = titles.get(run.kind, "Answers of the sweep")
     sections = [("answers", title, sweep_answers(run))]
-    if run.kind is not Kind.SEARCH:  # the worlds of a search depend on which levels the search tried
+    if run.kind is not Kind.SEARCH:  # a search chooses its levels, so charts of its worlds would mislead
         sections.append(("distributions", "Shift, tilt, force, time", distributions(run)))
         sections.append(("first", "What fails first", first_boxes(run)))
     return [section for section in sections if section[2]]

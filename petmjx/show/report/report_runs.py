@@ -188,7 +188,8 @@ class ReportRun:
         summary = self.results.summary
         if self.kind is not Kind.GRID or summary is None or "scope" in summary:
             return summary if self.kind is Kind.GRID else None
-        axes = [axis for axis in summary["axis"].unique() if axis in self.worlds]  # petmjx 0.1 had no column "scope"
+        # The table of petmjx 0.1 has no column "scope", so the shares are computed from the worlds.
+        axes = [axis for axis in summary["axis"].unique() if axis in self.worlds]
         return share_standing(self.worlds, axes)
 
     @property

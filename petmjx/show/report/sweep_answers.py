@@ -90,8 +90,8 @@ def _grid(run: ReportRun, summary: pd.DataFrame) -> Markup:
 
 
 def _has_numeric_values(summary: pd.DataFrame, axis: str) -> bool:
-    """Whether the values of an axis are numbers in a summary. If an axis has random values, the summary divides its
-    range into parts with names, so its values are texts."""
+    """Whether the values of an axis are numbers in a summary. If an axis has random values, the summary divides the
+    range of the axis into parts with names, so the values in the summary are texts."""
     values = summary.loc[(summary["scope"] == ALL_PLANS) & (summary["axis"] == axis), "value"]
     return bool(pd.to_numeric(values, errors="coerce").notna().all())
 

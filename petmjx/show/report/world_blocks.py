@@ -29,7 +29,7 @@ from petmjx.world.scene import build_scene
 
 MOST_BOXES: Final = 600_000
 """Largest number of boxes on a page. A box takes about 17 bytes, so all boxes take at most 10 MB. If a run has more
-boxes, the page leaves out worlds, first worlds that stand."""
+boxes, the page leaves out worlds. Worlds that stand are left out first."""
 
 WORLDS_PER_BLOCK: Final = 64
 """Number of worlds in a block. A block of this size is unpacked in some milliseconds, and a larger block would not be
