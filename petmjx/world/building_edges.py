@@ -272,8 +272,8 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
     above = above[np.count_nonzero(bearing.lower == CARRIER) :]
     first_above = np.cumsum(n_above) - n_above
     key = np.repeat(np.arange(n), count) * n + step  # The keys increase from pair to pair.
-    # The array ``forces`` has the forces at the contacts of corrected boxes: for each contact, one for each load of the
-    # upper box
+    # The array ``forces`` has the forces at the contacts of corrected boxes: for each contact, one force for each load
+    # of the upper box
     size = np.where(pulled[bearing.upper], count[bearing.upper], 0)
     first, forces = np.cumsum(size) - size, np.zeros((size.sum(), 3))
     weights, boxes = bearing.weights[:, :3].copy(), np.flatnonzero(pulled)
@@ -330,8 +330,8 @@ def _contact_pushes(
 
 def _exact_least_edge(bearing: Bearing, built: BuildingLoads) -> LeastBuildingEdge:
     """The smallest distance of a load from an edge in one scene, found by linear programmes. The programmes decide
-    whether the loads that seem to be furthest beyond an edge are really beyond that edge. In the scene, every load that
-    seems to be beyond an edge depends on how supports share loads."""
+    whether the loads that seem to be furthest beyond an edge are really beyond that edge. The function is meant for
+    scenes in which every load that seems to be beyond an edge depends on how supports share loads."""
     edge = built.edge_m.copy()
     for _ in range(MOST_PROGRAMMES):
         if not (edge < 0).any():

@@ -20,7 +20,7 @@ from petmjx.world.supports import bearings_of
 
 NEAR_EDGE_M: Final = 0.0005
 """Distance inside an edge, m, below which ``edge_risks`` counts a load as near the edge. Of 44 worlds that were
-simulated again with stiffer contacts, 33 have a load near an edge; of all worlds, one in nine has."""
+simulated again with stiffer contacts, 33 have a load near an edge; of all worlds, one in nine has such a load."""
 
 MOST_EXAMINED_BOXES: Final = 96
 """Largest number of boxes of a scene that ``edge_risks`` examines. Examining a larger scene may take 50 ms."""
