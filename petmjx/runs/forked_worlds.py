@@ -117,8 +117,8 @@ direction), and the index of the tested level."""
 
 @dataclass(frozen=True, eq=False)
 class DriveWorld(World):
-    """A simulation that starts from the settled state of a placement, and in which the carrier is shaken, as a job for
-    the engine. ``test``: the test of a search to which this simulation belongs; (-1, -1) outside a search."""
+    """A simulation that starts from the settled state of a placement and shakes the carrier, as a job for the engine.
+    ``test`` is the test of a search to which this simulation belongs; (-1, -1) outside a search."""
 
     settled: SettledPlacement
     change: Variant
