@@ -1,9 +1,9 @@
 """The walls of stacked cartons: how much of each box's walls is loaded and supported.
 
 A carton bears load through its walls, and mostly at its corners. So ``walls_of`` computes two shares of a box's walls
-from the plan. On the first share, walls of other boxes stand. The second share has nothing below it: there, the wall
-sticks out beyond an edge, or lies over a gap between the boards of the carrier. A box on an interlayer sheet stands on
-the boxes under the sheet.
+from the plan: the share on which walls of other boxes stand, and the share that nothing supports. A part of a wall has
+no support if it sticks out beyond an edge, or lies over a gap between the boards of the carrier. A box on an interlayer
+sheet stands on the boxes under the sheet.
 """
 
 from __future__ import annotations

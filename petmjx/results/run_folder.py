@@ -37,9 +37,9 @@ from petmjx.common.safe_read import read_regular
 
 RUN_FILE: Final = "run.json"
 OF_SOME_WORLDS: Final = ("attempts", "histories", "frames", "contacts")
-"""Tables in which some worlds have no rows. A part of a run is a group of its worlds; a table has a file for each part,
-with the number of the part in its name (``part_name``). If no world of a part has a row in one of these tables, this
-table has no file for this part."""
+"""Tables in which some worlds have no rows. The worlds of a run are divided into numbered groups, and a table has one
+file for each group, with the number of the group in its name (``part_name``). If no world of a group has a row in one
+of these tables, this table has no file for this group."""
 
 OF_WORLDS: Final = ("worlds", "boxes", *OF_SOME_WORLDS)
 TABLES: Final = (*OF_WORLDS, "summary", "plans", "placements")

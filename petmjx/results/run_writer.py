@@ -161,7 +161,8 @@ class RunWriter(RunInfo):
         # The queues are implemented in C, so an interruption of the main thread leaves none of them locked or half
         # changed.
         self._queue: SimpleQueue[Row | _Request] = SimpleQueue()
-        # The writer's thread adds an entry after each try to write. While too many bytes wait, ``add`` waits for one.
+        # The writer's thread adds an entry after each try to write. While too many bytes wait, ``add`` waits for such
+        # an entry.
         self._room: SimpleQueue[None] = SimpleQueue()
         self._thread = threading.Thread(target=self._work, name="petmjx-writer", daemon=True)
         self._added_bytes = 0  # Changed only by the thread that adds worlds.
