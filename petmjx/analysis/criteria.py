@@ -206,7 +206,7 @@ def corner_and_area_slack(share: FloatArray, corners: IntArray, least: tuple[flo
 
 SUPPORT_CRITERIA: Final = {f"support_{100 * share:.0f}": share for share in (1.0, 0.9, 0.8, 0.75, 0.7, 0.6, 0.5)}
 """Name of a criterion → share of a box's base that must lie on boxes or the carrier. The share 1 is the whole base; the
-other shares are as in Bortfeldt & Wäscher's survey and in the ADAMS study."""
+other shares are values from Bortfeldt & Wäscher's survey and from a study with the multibody simulator ADAMS."""
 
 LEAST_CORNERS: Final = 3
 

@@ -13,9 +13,9 @@ save time without changing the result:
 - A box with all four corners on the carrier is in balance for any load on its top, because the carrier can always
   balance the load with vertical forces. Such a box is treated as part of the carrier, so it belongs to no structure.
 - Friction, horizontal forces and heights are considered only if vertical forces alone do not balance the boxes. For
-  example, friction can hold a box that would tip if it stood alone: a second box, which lies across this box and its
-  neighbour, holds this box by friction. If friction is considered, the slack is the larger one of the slack without
-  friction and the slack with friction.
+example, a box that would tip if it stood alone may be held by a second box that lies across the first box and a
+neighbour: friction acts between the second box and the boxes below it. If friction is considered, the slack is the
+larger one of the slack without friction and the slack with friction.
 - For a structure of one box, a closed form (``_slack_alone``) gives the slack without a linear programme.
 
 With ``lean``, boxes that touch side by side may press on each other, and boxes may press on walls, by default without
