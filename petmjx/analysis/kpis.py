@@ -390,8 +390,8 @@ def _odd_boxes(
 
 
 def _unknown(frame: pd.DataFrame, stability: Stability) -> list[str]:
-    """Lines for the user about plans for which no run says whether they stand. If the runs say this about no plan at
-    all, there are no lines."""
+    """Lines for the user about plans for which no run says whether they stand. If the runs say of no plan whether it
+    stands, there are no lines."""
     notes = []
     for column, known in (("kpi_6", stability.their_rule), ("stable", stability.stable)):
         missing = frame.loc[frame[column].isna(), "plan_id"].tolist()

@@ -80,8 +80,8 @@ WALLS_OF_CARRIERS: Final[Mapping[Carrier, Walls]] = {
 
 ``gitterbox`` is 1200 × 800 × 800 mm inside and has a mass of about 85 kg (UIC 435-3). ``container-20ft`` is 5867 × 2330
 × 2350 mm inside (the smallest inner sizes of 1CC, ISO 668) and has a mass of about 2.2 t. ``trailer`` has only a
-headboard, at its end in +x, towards which braking pushes the load; its inner length and width are usual for
-trailers."""
+headboard. The headboard is at the end in +x, because braking pushes the load towards this end. The inner length and
+width of ``trailer`` are usual for trailers."""
 
 TARGETS = (Carrier.EURO_PALLET, Carrier.ROLLCONTAINER)
 """The carriers that orders of BED-BPP name as their target."""

@@ -65,7 +65,7 @@ class SettledPlacement:
 
     @cached_property
     def load_height_m(self) -> float:
-        """Height of the load at rest, m, for which all drives that start from this placement are made."""
+        """Height of the load at rest, m. All drives that start from this placement are made for this height."""
         return load_height_m(self.outcome.boxes.pos, self.scene.half_size)
 
     def shaken(self, outcome: Outcome, thresholds: Thresholds) -> Outcome:

@@ -143,8 +143,8 @@ def _segments(plans: PlanSource | None, options: RunOptions) -> list[Segment]:
 
 
 def _suits_processes(plans: PlanSource | None, options: RunOptions) -> bool:
-    """Whether other processes should read the plans: ``plans`` are large files, and this process may start a GPU while
-    they are read."""
+    """Whether other processes should read the plans. This is so if ``plans`` are large files, and if this process may
+    start a GPU meanwhile."""
     sources = plans if isinstance(plans, list | tuple) else [plans]
     paths = [Path(source) for source in sources if isinstance(source, str | PathLike)]
     if len(paths) < len(sources) or not may_use_gpu(options, plans):

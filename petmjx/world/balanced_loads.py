@@ -125,7 +125,7 @@ def _solved_loads(
     - the forces at the four corners of each contact in ``contacts``,
     - the distance by which each load is beyond an edge,
     - for each box with several supports, moments that no support balances,
-    - the distance inside the edges of the load that is nearest to an edge.
+    - how far inside the edges the load that is nearest to an edge is.
     """
     middle = load[changed, 1:].sum(axis=0) / load[changed, 0].sum()
     mean = load[changed, 0].mean()

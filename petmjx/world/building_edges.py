@@ -30,7 +30,8 @@ from petmjx.world.supports import bearing_of
 MOST_PROGRAMMES: Final = 2
 """Largest number of placements of a plan for which a linear programme is solved. One programme takes a few
 milliseconds, and more if a hundred boxes have several supports. After all other placements, loads that seem to be
-beyond edges are ignored, since only a programme could prove that no sharing keeps these loads inside."""
+beyond edges are ignored, since only a programme could prove that they are beyond an edge however supports share
+loads."""
 
 
 class BuildingLoads(NamedTuple):

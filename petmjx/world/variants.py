@@ -413,7 +413,7 @@ def _set_down(scene: Scene, half_size: FloatArray, start_pos: FloatArray, yaw: F
     lower = _lower(scene)
     supports = lower & _overlap_mask(scene.target[:, :2], scene.half_size[:, :2])
     below = supports | (lower & _overlap_mask(start_pos[..., :2], _footprint_half(half_size, yaw)))
-    # a box that, seen from above, overlaps no lower box in the plan stands on the carrier or floats above it
+    # if a box overlaps no lower box in the plan, seen from above, it stands on the carrier or floats above it
     support_top = np.where(supports, planned_top, -math.inf).max(axis=1, initial=-math.inf)
     stands = supports.any(axis=1)
     gap = np.where(stands, np.maximum(planned_bottom - support_top, 0.0), 0.0)
