@@ -84,8 +84,8 @@ def walls_of(
 
 
 def _stands_on(plan: Plan, low: FloatArray, high: FloatArray) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Two arrays that tell on what each box stands, directly or on a sheet that lies between. (n, n): whether the box
-    of the row stands on the box of the column. (n,): whether a box stands on the carrier."""
+    """Two arrays: (n, n) whether the box of the row stands on the box of the column; and (n,) whether each box stands
+    on the carrier. A box may stand on a body directly, or with sheets in between."""
     beside = (shared_length(low[:, 0], high[:, 0]) > LEAST_SHARED_MM) & (
         shared_length(low[:, 1], high[:, 1]) > LEAST_SHARED_MM
     )

@@ -163,7 +163,7 @@ class _ShakenLeg(NamedTuple):
 
 
 class _LegShares(NamedTuple):
-    """What is expected of all legs of each of n plans.
+    """Expected shares of the steps of all legs of a plan, for each of n plans.
 
     Attributes:
         simulated: (n,) share of the steps of all legs that are simulated.
@@ -177,8 +177,8 @@ class _LegShares(NamedTuple):
 
 
 def _leg_shares(worlds: SweepPlan) -> _LegShares:
-    """What is expected of all legs of each plan. After a leg whose acceleration exceeds ``tipping_g``, a pallet without
-    film or walls has probably fallen. The next legs are then not simulated."""
+    """The expected shares of the steps of all legs, for each plan. After a leg whose acceleration exceeds
+    ``tipping_g``, a pallet without film or walls has probably fallen. The next legs are then not simulated."""
     holds = worlds.sweep.simulation.wrap.holds or has_walls(worlds.sweep.simulation)
     tips_g, total = np.array([tipping_g(plan) for plan in worlds.plans]), 0
     simulated, filmed, gentle = np.zeros((3, len(tips_g)))

@@ -30,7 +30,7 @@ EXAMINED_AT_ONCE: Final = 64
 
 
 class EdgeRisk(IntEnum):
-    """What a quick test of statics says about the loads of a scene while its boxes are placed one by one.
+    """The result of a quick static test of the loads of a scene, whose boxes are placed one by one.
 
     The greater the value, the longer the simulation may take. Boxes with a load beyond an edge fall. If a load is near
     an edge, soft contacts may decide, so that the world is simulated again with stiffer contacts. Engines simulate the

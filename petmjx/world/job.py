@@ -127,7 +127,8 @@ class Job:
             where the placement left it, since engines clamp the carrier in acceleration profiles. If ``poses`` is None,
             the boxes, too, are where the placement left them.
         keep_state: whether the outcome must have the state in which the placement has settled. A job with
-            ``keep_state`` and no drive may end once the placement has settled, without the time to come to rest.
+            ``keep_state`` and no drive may end as soon as the placement has settled, without the further time in which
+            boxes come to rest.
         record: what to record as the world's history; recording changes no other result.
         has_errors: whether the boxes' places differ from the planned places, so that a box may stand on a neighbour
             that is a little higher (``petmjx.engines.contact_tilt``).
@@ -137,8 +138,8 @@ class Job:
             has the options of ``petmjx.engines.contact_penetration.stiffened``. If ``stiff`` is None, the world has the
             run's options. ``stiff`` is set only on engines with ``Capability.STIFF_JOBS``, for a world that is
             simulated again together with other worlds.
-        edge_risk: what statics says about the loads of the scene (``petmjx.world.edge_distances.EdgeRisk``), for the
-            order in which an engine simulates worlds; None if it is not known.
+        edge_risk: the result of a quick static test of the scene's loads (``petmjx.world.edge_distances.EdgeRisk``),
+            from which an engine derives the order of worlds; None if it is not known.
     """
 
     scene: Scene
