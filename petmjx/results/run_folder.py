@@ -90,7 +90,7 @@ def check_run_folder(folder: Path, overwrite: bool = False, resume: bool = False
 
     def is_ours(file: Path) -> bool:
         if file.name == RUN_FILE:
-            # if the run is resumed, the function that reads the run reports errors
+            # when a run is resumed, the function that reads it later reports errors of its run.json
             return resume or _listed_parts(file) is not None
         return file in hidden or file in listed or _is_part_of(parts[file], file)
 

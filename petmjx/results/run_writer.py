@@ -492,7 +492,7 @@ class RunWriter(RunInfo):
         self._tables.drop_others()
         ranked = is_ranked(parts, list(self._manifest.plans if self._manifest else ()))
         self._write_plans()
-        if not ranked:  # rows are rewritten only for old runs (petmjx < 0.3), and if the order of plans has changed
+        if not ranked:  # rows are rewritten only in runs of petmjx before 0.3, or if the order of plans has changed
             self._tables.replace_worlds(self._copies(self.parts, self._ranks))
         self._write_info()
         self._tables.drop_others()

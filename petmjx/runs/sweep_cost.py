@@ -89,8 +89,8 @@ def work_of(worlds: SweepPlan) -> Work:
 
 
 def job_bounds(worlds: SweepPlan, groups: Collection[PlacementGroup]) -> JobBounds:
-    """Limits for the jobs of some placements of a sweep, and of the drives and legs that follow these placements, such
-    as the largest number of steps. With these limits, engines prepare themselves before the first job."""
+    """Limits, such as the largest number of steps, for the jobs of some placements of a sweep, and for the jobs of the
+    drives and legs that follow these placements. With these limits, engines prepare themselves before the first job."""
     sweep = worlds.sweep
     sim, profiles = sweep.simulation, sweep.profiles.values()
     jobs = sum(max(len(group.variants), 1) for group in groups)

@@ -293,8 +293,8 @@ def _on_an_edge(
     along = half * np.cos(angle) - up * np.sin(angle) - half
     raised = half * np.sin(angle) + up * np.cos(angle) - up
     lift = np.concatenate([along[..., None] * ahead, raised[..., None]], axis=-1)
-    # quaternion product: a rotation by ``angle`` about a horizontal axis, which points to the right of the forward
-    # direction, after the rotation ``start_quat``
+    # quaternion product: the rotation ``quat``, followed by a rotation by ``angle`` about the horizontal axis that
+    # points to the right of the forward direction
     c, s = np.cos(angle / 2), np.sin(angle / 2)
     a, b = s * ahead[..., 1], -s * ahead[..., 0]
     w, x, y, z = np.moveaxis(quat, -1, 0)
