@@ -91,8 +91,8 @@ NOT_ASKED: Final = -1
 _ROUNDING: Final = {"mm": ON_EDGE_MM, "1": -NO_SLACK}
 """Unit of a slack → rounding error of the slack, in this unit. A negative slack that differs from 0 by less than this
 error counts as 0. For slacks without a unit ("1"), the error is the same as for the criterion force balance. Slacks
-that are shares of an area have no unit either. Their rounding error is only 1e-16, but they are compared with the same
-value."""
+that are shares of an area have no unit either. Their rounding error is only 1e-16, but the same value is used for
+them."""
 
 
 @dataclass(frozen=True, eq=False)
