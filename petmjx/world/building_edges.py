@@ -55,8 +55,8 @@ class BuildingLoads(NamedTuple):
 
 
 class LeastBuildingEdge(NamedTuple):
-    """Two of all the loads that act while a plan is built. One is the load furthest beyond an edge or, if none is
-    beyond, the load that is least far inside. The other is the load nearest to an edge, whether inside or beyond it.
+    """The two most critical loads that act while a plan is built. One is the load furthest beyond an edge or, if none
+    is beyond, the load that is least far inside. The other is the load nearest to an edge, whether inside or beyond it.
 
     Distances are positive inside an edge and negative beyond it. So the smallest distance belongs to the load furthest
     beyond an edge. The load nearest to an edge may be on either side of the edge. If a plan has no loads, distances are
