@@ -152,8 +152,8 @@ def sweep(
             all plans that the file names are simulated.
         watcher: as for :func:`score`.
         progress: in a script, print the progress of the run on standard error every few seconds.
-        batching: limits for the numbers of settled states and worlds (simulations of one plan each) in memory. The
-            results do not depend on these limits.
+        batching: limits for how many settled states and how many worlds are in memory at once. A world is one
+            simulation of one plan. The results do not depend on these limits.
         options: fields of ``petmjx.Simulation``, which replace the values in the sweep file, and fields of
             ``petmjx.RunOptions``.
 

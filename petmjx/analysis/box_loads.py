@@ -178,8 +178,9 @@ def loads(
     Args:
         run: a run's folder, or the result of ``petmjx.score``.
         articles: a table of strengths (``petmjx.plans.articles.read_articles``). If this table has no entry for a box,
-            its strength comes from the plan or, if the plan has none, from the table of articles with which the run was
-            made. If ``articles`` is None, only the plan and the run's table are used.
+            the strength of the box comes from the plan. If the plan has no strength either, the strength comes from the
+            table of articles with which the run was made. If ``articles`` is None, only the plan and the run's table
+            are used.
         plans: the plans of the run, which give the sizes, places and product groups of boxes. If ``plans`` is None,
             plans are read from the files that the run names.
         stacking: how much strength boxes lose by stacking, as a ``petmjx.options.strength_losses.Stacking`` or as a

@@ -1,9 +1,9 @@
 """The walls of stacked cartons: how much of each box's walls is loaded and supported.
 
 A carton bears load through its walls, and mostly at its corners. So ``walls_of`` computes two shares of a box's walls
-from the plan. On the first share, walls of other boxes stand. The second share has nothing below it: there, the wall
-sticks out beyond an edge, or lies over a gap between the boards of the carrier. A box on an interlayer sheet stands on
-the boxes under the sheet.
+from the plan: the share on which walls of other boxes stand, and the share that nothing supports. A part of a wall has
+no support if it sticks out beyond an edge, or lies over a gap between the boards of the carrier. A box on an interlayer
+sheet stands on the boxes under the sheet.
 """
 
 from __future__ import annotations
@@ -84,8 +84,8 @@ def walls_of(
 
 
 def _stands_on(plan: Plan, low: FloatArray, high: FloatArray) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Two arrays that tell on what each box stands, directly or on a sheet that lies between. (n, n): whether the box
-    of the row stands on the box of the column. (n,): whether a box stands on the carrier."""
+    """Two arrays: (n, n) whether the box of the row stands on the box of the column; and (n,) whether each box stands
+    on the carrier. A box may stand on a body directly, or with sheets in between."""
     beside = (shared_length(low[:, 0], high[:, 0]) > LEAST_SHARED_MM) & (
         shared_length(low[:, 1], high[:, 1]) > LEAST_SHARED_MM
     )

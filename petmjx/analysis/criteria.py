@@ -90,8 +90,9 @@ NOT_ASKED: Final = -1
 
 _ROUNDING: Final = {"mm": ON_EDGE_MM, "1": -NO_SLACK}
 """Unit of a slack → rounding error of the slack, in this unit. A negative slack that differs from 0 by less than this
-error counts as 0. For slacks without a unit ("1"), the error is the same as for the criterion force balance. (Slacks
-that are shares of an area have no unit either, but a smaller rounding error, 1e-16.)"""
+error counts as 0. For slacks without a unit ("1"), the error is the same as for the criterion force balance. Slacks
+that are shares of an area have no unit either. Their rounding error is only 1e-16, but the same value is used for
+them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +207,7 @@ def corner_and_area_slack(share: FloatArray, corners: IntArray, least: tuple[flo
 
 SUPPORT_CRITERIA: Final = {f"support_{100 * share:.0f}": share for share in (1.0, 0.9, 0.8, 0.75, 0.7, 0.6, 0.5)}
 """Name of a criterion → share of a box's base that must lie on boxes or the carrier. The share 1 is the whole base; the
-other shares are as in Bortfeldt & Wäscher's survey and in the ADAMS study."""
+other shares are values from Bortfeldt & Wäscher's survey and from a study with the multibody simulator ADAMS."""
 
 LEAST_CORNERS: Final = 3
 

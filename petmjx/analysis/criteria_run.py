@@ -297,7 +297,7 @@ def criteria(
         limit: largest number of plans to evaluate.
         strict: whether a plan that cannot be used raises an error instead of being skipped.
         units: the units of files and data frames, as for ``petmjx.load_plans``.
-        anchor: which point of a box its coordinates refer to, as for ``petmjx.load_plans``.
+        anchor: the point of a box to which its coordinates refer, as for ``petmjx.load_plans``.
         progress: function that is called with the number of finished plans and the number of all plans.
         options: fields of ``petmjx.analysis.criteria.CriteriaOptions``: ``friction``, ``side_friction``,
             ``tolerance_mm``, ``carrier`` (by default the run's), ``only``, ``processes``, ``p_arrives``, ``seed``. A

@@ -47,9 +47,10 @@ def judge(plans: pd.DataFrame, worlds: pd.DataFrame, criteria: Sequence[Criterio
     Returns:
         One row per criterion: ``criterion``, ``n_plans``, the counts named in ``CELLS``, and the scores named in
         ``SCORES``. Each score has two more columns, ``_low`` and ``_high``, with the bounds of its 95 % bootstrap
-        interval over plans. ``same_first_box`` counts the plans that the criterion refuses and that fall in the
-        simulation, if criterion and simulation name the same first box. If ``worlds`` has the column ``share`` (the
-        share of simulations that reach the end of a transport chain), each row also has the columns ``ARRIVES``.
+        interval over plans. ``same_first_box`` is the number of plans that the criterion refuses, that fall in the
+        simulation, and for which criterion and simulation name the same first box. If ``worlds`` has the column
+        ``share`` (the share of simulations that reach the end of a transport chain), each row also has the columns
+        ``ARRIVES``.
     """
     judged = with_physics(plans, worlds)
     stands = judged["stands"].to_numpy(dtype=bool)

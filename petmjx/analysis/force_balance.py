@@ -13,9 +13,9 @@ save time without changing the result:
 - A box with all four corners on the carrier is in balance for any load on its top, because the carrier can always
   balance the load with vertical forces. Such a box is treated as part of the carrier, so it belongs to no structure.
 - Friction, horizontal forces and heights are considered only if vertical forces alone do not balance the boxes. For
-  example, friction can hold a box that would tip if it stood alone: a second box, which lies across this box and its
-  neighbour, holds this box by friction. If friction is considered, the slack is the larger one of the slack without
-  friction and the slack with friction.
+example, friction can hold a box that would tip if it stood alone. This is so if a second box lies across this box and a
+neighbour. If friction is considered, the slack is the larger one of the slack without friction and the slack with
+friction.
 - For a structure of one box, a closed form (``_slack_alone``) gives the slack without a linear programme.
 
 With ``lean``, boxes that touch side by side may press on each other, and boxes may press on walls, by default without
@@ -200,8 +200,8 @@ def balance_slack(
 
     Args:
         friction: coefficients of friction.
-        lean: whether the slack with leaning is computed, for which boxes may press on neighbours that they touch side
-            by side. If ``lean`` is False, the second array is NaN.
+        lean: whether the slack with leaning is also computed: the slack if boxes may press on neighbours that they
+            touch side by side. If ``lean`` is False, the second array is NaN.
     """
     without = _Stack(contacts, friction)
     ways = [without, _Stack(contacts, friction, find_sides(contacts))] if lean else [without]
@@ -423,8 +423,8 @@ def _points(
     friction: Friction,
     sides: Sides | None,
 ) -> _Points:
-    """The points at which forces act on the given boxes: the corners of their contact areas and, if ``sides`` is given,
-    of the rectangles at which they touch side by side."""
+    """The points at which forces act on the given boxes: the corners of the contact areas under these boxes and, if
+    ``sides`` is given, the corners of the rectangles at which boxes touch side by side."""
     indices = np.flatnonzero(boxes[contacts.upper])
     upper = contacts.upper[indices]
     height = np.broadcast_to(contacts.corner_mm[upper, None, None, 2], (len(indices), 4, 1))

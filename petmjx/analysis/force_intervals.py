@@ -82,8 +82,8 @@ def _without_programme(touching: TouchPoints, weight: FloatArray) -> FloatArray:
     for box in range(n_boxes):
         box_contacts = (ends == box).any(axis=0)
         on_top = touching.pressed[box_contacts] == box
-        # a group number for each box, and for the carrier: the groups that contacts would connect if this box did not
-        # exist
+        # a group number for each box and for the carrier: bodies have the same number if contacts would connect them
+        # even without this box
         group = _groups(ends[:, ~box_contacts], n_boxes + 1)
         other = group[ends[:, box_contacts].sum(axis=0) - box]
         above = np.unique(other[on_top])

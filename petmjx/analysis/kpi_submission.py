@@ -2,8 +2,9 @@
 submission's file.
 
 The file has a name of the form ``{DATE}_{SURNAME}_{ALGORITHM}_{TASK}.json``. The leaderboard's page
-(floriankagerer.github.io/leaderboard) defines three tasks. All items are known (offline); or items arrive one after the
-other (O3DBP); or p items are known, and the packer chooses one of the next s (O3DBP-p-s).
+(floriankagerer.github.io/leaderboard) defines three tasks. In the first task (offline), all items are known. In the
+second task (O3DBP), items arrive one after the other. In the third task (O3DBP-p-s), p items are known, and the packer
+chooses one of the next s items.
 """
 
 from __future__ import annotations

@@ -134,7 +134,7 @@ class Support(NamedTuple):
 
 
 def direct_support(corner_mm: FloatArray, size_mm: FloatArray, extent_mm: tuple[float, float]) -> Support:
-    """Determine on what the boxes of one plan lie directly, according to BED-BPP's method.
+    """Determine, by BED-BPP's method, the boxes on which each box of a plan lies directly.
 
     BED-BPP's evaluator divides the target into cells of one square millimetre. This function uses larger cells, from
     one edge of a box to the next edge of any box, so that all points of a cell are under the same boxes.
@@ -390,7 +390,8 @@ def _odd_boxes(
 
 
 def _unknown(frame: pd.DataFrame, stability: Stability) -> list[str]:
-    """Lines for the user about plans of which no run tells whether they stand, if runs tell it of other plans."""
+    """Lines for the user about plans for which no run says whether they stand. If the runs say of no plan whether it
+    stands, there are no lines."""
     notes = []
     for column, known in (("kpi_6", stability.their_rule), ("stable", stability.stable)):
         missing = frame.loc[frame[column].isna(), "plan_id"].tolist()
@@ -405,7 +406,7 @@ def _as_list(run: RunSource | Sequence[RunSource] | None) -> list[RunResults | P
     """The runs, as results or folders.
 
     Raises:
-        InputError: a run is neither.
+        InputError: a run is neither a result nor the path of a folder.
     """
     if run is None:
         return []

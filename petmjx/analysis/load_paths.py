@@ -47,10 +47,10 @@ def equilibrium_slack(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
     bedding) and supports can only push. If this slack is negative, but other balancing forces keep all resultants
     inside the edges, the slack of these other forces is used.
 
-    Other forces are considered, because a load may act beyond an edge only because of the assumed bedding. So after
-    each placement with a load beyond an edge, a linear programme searches for forces that keep all loads inside the
-    edges. If the programme finds such forces, the box passes. If the programme finds no such forces, no forces are
-    searched for later placements. Placements without a search keep the slack of the even bedding.
+    Other forces are considered, since the assumed bedding may be the only reason why a load acts beyond an edge. So
+    after each placement with a load beyond an edge, a linear programme searches for forces that keep all loads inside
+    the edges. If the programme finds such forces, the box passes. If the programme finds no such forces, the search is
+    not repeated after later placements. Placements without a search keep the slack of the even bedding.
     """
     bearing = bearing_of(contacts)
     built = building_loads_of(bearing, [contacts.n_boxes])

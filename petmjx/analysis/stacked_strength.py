@@ -65,8 +65,9 @@ def remaining_share(loss: float, factor: float = 1.0) -> float:
 
 
 def _factors(plan: Plan, losses: Stacking, carrier: Carrier | OwnCarrier) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The four factors (``_FACTORS``) by which each box's strength in a press is multiplied. Each of the three arrays
-    (4, n) has these factors for n boxes: for the nominal, the largest and the smallest losses of strength."""
+    """Three arrays (4, n) with the four factors (``_FACTORS``) by which the strength of each of n boxes in a press is
+    multiplied. The first array is for the nominal losses of strength, the second for the largest losses, and the third
+    for the smallest losses."""
     extent, boards = extent_m(carrier), pallet(carrier)
     extent_mm = None if extent is None else (MM_PER_M * extent[0], MM_PER_M * extent[1])
     walls = walls_of(plan, extent_mm, None if boards is None else boards.deck_mm, losses.wall_tolerance_mm)

@@ -75,7 +75,7 @@ class Story:
 
     page: ClassVar[Callable[[Story], str] | None] = None
     """Function that makes the HTML page of a story for notebooks. The module ``petmjx.show.pages.story_page`` sets this
-    attribute: it imports the present module, so the present module cannot import it."""
+    attribute. The present module cannot import ``story_page``, because ``story_page`` imports the present module."""
 
     def __repr__(self) -> str:
         outcome = self.outcome

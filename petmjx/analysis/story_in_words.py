@@ -120,7 +120,7 @@ def _last_state(story: Story) -> str:
 
 
 MOST_LEANING: Final = 3
-"""A line about leaning boxes names this number of boxes, or fewer."""
+"""Largest number of boxes that a line about leaning boxes names."""
 
 REASONS: Final = {
     Reason.NONE: "no box shifted by more than {shift}, tilted by more than {tilt:g}° or dropped",

@@ -1,5 +1,5 @@
-"""Points at which boxes touch when a simulation has come to rest (``find_touch_points``): from the final poses of the
-boxes, by MuJoCo's collision detection."""
+"""Finds the points at which boxes touch when a simulation has come to rest (``find_touch_points``), from the final
+poses of the boxes and with MuJoCo's collision detection."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ def atomic_write(file: Path) -> Iterator[Path]:
     if "\0" in str(file):
         raise InputError(f"{printable(str(file))}: cannot be written: no file can have this name")
     target = file.resolve() if file.is_symlink() else file
-    direct = file.exists() and not file.is_file()  # /dev/stdout may be a pipe, and a pipe has no real path
+    direct = file.exists() and not file.is_file()  # such as /dev/stdout, which no file can replace
     temporary = file if direct else target.with_name(f".{secrets.token_hex(8)}.{target.name}")
     try:
         with write_errors(file):

@@ -1,7 +1,7 @@
 """Records that check their own values (``CheckedRecord``), and their one-line error messages.
 
-This module turns all errors of pydantic into lines. The module also decides how messages name an option: by its flag if
-the command line is running, otherwise by its argument in Python.
+This module turns each error of pydantic into one line. The module also decides how messages name an option: by its flag
+if the command line is running, otherwise by its argument in Python.
 """
 
 from __future__ import annotations

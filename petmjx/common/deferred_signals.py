@@ -1,4 +1,5 @@
-"""Deferred signals (``defer_signals``): Ctrl-C and the like wait while a run does what must not be interrupted."""
+"""Deferred signals (``defer_signals``): Ctrl-C and similar signals wait while a run executes code that must not be
+interrupted."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ STOPPING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 @contextlib.contextmanager
 def defer_signals(afterwards: bool) -> Iterator[None]:
-    """While the body runs, hold back the signals ``STOPPING`` for which a Python function is the handler.
+    """While the body runs, hold back those signals of ``STOPPING`` whose handler is a Python function.
 
     In other threads than the main thread, this context does nothing, because signal handlers interrupt only the main
     thread.

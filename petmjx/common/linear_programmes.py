@@ -76,7 +76,7 @@ def _highs() -> Any | None:
                     module = importlib.util.module_from_spec(spec)
                     sys.modules[_NAME] = module
                     spec.loader.exec_module(module)
-                except ImportError:  # a library may be in a folder in which only SciPy's own import searches
+                except ImportError:  # HiGHS may need a library in a folder in which only SciPy itself searches
                     sys.modules.pop(_NAME, None)
     module_or_none = sys.modules.get(_NAME)
     return module_or_none if all(hasattr(module_or_none, name) for name in _USED) else None

@@ -157,8 +157,8 @@ def device_name(engine: str, threads: int | None = None) -> str:
 
 
 def why_no_warp_at_once() -> str | None:
-    """The reason why the engine mjx-warp cannot run on this machine, as far as it can be told without JAX. Importing
-    JAX takes seconds.
+    """The reason why the engine mjx-warp cannot run on this machine, as far as this can be found out without importing
+    JAX. Importing JAX would take seconds.
 
     The result is None if no reason was found.
     """

@@ -56,7 +56,7 @@ def check_folder(folder: Path) -> None:
     """Check that a path is a folder or can become one. Nothing is changed on disk.
 
     Raises:
-        InputError: the path, or a path above it, is something else than a folder.
+        InputError: the path, or a path above it, exists but is not a folder.
     """
     with _path_errors(folder):
         ancestor = next((path for path in (folder, *folder.parents) if os.path.lexists(path)), folder)

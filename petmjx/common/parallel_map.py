@@ -43,7 +43,8 @@ def ordered_results(
     ``workers``.
 
     Args:
-        function: a function defined in a module (or ``functools.partial`` of one), since other processes import it.
+        function: a function that is defined in a module, so that other processes can import it, or a
+            ``functools.partial`` of such a function.
         tasks: the arguments of the calls. This process takes the next task from the iterable only when another process
             can soon start it.
         workers: number of processes. If ``workers`` is 1, only this process is used. Scripts that use several processes

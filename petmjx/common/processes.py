@@ -36,8 +36,8 @@ def process_pool(processes: int, *, gpu: bool = True, nice: int = 0) -> ProcessP
 
 
 def stop(pool: ProcessPoolExecutor) -> None:
-    """End the worker processes of a pool immediately, without waiting for running tasks as ``shutdown`` does. No thread
-    may still wait for the results of these tasks, which never arrive."""
+    """End the worker processes of a pool immediately, without waiting for running tasks as ``shutdown`` does. The
+    results of running tasks never arrive, so no thread may still wait for them."""
     for process in list((pool._processes or {}).values()):
         process.terminate()
 

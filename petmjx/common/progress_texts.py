@@ -20,7 +20,7 @@ class ProgressTexts:
 
     Args:
         total: number of worlds; None if it is unknown.
-        what: the noun that stands for a world in messages, which is ``plan``, or ``world`` in sweeps.
+        what: the noun for a world in messages: ``plan``, or ``world`` in sweeps.
         clock: function that returns the present time, s.
     """
 

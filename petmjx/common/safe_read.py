@@ -45,7 +45,7 @@ class _Pipes:
 
     Attributes:
         words: the words of the command line, and the parts of these words between "=" and ",", as in
-            ``--plans=/dev/stdin``. A path that is one of these texts is named on the command line.
+            ``--plans=/dev/stdin``. A path counts as named on the command line if it is one of these texts.
     """
 
     def __init__(self, words: frozenset[str]) -> None:

@@ -1,5 +1,5 @@
-"""The only module that converts units. Inside petmjx, all values are in SI units, except that lengths in plans are in
-millimetres."""
+"""The only module that converts units. Inside petmjx, all values are in SI units, except lengths in plans and in some
+options, which are in millimetres."""
 
 from __future__ import annotations
 

@@ -23,9 +23,9 @@ def set_up_warp() -> None:
     """Choose a folder beside JAX's cache for the kernels that Warp compiles, stop Warp from printing, and keep Warp's
     tiles (arrays shared by the threads of a block) off the stack.
 
-    A setting is changed only if it still has Warp's default. (Warp sets its cache folder when it starts.) If tiles were
-    on the stack, all threads of an x86 CPU would share one pointer to the tiles, and launches from several threads
-    would write into each other's tiles.
+    A setting is changed only if it still has Warp's default. (The cache folder has the default None until Warp starts.)
+    If tiles were on the stack, all threads of an x86 CPU would share one pointer to the tiles, and launches from
+    several threads would write into each other's tiles.
 
     Raises:
         EngineUnavailable: no folder for compiled kernels is writable.
@@ -55,7 +55,7 @@ def machine_code(name: str) -> ModuleType | None:
             module = importlib.import_module(name)
             set_up_warp()
             for kernel in module.KERNELS:
-                warp.load_module(kernel.module, device="cpu")  # only then may several threads launch it
+                warp.load_module(kernel.module, device="cpu")  # several threads may launch only loaded kernels
             return module
     return None
 

@@ -80,8 +80,8 @@ WALLS_OF_CARRIERS: Final[Mapping[Carrier, Walls]] = {
 
 ``gitterbox`` is 1200 × 800 × 800 mm inside and has a mass of about 85 kg (UIC 435-3). ``container-20ft`` is 5867 × 2330
 × 2350 mm inside (the smallest inner sizes of 1CC, ISO 668) and has a mass of about 2.2 t. ``trailer`` has only a
-headboard, at its end in +x, towards which braking pushes the load; its inner length and width are usual for
-trailers."""
+headboard. The headboard is at the end in +x, because braking pushes the load towards this end. The inner length and
+width of ``trailer`` are usual for trailers."""
 
 TARGETS = (Carrier.EURO_PALLET, Carrier.ROLLCONTAINER)
 """The carriers that orders of BED-BPP name as their target."""
@@ -102,8 +102,8 @@ _THINNEST_MM: Final = 0.001
 """Smallest extent of a board, mm. Even if a user gives the extents in metres by mistake, the numbers are above this
 limit. So the check of single boards passes, and the check of the whole carrier can suggest the right unit."""
 _LIGHTEST_KG, _HEAVIEST_KG = 1.0, 5000.0
-"""Smallest and largest mass of a carrier, kg. A carrier of cardboard has 2 kg. If a carrier had a thousandth of its
-load's mass, the load would sink deeply into it."""
+"""Smallest and largest mass of a carrier, kg. A carrier of cardboard has 2 kg. Lighter carriers are refused, because a
+load of a thousand times the carrier's mass would sink deeply into the carrier."""
 _LIGHTEST_KG_M3, _HEAVIEST_KG_M3 = 5.0, 12_000.0
 """Smallest and largest density of a board, kg/m³. Foam has 15 kg/m³, wood 400 to 800 kg/m³, steel 7,850 kg/m³ and lead
 11,340 kg/m³."""

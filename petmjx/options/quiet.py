@@ -79,6 +79,5 @@ class Quiet(CheckedRecord):
 
     @property
     def tremble_looks(self) -> int:
-        """Number of times that the simulation checks within ``tremble_steps`` steps whether the pallet is quiet,
-        rounded up."""
+        """Number of checks, within ``tremble_steps`` steps, whether the pallet is quiet; rounded up."""
         return -(-self.tremble_steps // self.poll_steps)

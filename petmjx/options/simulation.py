@@ -27,12 +27,12 @@ from petmjx.options.wrap import Wrap
 # numbers would become infinite, a run would not end, or tables would be too long to be useful.
 LONGEST_INTERVAL_S: Final = 40.0
 LONGEST_S: Final = 600.0
-"""Largest values of options that are times, s: ``LONGEST_INTERVAL_S`` for ``interval_s`` and ``longest_wait_s``, which
-are spent once per box, and ``LONGEST_S`` for the other times. With ``LONGEST_INTERVAL_S``, the number of steps of a
+"""Largest values of options that are times, s. ``LONGEST_INTERVAL_S`` is for ``interval_s`` and ``longest_wait_s``,
+which pass once per box; ``LONGEST_S`` is for the other times. With ``LONGEST_INTERVAL_S``, the number of steps of a
 simulation fits into 32 bits, even with the shortest timestep and 512 boxes."""
 MOST_ITERATIONS: Final = 1_000_000_000
-"""Largest ``iteration_limit``. Attempts with a smaller timestep do not have a larger limit either, since counts of
-iterations must fit into 32 bits."""
+"""Largest ``iteration_limit``. An attempt with a smaller timestep multiplies the limit, but never beyond this value,
+because counts of iterations must fit into 32 bits."""
 
 SOFT_START_STEPS: Final = 100
 """Number of steps in each half of the soft start, which precedes a simulation's time 0. In the first half, there is no
@@ -267,7 +267,8 @@ class Simulation(CheckedRecord):
         """Whether boxes may be carried to their places by a simulated hand or by tines.
 
         If the user has chosen a way of placing, boxes may be carried only if this way is ``hand`` or ``tines``. With
-        ``auto``, a hand may carry boxes, unless boxes fall into their places or the schedule does not wait for a hand.
+        ``auto``, a hand may carry boxes if ``check`` is ``one-by-one``, the schedule is ``adaptive``, and boxes do not
+        fall into their places.
         """
         if self.placing.name is not Way.AUTO:
             return self.placing.carries

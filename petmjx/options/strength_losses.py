@@ -27,8 +27,8 @@ one minute to ten days, the loss is assumed to grow with the logarithm of time, 
 
 
 class Stacking(CheckedRecord):
-    """The shares of its strength that a box loses by the way in which it is stacked, by moist air and over time. A
-    share of 0 turns a loss off.
+    """The shares of a box's strength that the box loses by the way in which it is stacked, by moist air and over time.
+    A share of 0 turns a loss off.
 
     McKee's formula and tests in a press give the strength of a box between two flat plates. On a pallet, the loads on a
     box's walls depend on the boxes above and below.

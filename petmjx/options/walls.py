@@ -120,8 +120,9 @@ class Walls(CheckedRecord):
     def room_fault(self, extent_mm: Sequence[float]) -> str | None:
         """The error text if the walls leave no room for boxes on a carrier's top; None if there is room.
 
-        A negative gap, with walls that stand inside the carrier's sides, narrows the room for boxes. The length of a
-        wall is the length of the carrier's side plus two gaps, even if the adjacent sides have no walls.
+        With a negative gap, walls stand inside the carrier's sides, so boxes have less room. The length of a wall,
+        which must be positive, is the length of the carrier's side plus two gaps, even if the adjacent sides have no
+        walls.
 
         Args:
             extent_mm: extents of the carrier's top along x and y, mm.

@@ -73,8 +73,8 @@ def _lock_descriptor(folder: Path) -> int:
 
 
 def _check_ours(descriptor: int, folder: Path) -> None:
-    """Raise InputError if the lock file contains anything but the number of a process: such a file may belong to the
-    user, but petmjx overwrites and later deletes its lock file."""
+    """Raise InputError if the lock file contains anything but the number of a process. Such a file may belong to the
+    user, and petmjx would overwrite and later delete it."""
     if not stat.S_ISREG(os.fstat(descriptor).st_mode) or not _OURS.fullmatch(os.pread(descriptor, 32, 0)):
         raise _not_ours(folder)
 

@@ -80,7 +80,7 @@ def table_as_html(frame: pd.DataFrame, columns: Sequence[ShownColumn], attribute
 
 
 def _cell(value: Any, column: ShownColumn) -> str:
-    import pandas as pd  # imported here, because a caller that has a data frame has already loaded pandas
+    import pandas as pd  # imported here, so that importing this module does not load pandas
 
     if pd.isna(value):
         return "<td></td>"

@@ -22,8 +22,8 @@ class Recording:
     """Which worlds (simulations of one plan each) a run records, and which of the recorded histories it keeps.
 
     Whether a world fails is known only when it ends. So with ``failed_only``, the engine records all worlds, and the
-    history of a stable world is deleted when the world ends. So no world must be simulated again to be recorded, and
-    the histories of stable worlds do not fill the memory.
+    history of a stable world is deleted when the world ends. This way, no world must be simulated again to be recorded,
+    and the histories of stable worlds do not fill the memory.
 
     Attributes:
         record: how the engine records: time between two frames, and level of detail. If ``record`` is None, nothing is

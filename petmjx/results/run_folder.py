@@ -37,9 +37,9 @@ from petmjx.common.safe_read import read_regular
 
 RUN_FILE: Final = "run.json"
 OF_SOME_WORLDS: Final = ("attempts", "histories", "frames", "contacts")
-"""Tables in which some worlds have no rows. A part of a run is a group of its worlds; a table has a file for each part,
-with the number of the part in its name (``part_name``). If no world of a part has a row in one of these tables, this
-table has no file for this part."""
+"""Tables in which some worlds have no rows. The worlds of a run are divided into numbered groups, and a table has one
+file for each group, with the number of the group in its name (``part_name``). If no world of a group has a row in one
+of these tables, this table has no file for this group."""
 
 OF_WORLDS: Final = ("worlds", "boxes", *OF_SOME_WORLDS)
 TABLES: Final = (*OF_WORLDS, "summary", "plans", "placements")
@@ -90,7 +90,7 @@ def check_run_folder(folder: Path, overwrite: bool = False, resume: bool = False
 
     def is_ours(file: Path) -> bool:
         if file.name == RUN_FILE:
-            # if the run is resumed, the function that reads the run reports errors
+            # when a run is resumed, the function that reads it later reports errors of its run.json
             return resume or _listed_parts(file) is not None
         return file in hidden or file in listed or _is_part_of(parts[file], file)
 

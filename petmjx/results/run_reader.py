@@ -149,7 +149,7 @@ class RunResults:
 
     Attributes:
         parts: the files of the tables. Callers that need only some columns of a table read the columns through
-        ``parts``.
+            ``parts``.
         info: the entries of ``run.json``.
         plans_in_memory: plan id → plan, for plans that exist only as objects in memory.
     """

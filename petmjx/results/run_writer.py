@@ -161,7 +161,8 @@ class RunWriter(RunInfo):
         # The queues are implemented in C, so an interruption of the main thread leaves none of them locked or half
         # changed.
         self._queue: SimpleQueue[Row | _Request] = SimpleQueue()
-        # The writer's thread adds an entry after each try to write. While too many bytes wait, ``add`` waits for one.
+        # The writer's thread adds an entry after each try to write. While too many bytes wait, ``add`` waits for such
+        # an entry.
         self._room: SimpleQueue[None] = SimpleQueue()
         self._thread = threading.Thread(target=self._work, name="petmjx-writer", daemon=True)
         self._added_bytes = 0  # Changed only by the thread that adds worlds.
@@ -491,7 +492,7 @@ class RunWriter(RunInfo):
         self._tables.drop_others()
         ranked = is_ranked(parts, list(self._manifest.plans if self._manifest else ()))
         self._write_plans()
-        if not ranked:  # rows are rewritten only for old runs (petmjx < 0.3), and if the order of plans has changed
+        if not ranked:  # rows are rewritten only in runs of petmjx before 0.3, or if the order of plans has changed
             self._tables.replace_worlds(self._copies(self.parts, self._ranks))
         self._write_info()
         self._tables.drop_others()

@@ -266,7 +266,7 @@ def schemas(
 
 
 def plans_schema(ordered: bool = False) -> pa.Schema:
-    """Schema of the table ``plans``, from whose digests one can tell whether two runs have the same plans.
+    """Schema of the table ``plans``. The digests in this table tell whether two runs have the same plans.
 
     Args:
         ordered: whether the run was compared with orders. If it was, the table also has the columns of

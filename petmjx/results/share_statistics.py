@@ -61,7 +61,7 @@ def wilson_interval(
 
 def by_plan_and_axis(worlds: pd.DataFrame, axes: Sequence[str], **columns: tuple[str, str]) -> pd.DataFrame:
     """Aggregate worlds in groups. Groups are made twice: from the worlds of all plans together, and from the worlds of
-    each plan. In both cases, the groups are one with all worlds (axis ""), and one for each value of each axis.
+    each plan. In both cases, there is one group with all worlds (axis ""), and one group for each value of each axis.
 
     Args:
         columns: the values to compute for each group, as keyword arguments of pandas' ``agg``: name=(column, function).

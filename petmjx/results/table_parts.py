@@ -66,7 +66,7 @@ class Tables:
                 byte by byte.
 
         Raises:
-            InputError: a file of the other run is damaged or missing.
+            InputError: a file that is to be copied is damaged or missing.
         """
         first = self.parts.next_number(*OF_WORLDS)
         others.check_tables(OF_WORLDS)

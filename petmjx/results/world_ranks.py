@@ -129,7 +129,7 @@ class PlanOrder:
 
     def index(self, plan_ids: pd.Series) -> pd.Index:
         """The positions of plans in the input, as the index of a data frame with one row per plan."""
-        import pandas as pd  # imported here, because a caller that has a Series has already loaded pandas
+        import pandas as pd  # imported here, so that importing this module does not load pandas
 
         number_of = dict(zip(self.plan_ids, self.numbers, strict=True))
         numbers = [number_of.get(plan_id, -1) for plan_id in plan_ids]

@@ -2,8 +2,9 @@
 (docs/confidence.md).
 
 A score with confidence is a sweep. Each axis (varied quantity) of this sweep is one random error, such as a normal
-distribution of the errors of boxes' places. Each plan is simulated once without errors (the nominal world) and many
-times with random errors (the replicates). The summary has other columns than the summary of other sweeps.
+distribution of the errors of boxes' places. With ``exact_too``, there is also the axis ``placing``. Each plan is
+simulated once without errors (the nominal world) and many times with random errors (the replicates). The summary has
+other columns than the summary of other sweeps.
 """
 
 from __future__ import annotations

@@ -65,7 +65,7 @@ class SettledPlacement:
 
     @cached_property
     def load_height_m(self) -> float:
-        """Height of the load at rest, m, for which all drives that start from this placement are made."""
+        """Height of the load at rest, m. All drives that start from this placement are made for this height."""
         return load_height_m(self.outcome.boxes.pos, self.scene.half_size)
 
     def shaken(self, outcome: Outcome, thresholds: Thresholds) -> Outcome:
@@ -117,8 +117,8 @@ direction), and the index of the tested level."""
 
 @dataclass(frozen=True, eq=False)
 class DriveWorld(World):
-    """A simulation that starts from the settled state of a placement, and in which the carrier is shaken, as a job for
-    the engine. ``test``: the test of a search to which this simulation belongs; (-1, -1) outside a search."""
+    """A simulation that starts from the settled state of a placement and shakes the carrier, as a job for the engine.
+    ``test`` is the test of a search to which this simulation belongs; (-1, -1) outside a search."""
 
     settled: SettledPlacement
     change: Variant

@@ -85,11 +85,11 @@ def hopeless_profiles(sweep: Sweep) -> list[str]:
     """One line for each hopeless profile: a profile that makes every unsecured load slide farther than the shift
     threshold.
 
-    If the sweep has several strengths, the line names the smallest strength with which this happens. Whether a profile
-    is hopeless depends only on accelerations, which are the same for all plans. A sweep that searches for the strength
-    at which loads fail (``sweep.search``) gets no lines, since its result shows this anyway. With
-    ``total_time_factor``, there are no lines either, since a simulation may end before the load has slid farther than
-    the threshold.
+    If the sweep has several strengths of a profile, the line names the smallest strength with which every load slides
+    too far. Whether a profile is hopeless depends only on accelerations, which are the same for all plans. A sweep that
+    searches for the strength at which loads fail (``sweep.search``) gets no lines, since the result of the search is
+    this strength. With ``total_time_factor``, there are no lines either, since a simulation may end before the load has
+    slid farther than the threshold.
     """
     sim, axes = sweep.simulation, sweep.axes
     if sweep.search is not None or sim.total_time_factor is not None:

@@ -97,7 +97,7 @@ class SearchBracket:
 
     @property
     def monotone(self) -> bool:
-        """Whether the pallet failed at every tested level above the smallest failed level, too."""
+        """Whether the pallet also failed at all tested levels above the smallest failed level."""
         return self.highest <= self.failed
 
 

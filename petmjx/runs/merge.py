@@ -202,7 +202,8 @@ def _note_input(writer: RunWriter, infos: Sequence[Mapping[str, Any]]) -> None:
         writer.skip(skipped_plan)
     warnings = [split_warnings(info) for info in infos]
     for warning in itertools.chain.from_iterable(about_run for about_run, _ in warnings):
-        if not warning.startswith(NO_VERDICT):  # this warning counts worlds of one shard; below, all shards are counted
+        # a warning with NO_VERDICT counts worlds of one shard; a warning about all shards follows below
+        if not warning.startswith(NO_VERDICT):
             writer.warn(warning)
     limit = infos[0]["config"]["simulation"].get("iteration_limit")
     if warning_of_all := writer.counts.iteration_limit_warning(limit):

@@ -27,7 +27,7 @@ other plans while it simulates."""
 
 
 class ReadingAnswer(NamedTuple):
-    """What the process has read.
+    """The plans that a process has read, and values that it has computed from them.
 
     Attributes:
         columns: all plans, joined into a few arrays and lists, which are sent faster than thousands of plan objects.

@@ -143,13 +143,13 @@ def _segments(plans: PlanSource | None, options: RunOptions) -> list[Segment]:
 
 
 def _suits_processes(plans: PlanSource | None, options: RunOptions) -> bool:
-    """Whether other processes should read the plans: ``plans`` are large files, and this process may start a GPU while
-    they are read."""
+    """Whether other processes should read the plans. This is so if ``plans`` are large files, and if this process may
+    start a GPU meanwhile."""
     sources = plans if isinstance(plans, list | tuple) else [plans]
     paths = [Path(source) for source in sources if isinstance(source, str | PathLike)]
     if len(paths) < len(sources) or not may_use_gpu(options, plans):
         return False
-    # another process cannot read a pipe of this process, to which a link such as "/dev/stdin" may lead
+    # a link such as "/dev/stdin" may lead to a pipe of this process, which another process cannot read
     if any(path.is_symlink() or not (path.is_file() or path.is_dir()) for path in paths):
         return False
     return WORTH_A_PROCESS <= bytes_of_plans(plans) <= MOST_IN_A_PROCESS and cpu_threads() > 1 and bool(cuda_devices())

@@ -57,7 +57,7 @@ class RunStart:
     """Facts that are known at the start of a run.
 
     Attributes:
-        what: the noun for a world in messages, which is "plan", or "world" if plans have several worlds.
+        what: the noun for a world in messages: "plan", or "world" if plans have several worlds.
         total: number of worlds; None if it is unknown, as in searches.
         size: one line with the number of worlds and steps, and the estimated time.
         choice: the engine, and the reason for its choice.
@@ -222,7 +222,7 @@ class _Run:
             resume=options.resume,
         ) as writer:
             self._note_input(writer)
-            self.progress.notes = writer.warnings  # what the engine notes becomes a warning of the run
+            self.progress.notes = writer.warnings  # notes of the engine become warnings of the run
             if watcher is not None:
                 watcher.begin(self._start(len(writer.recorded)))
             ends_s = array("d")

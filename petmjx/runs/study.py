@@ -104,7 +104,8 @@ class Study(ABC):
         has_errors: whether positions or sizes have errors in some worlds.
         identity: settings on which worlds depend, besides the plans and ``sim``.
         config: entries of ``run.json`` about the study, in addition to the options.
-        edge_risks: plan id → ``EdgeRisk`` of the plan, for the plans for which it was computed before the run begins.
+        edge_risks: plan id → ``EdgeRisk`` of the plan, for the plans whose ``EdgeRisk`` was computed before the run
+            began.
     """
 
     sim: Simulation

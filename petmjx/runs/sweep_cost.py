@@ -23,9 +23,10 @@ from petmjx.world.supports import deck_mm
 from petmjx.world.variants import LegSpec
 
 _HELD_BY_OTHERS: Final = 2.0
-"""In a load, boxes beside one another hold each other up, so the load falls at about this multiple of ``tipping_g``. In
-EUMOS's profile, loads of 20 to 60 boxes with a ``tipping_g`` of 0.12 g began to fall at 0.25 g, and loads with a
-``tipping_g`` of 0.3 g at 0.6 g."""
+"""``tipping_g`` is the acceleration at which a column of boxes that nothing holds tips over, as a multiple of 9.81
+m/s². In a load, boxes beside one another hold each other up, so the load falls at about ``_HELD_BY_OTHERS`` ×
+``tipping_g``. In EUMOS's profile, loads of 20 to 60 boxes with a ``tipping_g`` of 0.12 g began to fall at 0.25 g, and
+loads with a ``tipping_g`` of 0.3 g at 0.6 g."""
 
 _FALL_STEPS: Final = 250
 """Number of steps of a drive between the moment at which a load begins to fall and the moment at which a box is lost.
@@ -44,8 +45,9 @@ of plans of about 40 boxes, and 3.4 for a plan of 238 boxes."""
 
 _FALLING_POWER: Final = 8
 """If a leg of a chain has n times the acceleration ``tipping_g`` of a plan (n > 1), the pallet is expected to stand
-after the leg with the probability (1 / n) to this power. After a leg with a conveyor of up to 0.3 g, four plans of 21
-to 54 boxes stood in 5 of 48 worlds of two chains; with this power, 11 of these worlds are expected to stand."""
+after the leg with the probability (1 / n) to this power. Four plans of 21 to 54 boxes were simulated in 48 worlds of
+two chains. After a leg with a conveyor of up to 0.3 g, the pallet stood in 5 of these worlds; the expected number with
+this power is 11."""
 
 
 def work_of(worlds: SweepPlan) -> Work:
@@ -87,8 +89,8 @@ def work_of(worlds: SweepPlan) -> Work:
 
 
 def job_bounds(worlds: SweepPlan, groups: Collection[PlacementGroup]) -> JobBounds:
-    """Limits for the jobs of some placements of a sweep, and of the drives and legs that follow these placements, such
-    as the largest number of steps. With these limits, engines prepare themselves before the first job."""
+    """Limits, such as the largest number of steps, for the jobs of some placements of a sweep, and for the jobs of the
+    drives and legs that follow these placements. With these limits, engines prepare themselves before the first job."""
     sweep = worlds.sweep
     sim, profiles = sweep.simulation, sweep.profiles.values()
     jobs = sum(max(len(group.variants), 1) for group in groups)
@@ -161,7 +163,7 @@ class _ShakenLeg(NamedTuple):
 
 
 class _LegShares(NamedTuple):
-    """What is expected of all legs of each of n plans.
+    """Expected shares of the steps of all legs of a plan, for each of n plans.
 
     Attributes:
         simulated: (n,) share of the steps of all legs that are simulated.
@@ -175,8 +177,8 @@ class _LegShares(NamedTuple):
 
 
 def _leg_shares(worlds: SweepPlan) -> _LegShares:
-    """What is expected of all legs of each plan. After a leg that is stronger than ``tipping_g``, a pallet that nothing
-    holds has probably fallen. The next legs are then not simulated."""
+    """The expected shares of the steps of all legs, for each plan. After a leg whose acceleration exceeds
+    ``tipping_g``, a pallet without film or walls has probably fallen. The next legs are then not simulated."""
     holds = worlds.sweep.simulation.wrap.holds or has_walls(worlds.sweep.simulation)
     tips_g, total = np.array([tipping_g(plan) for plan in worlds.plans]), 0
     simulated, filmed, gentle = np.zeros((3, len(tips_g)))

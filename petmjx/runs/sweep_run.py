@@ -76,7 +76,7 @@ with soft boxes neither store states nor start from them."""
 
 
 def _n_drives(variant: Variant) -> int:
-    """How many drives or legs of a variant are simulated if the pallet stands until the end."""
+    """Number of drives or legs of a variant that are simulated if the pallet stands until the end."""
     return len(variant.legs) or int(variant.drive is not None)
 
 

@@ -1,5 +1,5 @@
-"""Makes what a sweep adds to the results: columns of the table ``worlds`` with parameters and answers, and the table
-``summary``."""
+"""Makes the additions of a sweep to the results: columns of the table ``worlds`` with parameters and answers, and the
+table ``summary``."""
 
 from __future__ import annotations
 

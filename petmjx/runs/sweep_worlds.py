@@ -203,8 +203,9 @@ class SweepPlan(Design):
     # Drives.
 
     def drive_start_s(self, plan: Plan) -> float:
-        """Time at which a drive begins with the fixed schedule, s: ``settle_s`` after the nominal end of the placement
-        of n boxes, which is n × ``interval_s`` as in the reference implementation."""
+        """With the fixed schedule, the time at which a drive begins, s: ``settle_s`` after the nominal end of the
+        placement. The nominal end of the placement of n boxes is at n × ``interval_s``, as in the reference
+        implementation."""
         sim = self.sweep.simulation
         placed_s = sim.interval_s * plan.n_boxes if sim.check is Check.ONE_BY_ONE else 0.0
         return placed_s + sim.settle_s

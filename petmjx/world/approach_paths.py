@@ -59,7 +59,8 @@ class ApproachPath(NamedTuple):
     Attributes:
         lift: (n, 3) vector from each box's place to the end of its path, m. The box is released at the end of its path.
         quat: (n, 4) orientation of each box on its path, as a quaternion (w, x, y, z).
-        offset: (n, 3) vector from the end of each path to its start, m, if no other box is at that start.
+        offset: (n, 3) vector from the end of each path to its start, m. If another box is at that start, the start is
+            moved (``free_begin``).
         steps: (n,) duration of each path in steps. A box with 0 steps is not carried, but falls.
         falls: (n,) whether each box falls at the end of its path. If a box does not fall, the hand sets it down before
             releasing it.
@@ -220,13 +221,14 @@ def _approaches(beside: NDArray[np.bool_], approaches: FloatArray | None) -> tup
     A box starts beside its place, at the horizontal distance (length of its direction) × (option ``placing.side_mm``).
     If the plan gives no direction, a box moves along x towards the side that has a neighbour, provided that the
     opposite side has no neighbour, and likewise along y. So a box without neighbours, or between two neighbours, moves
-    straight down. The unit vector is along the axis that is nearest to the direction. If the direction is 0, the unit
-    vector is along an axis on which the box has no neighbour; if x and y are equally good, along x.
+    straight down. The forward direction on tines is along the axis that is nearest to the direction of movement. If the
+    box moves straight down, the forward direction is along an axis on which the box has no neighbour; if x and y are
+    equally good, it is along x.
 
     Args:
         beside: (…, n, 2, 2) whether each side of a box has a neighbour, from ``_neighbour_mask``.
-        approaches: (n, 2) directions that the plan gives; a row of 0 is no direction. ``approaches`` is None if the
-            plan gives no directions.
+        approaches: (n, 2) directions that the plan gives. A row of zeros means that the plan gives no direction for
+            this box. ``approaches`` is None if the plan gives no directions.
     """
     towards = beside[..., 1, :].astype(float) - beside[..., 0, :]
     if approaches is not None:
@@ -291,8 +293,8 @@ def _on_an_edge(
     along = half * np.cos(angle) - up * np.sin(angle) - half
     raised = half * np.sin(angle) + up * np.cos(angle) - up
     lift = np.concatenate([along[..., None] * ahead, raised[..., None]], axis=-1)
-    # quaternion product: a rotation by ``angle`` about a horizontal axis, which points to the right of the forward
-    # direction, after the rotation ``start_quat``
+    # quaternion product: the rotation ``quat``, followed by a rotation by ``angle`` about the horizontal axis that
+    # points to the right of the forward direction
     c, s = np.cos(angle / 2), np.sin(angle / 2)
     a, b = s * ahead[..., 1], -s * ahead[..., 0]
     w, x, y, z = np.moveaxis(quat, -1, 0)

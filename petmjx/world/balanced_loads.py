@@ -66,7 +66,7 @@ def balanced_loads(
     several = np.flatnonzero(placed & (bearing.n_supports > 1))
     together = np.flatnonzero((placed & (bearing.n_supports > 1))[bearing.upper])
     # For each box with several supports: the boxes whose loads depend on how these supports share the box's load. These
-    # boxes are those below, and the box itself, since the equations also contain the load of the box itself.
+    # are the boxes below, and the box itself, since the equations also contain the load of the box itself.
     of_box = np.zeros((len(several), len(placed)), bool)
     np.logical_or.at(of_box, np.searchsorted(several, bearing.upper[together]), passed[together])
     of_box[np.arange(len(several)), several] = True
@@ -125,7 +125,7 @@ def _solved_loads(
     - the forces at the four corners of each contact in ``contacts``,
     - the distance by which each load is beyond an edge,
     - for each box with several supports, moments that no support balances,
-    - the distance inside the edges of the load that is nearest to an edge.
+    - how far inside the edges the load that is nearest to an edge is.
     """
     middle = load[changed, 1:].sum(axis=0) / load[changed, 0].sum()
     mean = load[changed, 0].mean()

@@ -144,7 +144,8 @@ class Bearing:
     Attributes:
         boxes: the boxes at their planned places, not at the places of their release.
         upper: (c,) number of the box above each contact.
-        lower: (c,) number of the box below each contact, even if it is placed later, or ``CARRIER``.
+        lower: (c,) number of the box below each contact, or ``CARRIER``. The box below may be placed later than the box
+            above.
         low, high: (c, 2) lowest and highest corner (x, y) of each rectangle, m.
     """
 
@@ -398,8 +399,8 @@ class Bearing:
 
     @cached_property
     def borne_together(self) -> list[IntArray]:
-        """For each group of ``levels``, numbers of contacts. The upper boxes of these contacts have several supports,
-        and are upper boxes of the group. Their contacts with the carrier are included."""
+        """For each group of ``levels``, the numbers of all contacts of those upper boxes of the group that have several
+        supports. Contacts with the carrier are included."""
         groups = []
         upper = self.upper[self.together]
         for between in self.levels:

@@ -30,7 +30,8 @@ from petmjx.world.supports import bearing_of
 MOST_PROGRAMMES: Final = 2
 """Largest number of placements of a plan for which a linear programme is solved. One programme takes a few
 milliseconds, and more if a hundred boxes have several supports. After all other placements, loads that seem to be
-beyond edges are ignored, since only a programme could prove that no sharing keeps these loads inside."""
+beyond edges are ignored, since only a programme could prove that they are beyond an edge however supports share
+loads."""
 
 
 class BuildingLoads(NamedTuple):
@@ -54,8 +55,8 @@ class BuildingLoads(NamedTuple):
 
 
 class LeastBuildingEdge(NamedTuple):
-    """Two of all the loads that act while a plan is built. One is the load furthest beyond an edge or, if none is
-    beyond, the load that is least far inside. The other is the load nearest to an edge, whether inside or beyond it.
+    """The two most critical loads that act while a plan is built. One is the load furthest beyond an edge or, if none
+    is beyond, the load that is least far inside. The other is the load nearest to an edge, whether inside or beyond it.
 
     Distances are positive inside an edge and negative beyond it. So the smallest distance belongs to the load furthest
     beyond an edge. The load nearest to an edge may be on either side of the edge. If a plan has no loads, distances are
@@ -272,8 +273,8 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
     above = above[np.count_nonzero(bearing.lower == CARRIER) :]
     first_above = np.cumsum(n_above) - n_above
     key = np.repeat(np.arange(n), count) * n + step  # The keys increase from pair to pair.
-    # The array ``forces`` has the forces at the contacts of corrected boxes: for each contact, one for each load of the
-    # upper box
+    # The array ``forces`` has the forces at the contacts of corrected boxes: for each contact, one force for each load
+    # of the upper box
     size = np.where(pulled[bearing.upper], count[bearing.upper], 0)
     first, forces = np.cumsum(size) - size, np.zeros((size.sum(), 3))
     weights, boxes = bearing.weights[:, :3].copy(), np.flatnonzero(pulled)
@@ -330,8 +331,8 @@ def _contact_pushes(
 
 def _exact_least_edge(bearing: Bearing, built: BuildingLoads) -> LeastBuildingEdge:
     """The smallest distance of a load from an edge in one scene, found by linear programmes. The programmes decide
-    whether the loads that seem to be furthest beyond an edge are really beyond that edge. In the scene, every load that
-    seems to be beyond an edge depends on how supports share loads."""
+    whether the loads that seem to be furthest beyond an edge are really beyond that edge. The function is meant for
+    scenes in which every load that seems to be beyond an edge depends on how supports share loads."""
     edge = built.edge_m.copy()
     for _ in range(MOST_PROGRAMMES):
         if not (edge < 0).any():

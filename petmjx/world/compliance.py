@@ -54,8 +54,8 @@ OUTWARD: Final = 0.6
 share of a face is below ``EDGE_SHARE``, the pressure moves towards the deepest edge, by this factor × (``EDGE_SHARE`` /
 share − 1) × the distance to that edge. If a quarter of the face is pressed, the pressure reaches the edge. The angle
 between the two faces is then 12 F / (k·L), rad. F is the force of the contact, L the width of its common area, and k
-its stiffness if the whole common area is pressed. At this angle, of the nine points at which Simpson's rule evaluates
-the pressure, only those at one edge carry load."""
+its stiffness if the whole common area is pressed. Simpson's rule evaluates the pressure at nine points. At this angle,
+only the points at one edge carry load."""
 
 FACE_COSINE: Final = 0.5
 """Two faces press on one another if the cosine of the angle between one face's normal and the other face's reversed

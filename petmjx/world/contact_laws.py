@@ -11,10 +11,10 @@ time constant and ζ the damping ratio. At depths x beyond the width of ``solimp
 the contacts of a light box give way under a heavy load, even if they are meant to be stiff. With the physics ``pallet``
 and four contacts per face, contacts give way by 0.003 mm × (mass on the box) / (mass of the box).
 
-**Sliding.** In Coulomb's law, friction does not change the pressure of a sliding contact. In MuJoCo, the two forces of
-a sliding contact together minimise one cost (associated friction; MuJoCo's documentation, chapter Computation,
-"Constraint model"). Let j be the acceleration minus the reference acceleration, R the regularisation, f the force, and
-n and t the indices of the normal and the tangent. At the minimum, a sliding contact obeys
+**Sliding.** In Coulomb's law, friction does not change the pressure of a sliding contact. In MuJoCo, the normal force
+and the friction of a sliding contact together minimise one cost (associated friction; MuJoCo's documentation, chapter
+Computation, "Constraint model"). Let j be the acceleration minus the reference acceleration, R the regularisation, f
+the force, and n and t the indices of the normal and the tangent. At the minimum, a sliding contact obeys
 
     j_n + R_n · f_n = μ · (|j_t| − R_t · |f_t|)
 
@@ -31,11 +31,11 @@ with the iteration.
 
 **Landing.** With the law of contacts at rest, a landing box would sink centimetres into its support and would not
 bounce. MuJoCo's contacts have reference accelerations: the relative accelerations that the two bodies would have if the
-contact were hard. With the physics ``pallet``, contacts are nearly hard. So the law of landing sets the reference
-acceleration, whatever the masses of the bodies: a constant deceleration to the velocity of the rebound (Newton's law of
-impact). During a landing, all contacts of the world have the stiffness that they have at depths beyond ``solimp``'s
-width. With the lower stiffness that contacts have at small depths, boxes below the landing box would be pressed in
-before their contacts became stiff.
+contact were hard. With the physics ``pallet``, contacts are nearly hard, so the bodies have almost the reference
+acceleration, whatever their masses. The law of landing sets the reference acceleration: a constant deceleration to the
+velocity of the rebound (Newton's law of impact). During a landing, all contacts of the world have the stiffness that
+they have at depths beyond ``solimp``'s width. With the lower stiffness that contacts have at small depths, boxes below
+the landing box would be pressed in before their contacts became stiff.
 """
 
 from __future__ import annotations
@@ -190,8 +190,8 @@ AT_REST: Final = 2.0
 """Depth of contacts at the end of a landing, as a multiple of ``solimp``'s width. The depth of contacts at rest is 1.3
 times the width. At the end of a landing, contacts are deeper than at rest, since they still push a little while the box
 rises out of them. With ``AT_REST``, the restitution of boxes that fall 10 mm differs by at most 0.03 from the
-restitution that was set (0.1 to 0.3). It does not matter at which moment of a timestep the boxes land. With a
-restitution of 0.1, a box that fell 10 mm rises by a tenth of a millimetre."""
+restitution that was set (0.1 to 0.3). This is so at whichever moment of a timestep the boxes land. With a restitution
+of 0.1, a box that fell 10 mm rises by a tenth of a millimetre."""
 
 _LONGER: Final = 2.0
 """Duration of a landing as a multiple of ``landing_s``. The multiple exceeds 1, since a second corner of the box may
@@ -212,8 +212,8 @@ def stiffness_ratio(depth_m: FloatArray, solimp: FloatArray) -> FloatArray:
 
     Args:
         depth_m: (k,) depths of the contacts, m.
-        solimp: (k, 3) impedance at depth 0, impedance beyond the width, and the width, m. The fourth and fifth numbers
-            of ``solimp`` are 0.5 (midpoint) and 2 (power).
+        solimp: (k, 3) impedance at depth 0, impedance beyond the width, and the width, m. MuJoCo's fourth and fifth
+            numbers of ``solimp`` are assumed to be 0.5 (midpoint) and 2 (power).
     """
     low, high, width = np.clip(solimp[:, 0], 1e-4, 0.9999), np.clip(solimp[:, 1], 1e-4, 0.9999), solimp[:, 2]
     x = np.clip(np.abs(depth_m) / width, 0.0, 1.0)

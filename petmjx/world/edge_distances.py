@@ -20,7 +20,7 @@ from petmjx.world.supports import bearings_of
 
 NEAR_EDGE_M: Final = 0.0005
 """Distance inside an edge, m, below which ``edge_risks`` counts a load as near the edge. Of 44 worlds that were
-simulated again with stiffer contacts, 33 have a load near an edge; of all worlds, one in nine has."""
+simulated again with stiffer contacts, 33 have a load near an edge; of all worlds, one in nine has such a load."""
 
 MOST_EXAMINED_BOXES: Final = 96
 """Largest number of boxes of a scene that ``edge_risks`` examines. Examining a larger scene may take 50 ms."""
@@ -30,7 +30,7 @@ EXAMINED_AT_ONCE: Final = 64
 
 
 class EdgeRisk(IntEnum):
-    """What a quick test of statics says about the loads of a scene while its boxes are placed one by one.
+    """The result of a quick static test of the loads of a scene, whose boxes are placed one by one.
 
     The greater the value, the longer the simulation may take. Boxes with a load beyond an edge fall. If a load is near
     an edge, soft contacts may decide, so that the world is simulated again with stiffer contacts. Engines simulate the

@@ -64,8 +64,8 @@ class Drive:
         """Factor that converts the excitation's samples to N (forces) or to m/s² (accelerations; the factor is 1).
 
         The factor for forces is ``total_mass`` (boxes and carrier, kg) × 9.81 m/s², even if the simulation uses another
-        gravity. A push must not become weaker because boxes weigh less in this gravity. The factor is the same on all
-        engines. The reference implementation also uses the weight of boxes and carrier at 9.81 m/s².
+        gravity. A push must not become weaker because boxes weigh less in a weaker gravity. The factor is the same on
+        all engines. The reference implementation also uses the weight of boxes and carrier at 9.81 m/s².
         """
         return total_mass * STANDARD_GRAVITY if self.excitation.kind == FORCE else 1.0
 
@@ -112,7 +112,7 @@ class Job:
     failed first) is lost, since only then is it known how the culprit failed.
 
     Attributes:
-        scene: the world.
+        scene: the boxes and the carrier.
         drive: the drive that shakes the world. If ``drive`` is None, nothing shakes the world.
         start: the ``state`` of an earlier outcome. If the placement had settled, the world skips the soft start and the
             placement, and begins with the drive. If the placement had paused, the world begins with the placement of
@@ -122,12 +122,13 @@ class Job:
             jobs whose worlds are equal up to the pause (``petmjx.engines.warp.equal_beginnings``). The outcome has no
             state if the world ended earlier. A placement can pause only on engines with ``Capability.PAUSES``, in
             worlds without a drive in which each box is placed as soon as the other boxes are at rest.
-        poses: (n, 7) middles, m, and orientations (w, x, y, z) with which the boxes, at rest, begin the drive. With
-            ``poses``, a drive can continue where another drive left the boxes, on any engine. The carrier is where the
-            placement left it, since engines clamp the carrier in acceleration profiles. If ``poses`` is None, the
-            boxes, too, are where the placement left them.
+        poses: (n, 7) middles, m, and orientations (w, x, y, z) with which the boxes begin the drive. All boxes begin at
+            rest. With ``poses``, a drive can continue where another drive left the boxes, on any engine. The carrier is
+            where the placement left it, since engines clamp the carrier in acceleration profiles. If ``poses`` is None,
+            the boxes, too, are where the placement left them.
         keep_state: whether the outcome must have the state in which the placement has settled. A job with
-            ``keep_state`` and no drive may end once the placement has settled, without the time to come to rest.
+            ``keep_state`` and no drive may end as soon as the placement has settled, without the further time in which
+            boxes come to rest.
         record: what to record as the world's history; recording changes no other result.
         has_errors: whether the boxes' places differ from the planned places, so that a box may stand on a neighbour
             that is a little higher (``petmjx.engines.contact_tilt``).
@@ -140,8 +141,8 @@ class Job:
         iteration_limit: largest number of solver iterations of the placement, and of the drive. The smaller of
             ``iteration_limit`` and ``Simulation.iteration_limit`` applies; None: only the run's limit applies. Further
             attempts do not change ``iteration_limit``.
-        edge_risk: what statics says about the loads of the scene (``petmjx.world.edge_distances.EdgeRisk``), for the
-            order in which an engine simulates worlds; None if it is not known.
+        edge_risk: the result of a quick static test of the scene's loads (``petmjx.world.edge_distances.EdgeRisk``),
+            from which an engine derives the order of worlds; None if it is not known.
     """
 
     scene: Scene

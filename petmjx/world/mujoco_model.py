@@ -295,8 +295,8 @@ def _set_inertia(body: mujoco.MjsBody, scene: Scene, physics: Physics, number: i
     """
     mass = scene.carrier.mass if number == CARRIER else float(scene.mass[number])
     carrier = scene.carrier
-    # The mass and centre of mass of a carrier include walls that are open. So even if a carrier has a single shape, the
-    # shape may not be at the centre of mass.
+    # Walls that are open still count for the mass and the centre of mass of a carrier. So even if a carrier has a
+    # single shape, the shape may not be at the centre of mass.
     of_one = len(carrier.half_size) == 1 and not carrier.shape_pos.any()
     solid = scene.inertia_box is None and of_one and not scene.pieces
     if solid and scene.mass_center is None and not physics.skin_m:

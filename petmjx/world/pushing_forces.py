@@ -32,8 +32,8 @@ from petmjx.world.rectangle_hulls import HullTable
 IntArray = NDArray[np.intp]
 
 PULL: Final = 1e-9
-"""Tolerance for rounding errors of a support: its pulling force, as a share of the load, and the distance of its force
-outside its area, m, may be as large. A support whose force pulls more, or acts farther outside, counts as pulling."""
+"""Tolerance for rounding errors: a support may pull with this share of the load, and its force may act this distance
+outside its area, m. A support whose force pulls more, or acts farther outside, counts as pulling."""
 
 ON_EDGE_M: Final = 1e-6
 """Distance from an edge of the supports' convex hull, m, within which a load counts as on the edge. For a load on an

@@ -78,8 +78,8 @@ def _stacked_hulls(low: FloatArray, high: FloatArray) -> tuple[FloatArray, Float
     normals = [np.broadcast_to(np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]), (len(low), 4, 2))]
     offsets = [along]
     one, other = np.triu_indices(low.shape[1], 1)
-    # if a component of an edge's normal is positive, the low end of each rectangle is nearest to the edge; if negative,
-    # the high end
+    # if a component of an edge's normal is positive, the low end of each rectangle is nearest to the edge; if it is
+    # negative, the high end is nearest
     for sign_x, sign_y in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
         x, y = (low if sign_x > 0 else high)[..., 0], (low if sign_y > 0 else high)[..., 1]
         step_x, step_y = x[:, other] - x[:, one], y[:, other] - y[:, one]

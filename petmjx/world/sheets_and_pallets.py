@@ -1,8 +1,8 @@
 """Items of a plan whose bodies consist of several pieces: interlayer sheets, and pallets among the boxes.
 
 **Sheets** (docs/boxes-that-give.md). A rigid plate would carry a box over a hole in the layer below, but a real sheet
-does not. So a sheet's body has one shape for each area that lies on a box or a board, or up to a centimetre above one,
-and no shape over gaps. A sheet under which nothing lies has a single shape.
+does not. So a sheet's body has one shape for each area that lies on a box or a board, or up to a centimetre above a box
+or a board, and no shape over gaps. A sheet under which nothing lies has a single shape.
 
 **Pallets** (docs/carriers.md). The item's kind is the name of a pallet type, as for a carrier. The item's body has one
 shape per board, so that it slides, tips and carries load as the real pallet does. The mass that the plan gives for the

@@ -7,10 +7,10 @@ constraint of impedance d and stiffness k (``solref`` −k, −b) is a spring of
 then κ·c, where c follows from the places and masses of the points (``_network_kg``). So a box of stiffness S needs
 κ = S / c.
 
-Along each axis, the points' masses are in the proportion 1 : 4 : 1. With masses in the proportion 1 : 4 : 1, the
-weights of Simpson's rule, three points have the moments of inertia of a solid box. The stiffness of an edge is
-proportional to the mass of its points. So a box of length L also resists tilting like a bed of springs, with the
-rotational stiffness S·L²/12, and its own weight compresses it evenly.
+Along each axis, the points' masses are in the proportion 1 : 4 : 1. These are the weights of Simpson's rule. With such
+masses, three points have the moments of inertia of a solid box. The stiffness of an edge is proportional to the mass of
+its points. So a box of length L also resists tilting like a bed of springs, with the rotational stiffness S·L²/12, and
+its own weight compresses it evenly.
 
 MuJoCo gives each element one contact point. On a flat face, an element's contact point jumps from step to step, and
 boxes tremble. So each point of a box also has a ball, and elements touch a little later than balls. Flat faces

@@ -58,7 +58,7 @@ def bearings_of(
 
 _SORTED_M: Final = 1e-4
 """Tolerance of a first, rough search for contacts, m. The search raises the heights of each scene by a different
-amount, and the raised heights are rounded."""
+amount, and the sums have rounding errors."""
 
 
 UPRIGHT: Final = (0.0, 0.0, 1.0)
@@ -66,7 +66,8 @@ UPRIGHT: Final = (0.0, 0.0, 1.0)
 
 _MOST_TILT_COSINE: Final = 0.5
 """Boxes that are tilted by more than 60° are treated as if they stood upright: they no longer rest on the bases that
-they have in the plan. The vertical edges of these boxes have a smaller vertical component than this value."""
+they have in the plan. For such a box, the unit vector along the edges that are vertical in the plan has a z component
+below this value."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,9 +120,9 @@ def find_bearings(
         most_gap_m: largest gap below a box's bottom across which the box still counts as lying on a body, m: one value
             for all scenes, or (s,) one for each scene. The gap can exceed ``TOUCH_M``, since a box may lean onto a
             lower body.
-        up: (n, 3) unit vectors along the vertical edges of the boxes in each scene. A tilted box touches a body below
-            it where the gap between the two faces is at most ``most_gap_m``. A contact is the rectangle around this
-            part of the faces. If ``up`` is empty, all boxes stand upright.
+        up: (n, 3) unit vectors along those edges of the boxes in each scene that are vertical in the plan. A tilted box
+            touches a body below it where the gap between the two faces is at most ``most_gap_m``. A contact is the
+            rectangle around this part of the faces. If ``up`` is empty, all boxes stand upright.
     """
     boxes, decks = Boxes.of(scenes, targets), _decks([scene.carrier for scene in scenes])
     return _find_bearings(boxes, decks, most_gap_m, scenes, up)
@@ -247,8 +248,8 @@ def without_circles(upper: IntArray, lower: IntArray, height: FloatArray) -> NDA
 
 
 def deck_mm(plan: Plan, sim: Simulation) -> FloatArray:
-    """(b, 2, 2) lowest and highest corner (x, y) of each of the boards of the carrier under a plan on which boxes can
-    stand, mm."""
+    """(b, 2, 2) lowest and highest corner (x, y) of each board of the deck of a plan's carrier, mm. The deck consists
+    of the boards on which boxes can stand."""
     low, high, _ = _decks([carrier_of(plan, sim)])
     return MM_PER_M * np.stack([low, high], axis=1)
 

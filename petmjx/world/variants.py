@@ -193,7 +193,7 @@ overlap seen from above, B is set down on A. If the top of A is still higher, A 
 
 MOST_SPREADS: Final = 5.0
 """``_farthest_m`` assumes that no random error differs from its mean by more than this number of standard deviations.
-One normal error in 2 million does."""
+One normal error in 2 million differs by more."""
 
 _SAME_HEIGHT_M = 1e-9
 
@@ -404,16 +404,16 @@ def _set_down(scene: Scene, half_size: FloatArray, start_pos: FloatArray, yaw: F
 
     Boxes are set down from the bottom up. Box A is below box B under two conditions: A's planned top is not above B's
     planned bottom (with a tolerance of ``STEP_TOLERANCE_M``), and the two overlap, seen from above, at their planned or
-    actual places. The planned gap between a box and the highest box below is kept. The planned gap is 0.1 mm because of
-    the reduction of sizes, or more for a box that floats in the plan. If the two boxes overlap vertically in the plan,
-    they do not overlap afterwards.
+    actual places. The planned gap between a box and the highest box below is kept. For a box that stands on another box
+    in the plan, the planned gap is 0, or 0.1 mm if heights are reduced (``build_scene``). The planned gap is larger for
+    a box that floats in the plan. If the two boxes overlap vertically in the plan, they do not overlap afterwards.
     """
     planned_bottom = scene.target[:, 2] - scene.half_size[:, 2]
     planned_top = scene.target[:, 2] + scene.half_size[:, 2]
     lower = _lower(scene)
     supports = lower & _overlap_mask(scene.target[:, :2], scene.half_size[:, :2])
     below = supports | (lower & _overlap_mask(start_pos[..., :2], _footprint_half(half_size, yaw)))
-    # a box that, seen from above, overlaps no lower box in the plan stands on the carrier or floats above it
+    # if a box overlaps no lower box in the plan, seen from above, it stands on the carrier or floats above it
     support_top = np.where(supports, planned_top, -math.inf).max(axis=1, initial=-math.inf)
     stands = supports.any(axis=1)
     gap = np.where(stands, np.maximum(planned_bottom - support_top, 0.0), 0.0)

@@ -100,9 +100,10 @@ def _one_at_a_time(spans: Sequence[tuple[int, int, Vector]]) -> list[tuple[int, 
 
     The force changes at the beginning and at the end of every given span, in order of time. At each change, the old
     force is removed. After that, the force of the span that begins at this change is set; if several spans begin, the
-    force of the last one is set. Unlike in the reference implementation, an end one step after the beginning of another
-    span is moved to this beginning. Windows that follow one another may overlap by a step, since times are rounded to
-    whole steps; the later window would lose its force. Spans without a step are left out.
+    force of the last one is set. Windows that follow one another may overlap by a step, since times are rounded to
+    whole steps. The end of the earlier window would then remove the force of the later window. So, unlike in the
+    reference implementation, an end that comes one step after the beginning of another span is moved to this beginning.
+    Spans without a step are left out.
     """
     spans = [span for span in spans if span[0] < span[1]]
     waiting = deque(sorted(spans, key=lambda span: span[0]))

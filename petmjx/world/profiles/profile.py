@@ -83,6 +83,6 @@ def step_averages(antiderivative_at_edges: FloatArray, timestep_s: float) -> Flo
 
 
 def steps_to_cover(duration_s: float, timestep_s: float) -> int:
-    """Smallest number of steps, but not 0, that together last ``duration_s`` or longer. A remainder of up to a
+    """Smallest number of steps, at least 1, that together last ``duration_s`` or longer. A remainder of up to a
     billionth of a step counts as rounding and adds no step."""
     return max(int(np.ceil(duration_s / timestep_s - 1e-9)), 1)
