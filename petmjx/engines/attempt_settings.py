@@ -52,8 +52,9 @@ STIFF_ATTEMPT: Final = 6
 """Number of the first attempt with stiffer contacts."""
 
 UNSTABLE_NUMERICALLY: Final = (Reason.NONFINITE, Reason.EXPLOSION)
-"""Reasons of worlds whose simulation became numerically unstable. Attempt 6 has stiffer contacts at the run's timestep,
-and may become unstable if a light box carries a very heavy one. Attempt 7 has an eighth of this timestep."""
+"""Reasons of worlds whose simulation became numerically unstable. With its stiffer contacts, attempt 6 may become
+unstable if a light box carries a very heavy one, since it has the timestep of the run. Attempt 7, which has an eighth
+of this timestep, then follows."""
 
 _COUNTED_IN_STEPS = ("steps", "landing_steps", "poll_steps", "still_steps", "tremble_steps")
 """Fields of ``Quiet`` that count steps."""
@@ -82,9 +83,9 @@ class AttemptRecipe:
     """If True, all boxes are flex bodies from the beginning (petmjx/world/soft_boxes.py)."""
 
     doubles: bool = False
-    """Whether the attempt needs double precision. There are two possible reasons. Single precision may have made the
-    world invalid. Or contacts are so stiff (``stiff`` is 0.05) that boxes sink into each other by less than single
-    precision resolves."""
+    """Whether the attempt needs double precision. There are two possible reasons. First, single precision may have made
+    the world invalid. Second, contacts may be so stiff (``stiff`` is 0.05) that boxes sink into each other by less than
+    single precision resolves."""
 
     few: bool = False
     """Whether only few of many worlds need the attempt. Worlds with placement errors are an exception: if their plan
@@ -107,8 +108,8 @@ class AttemptRecipe:
         """Whether this attempt may give a different result from the previous attempt. A world that ran out of time gets
         no further attempt."""
         if self.checks:
-            # a world that ended early has the margin of a falling box, which does not show how near it was to the
-            # threshold
+            # the margin of a world that ended early is that of a falling box, and does not show how near to the
+            # threshold the world was before the fall
             return sim.check_timestep and abs(outcome.margin) < NEAR and not int(outcome.flags) & _EARLY_STOP
         sinks = bool(int(outcome.flags) & _SINKING) and sim.physics.cone is Cone.ELLIPTIC
         if self.soft:
@@ -208,8 +209,8 @@ need further attempts."""
 
 ENGINE_WITH_ATTEMPT_THREADS: Final = "mjx-warp-cpu"
 """Name of the engine that makes further attempts itself if few worlds need them: on additional threads of the same
-process, while the run goes on. Without additional threads, most threads of the engine would be idle while the last
-world is simulated."""
+process, while the run goes on. Without additional threads, further attempts would begin only when all first attempts
+have ended, and most threads of the engine would be idle while the last of them runs."""
 
 
 @dataclass(eq=False)
@@ -286,7 +287,8 @@ class Engines:
         return AttemptProcess("petmjx.engines.subprocess.attempt_child")
 
     def note_failure(self, engine: str, attempt: int, worlds: int, message: str) -> None:
-        """Note that an error ended an attempt on an engine, and what happens to the worlds without an outcome."""
+        """Add a note that an error ended an attempt on an engine. The note also says what happens to the worlds without
+        an outcome: they become invalid, or go to the fallback engine."""
         other = self.fallback
         then = "invalid (failed)" if other is None or engine == other.name else f"went to {other.name}"
         tail = f"; {count_text(worlds, 'world')}: {then}" if worlds else ""

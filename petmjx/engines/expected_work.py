@@ -96,7 +96,7 @@ that appear at places with errors, and may slip into gaps between other boxes. `
 carried to their places. On one GPU, 10,003 worlds without errors took 17 s. With errors, 8,000 worlds (of 500 plans)
 took 35 s if boxes appeared, and 4,000 worlds (of 250 plans) took 30 s if boxes were carried by hand."""
 _SHARES = 50
-"""Number of shares of placed boxes over which ``Work.share_before_failure`` sums."""
+"""Number of points at which ``Work.share_before_failure`` evaluates an integral over the share of placed boxes."""
 
 
 def rest_steps(sim: Simulation, rest_s: float, quiet_steps: int = DRIVEN_QUIET_STEPS) -> int:
@@ -151,11 +151,11 @@ class Work:
         drive_steps: steps of one drive, including ``rest_steps``; the mean over profiles.
         rounds: number of drives of a pallet that must follow one another, because later drives depend on the results of
             earlier ones: the rounds of a search, or the legs of a chain.
-        filmed: share of the steps of drives in which pallets are wrapped in film, 0 to 1: one value for all plans, or
-            one for each plan.
-        gentle: share of the steps of drives whose largest horizontal acceleration is at most ``STEADY_G``, 0 to 1: one
-            value or one per plan, as for ``filmed``. Vertical accelerations do not count. Drives with random vibrations
-            are not gentle.
+        filmed: share of all steps of drives in which the pallet is wrapped in film, 0 to 1. The field holds one value
+            for all plans, or one value per plan.
+        gentle: share of all steps of drives that belong to gentle drives, 0 to 1. The field holds one value for all
+            plans, or one value per plan. In a gentle drive, the horizontal acceleration is at most ``STEADY_G``;
+            vertical accelerations do not count. Drives with random vibrations are not gentle.
         giving: number of compliant boxes of each plan; empty if no plan has compliant boxes.
         sway_mm: how far a pile of each plan's compliant boxes sways, mm (petmjx.plans.plan_workload); empty if no plan
             has compliant boxes.
@@ -306,7 +306,7 @@ class Work:
         fails with the chance ``FAILING_BOXES``, so the shares of worlds are distributed exponentially up to 1.
 
         Args:
-            power: the result is the mean of this power of the share, to the power 1 / ``power``.
+            power: the exponent p of the mean: the result is (mean of shareᵖ) to the power 1 / p.
         """
         if not self._ends_with_failure(way):
             return np.ones(len(self.boxes))

@@ -26,7 +26,8 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 
 REFILL_SHARE: Final = 8
-"""While jobs wait, a batch is interrupted as soon as the worlds of one in ``REFILL_SHARE`` rows have ended."""
+"""While jobs wait, a batch is interrupted as soon as one in ``REFILL_SHARE`` of its rows holds a world that has
+ended."""
 
 
 class Phase(NamedTuple):
@@ -61,7 +62,8 @@ class BatchRun:
         refills: whether further jobs may get rows of ended worlds. Worlds can begin only in the first phase of a batch.
         phases: the phases that are left. The phase of the placement ends when no world is in its placement any more,
             and the phase of the drive ends when no world is in its drive any more.
-        memory: what the solver keeps in the present phase; None before the phase begins.
+        memory: the data that the solver keeps from one pass to the next in the present phase; None before the phase
+            begins.
     """
 
     batch: Batch
@@ -144,7 +146,7 @@ class BatchRun:
         return count
 
     def add(self, jobs: Mapping[int, Job], timetable: Timetable) -> None:
-        """Give free rows to jobs. ``jobs``: index → job. Even if memory runs out, the jobs are in ``indices``."""
+        """Give free rows to jobs. ``jobs``: index → job. ``self.indices`` gets the jobs even if memory runs out."""
         batch, width = self.batch, self.batch.worlds.half.shape[1]
         free = [row for row in range(self.rows) if row not in self.indices]
         pairs = list(zip(free, jobs.items(), strict=False))

@@ -34,7 +34,7 @@ Collider = Callable[[Int[Array, "pair 2"]], Contacts]
 
 def collision(model: Any, data: Any) -> Any:
     """The data with the contacts that ``mjx.collision`` (MuJoCo 3.17) finds. Another version of MJX may lack the
-    private functions that this needs. Then its collider gets all pairs."""
+    private functions that this function needs. In this case, MJX's collider gets all pairs."""
     try:
         from mujoco.mjx._src.collision_driver import _COLLISION_FUNC, _contact_groups
     except ImportError:

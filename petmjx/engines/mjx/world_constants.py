@@ -131,8 +131,8 @@ def device_arrays(arrays: Iterable[NDArray[Any]]) -> list[jax.Array]:
 
 
 MANY_PADDING_ROWS: Final = 4096
-"""If at least this number of padding rows is needed, the device makes them by repeating the first row. To upload 10,000
-padding rows of 24 kB each would delay a run's first step."""
+"""If at least this number of padding rows is needed, the device makes them by repeating the first row. If 10,000
+padding rows of 24 kB each were uploaded, the first step of a run would begin later."""
 
 
 def upload_worlds(

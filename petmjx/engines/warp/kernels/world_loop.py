@@ -102,8 +102,10 @@ def advance(
     call then takes the rest of the step.
 
     Args:
-        goes: whether the lane has a running world. If not, its threads only wait for other threads of the block.
-        shared: a tile in shared memory with ``shared_words`` numbers for each world of the block, followed by more.
+        goes: whether the lane has a running world. If ``goes`` is False, the lane's threads only wait for other threads
+            of the block.
+        shared: a tile in shared memory: ``shared_words`` numbers for each world of the block, followed by further
+            memory of the solver.
         listed: number of listed near pairs; negative: no list.
 
     Returns:
@@ -147,8 +149,8 @@ def advance(
             npair = list_pairs(model, worlds, at, APART, work)
             listed = npair
             if npair > model.npairmax:
-                # Pairs that cannot touch yet are left out, so that an overflow does not depend on when pairs were
-                # listed.
+                # The pairs are listed again, without pairs that cannot touch yet. So whether a buffer overflows does
+                # not depend on the step in which pairs were listed.
                 npair = list_pairs(model, worlds, at, NEAR, work)
                 listed = -1
             if npair > model.npairmax:
@@ -231,14 +233,15 @@ def run_worlds(
         block: number of the lane. Its data are in the rows of the workspace with this number.
         thread: the thread's number among the threads that share a world.
         threads: the number of these threads.
-        n_blocks: number of lanes of the call, of all sizes.
+        n_blocks: number of all lanes of the call, for worlds of any size.
         hands: 1 if a hand may carry boxes.
         gives: 1 if boxes may be compliant.
         wraps: 1 if film may hold boxes.
         lands: 1 if landing boxes follow a law of their own.
         slice_ns: length of the time slice, ns, from the call's first step on. After the slice is over, a lane takes one
             more step.
-        shared: a tile in shared memory with ``shared_words`` numbers for each world of the block, followed by more.
+        shared: a tile in shared memory: ``shared_words`` numbers for each world of the block, followed by further
+            memory of the solver.
     """
     at = Thread()
     at.block = block
