@@ -42,8 +42,9 @@ from petmjx.engines.warp.world_arrays import (
 def launch_device() -> wp.Device:
     """Warp's name for the device on which JAX places new arrays. All launches use this device.
 
-    If several GPUs are visible, Warp's own default is another device: the GPU whose context the calling thread has used
-    last. JAX uses the contexts of all GPUs when it starts. A kernel cannot read arrays of another GPU.
+    If several GPUs are visible, Warp's own default is the GPU whose context the calling thread has used last. This may
+    be any of the GPUs, since JAX uses the contexts of all GPUs when it starts. But a kernel cannot read arrays of
+    another GPU.
     """
     import jax  # imported here, since processes that only compile kernels do not need JAX
 

@@ -1,9 +1,9 @@
 """``LongWorlds``: the long worlds of a GPU, which CPU threads simulate to their ends.
 
 A thread block of a GPU takes about four times as long for a step as a CPU thread, so a run would wait for its longest
-worlds. A world leaves the GPU after a number of steps that depends on its job alone (``most_steps``). So its outcome
-does not depend on the worlds beside it, or on how busy the machine is. From this step on, the world's numbers have the
-last digits of ``mjx-warp-cpu``.
+worlds. A world leaves the GPU after a number of steps that depends on its job alone (``most_steps``). So the world's
+outcome does not depend on other worlds, or on how busy the machine is. From this step on, the last digits of the
+world's numbers are those of ``mjx-warp-cpu``.
 """
 
 from __future__ import annotations
