@@ -126,13 +126,14 @@ def builds_if_missing(sim: Simulation) -> KernelBuilds | None:
 
 
 def are_kept(sim: Simulation) -> bool:
-    """Whether there are a GPU and a note that the kernels ``usual_builds`` of these options are in the cache."""
+    """Whether this machine has a GPU, and a note says that the kernels of ``usual_builds`` for these options are in the
+    cache."""
     gpu = gpu_here()
     return gpu is not None and are_noted(_name_of(sim, gpu))
 
 
 def note_kept(sim: Simulation, gpu: GpuLimits | None = None) -> None:
-    """Leave a note that the kernels ``usual_builds`` of these options are in the cache."""
+    """Leave a note that the kernels of ``usual_builds`` for these options are in the cache."""
     gpu = gpu or gpu_here()
     if gpu is not None:
         note_kernels(_name_of(sim, gpu))
