@@ -43,7 +43,7 @@ larger tolerance."""
 
 NEAR = 0.5
 """If the option ``check_timestep`` is set, worlds whose margin has a magnitude below this value are simulated again
-with half the timestep. Invalid worlds have the margin NaN, so they are not simulated again for this reason."""
+with half the timestep. Invalid worlds have the margin NaN, so this rule does not apply to them."""
 
 # The flags as plain integers: comparing integers is several times as fast as comparing members of ``Flag``.
 _EARLY_STOP, _SINKING = int(Flag.EARLY_STOP), int(Flag.SINKING)
@@ -52,9 +52,9 @@ STIFF_ATTEMPT: Final = 6
 """Number of the first attempt with stiffer contacts."""
 
 UNSTABLE_NUMERICALLY: Final = (Reason.NONFINITE, Reason.EXPLOSION)
-"""Reasons of worlds whose simulation became numerically unstable. With its stiffer contacts, attempt 6 may become
-unstable if a light box carries a very heavy one, since it has the timestep of the run. Attempt 7, which has an eighth
-of this timestep, then follows."""
+"""Reasons of worlds whose simulation became numerically unstable. Attempt 6 has stiffer contacts, but the timestep of
+the run, so it may become unstable if a light box carries a very heavy one. Attempt 7 then follows, with an eighth of
+this timestep."""
 
 _COUNTED_IN_STEPS = ("steps", "landing_steps", "poll_steps", "still_steps", "tremble_steps")
 """Fields of ``Quiet`` that count steps."""
@@ -153,7 +153,7 @@ class AttemptRecipe:
 
     def apply_to_jobs(self, jobs: Sequence[Job]) -> list[Job]:
         """The jobs, with soft boxes if this attempt simulates boxes as soft bodies. Profiles (motions of the carrier)
-        are resampled to the attempt's timestep; jobs that shared a profile still share it."""
+        are resampled to the attempt's timestep; jobs that share a profile also share the resampled profile."""
         if self.soft:
             jobs = [replace(job, scene=job.scene.all_soft, start=None, keep_state=False) for job in jobs]
         if self.timestep_divisor == 1:
@@ -260,8 +260,9 @@ class Engines:
 
         Args:
             few: whether few worlds need the attempt. If the engine of the run can make the attempt, and many worlds
-                need it, the engine of the run makes it. The same holds for a job with a drive (a motion of the
-                carrier), and for a job whose settled state is kept, since there may be many jobs of these kinds.
+                need it, the engine of the run makes it. The engine of the run also makes the attempt if the job has a
+                drive (a motion of the carrier), or if its settled state is kept, since there may be many jobs of these
+                two kinds.
         """
         if self.primary.name not in (*ATTEMPT_ENGINES, ENGINE_WITH_ATTEMPT_THREADS):
             return None

@@ -192,8 +192,8 @@ def _mass_above(mass: FloatArray, over: NDArray[np.bool_], order: NDArray[np.int
 
 
 def _transitive_closure(over: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """(…, n, n) 1 if the column's box is above the row's box, directly or through other boxes, else 0. Rows and columns
-    are sorted from the lowest to the highest box."""
+    """(…, n, n) 1 where the box of the column is above the box of the row, directly or through other boxes; 0
+    elsewhere. Rows and columns are sorted from the lowest to the highest box."""
     above = np.triu(over, 1).astype(np.float32)
     while True:  # after each product, the matrix covers chains of twice as many boxes, each on top of the other
         further = np.minimum(above + above @ above, 1.0)

@@ -40,7 +40,7 @@ JAX_POWER, WARP_POWER = 2.0, 1.0
 """Over whole runs, the cost of a step grows with the number of boxes: to the power ``JAX_POWER`` on ``mjx-jax``, and to
 the power ``WARP_POWER`` on ``mjx-warp``. On ``mjx-warp``, steps at rest are cheap, and plans with more boxes are at
 rest in a larger share of their steps. While n boxes are placed one by one, the cost of a step on ``mjx-warp`` is the
-mean of the costs with 1, 2, …, n boxes. This is about 1 / (``WARP_POWER`` + 1) of the cost with n boxes. On
+mean of the costs with 1, 2, …, n boxes. This mean is about 1 / (``WARP_POWER`` + 1) of the cost with n boxes. On
 ``mjx-jax``, all boxes are in the model from the beginning, so every step has the full cost."""
 
 DRIVE_TAIL_STEPS = 1150
@@ -179,8 +179,8 @@ class ThreadCosts:
         return np.asarray(placing_s)
 
     def driving_s(self, work: Work, steps: FloatArray | float | None = None) -> FloatArray:
-        """(n,) time of one drive of each plan, s. ``steps``: number of steps of the drive; None: ``drive_steps`` and
-        ``sway_steps``."""
+        """(n,) time of one drive of each plan, s. ``steps``: number of steps of the drive; if None, the number follows
+        from ``work.drive_steps`` and ``work.sway_steps``."""
         steps = work.drive_steps + DRIVEN_SWAY * work.sway_steps if steps is None else steps
         n = np.asarray(work.boxes, dtype=float)
         step_s = self.rest_s * n**REST_POWER + self.overhead_s + self.driven_s
@@ -344,9 +344,9 @@ def _expected_work(jobs: Sequence[Job], sim: Simulation) -> tuple[Work, FloatArr
 def _of_placements(
     jobs: Sequence[Job], planned: FloatArray | float, displaced: FloatArray | float, carried: FloatArray | float
 ) -> FloatArray:
-    """(n,) for each job, one of the three values: for boxes that appear at their places without errors, for boxes that
-    appear with errors, or for boxes that are carried. The result is 0 for jobs that start from a state, and so have no
-    placement."""
+    """(n,) for each job, one of three values: ``planned`` if boxes appear at their places without errors, ``displaced``
+    if they appear with errors, and ``carried`` if they are carried. The value is 0 for jobs that start from a state and
+    so have no placement."""
     carries = np.array([job.scene.placing.carries for job in jobs], dtype=bool)
     has_errors = np.array([job.has_errors for job in jobs], dtype=bool)
     starts = np.array([job.start is not None for job in jobs], dtype=bool)

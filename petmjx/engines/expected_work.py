@@ -162,8 +162,8 @@ class Work:
         ties: for each plan, the mean number of supports that a box has in addition to its first support
             (petmjx.plans.plan_workload); if ``ties`` is empty, ``TYPICAL_TIES`` is used.
         placed_share: for each plan, the share of its boxes that are placed before the first box that tips over at once
-            (petmjx.plans.plan_workload); 1 without such a box. If ``placed_share`` is empty, the share is unknown, and
-            no box is expected to tip over.
+            (petmjx.plans.plan_workload). The share is 1 if no box tips over. If ``placed_share`` is empty, the share is
+            unknown, and no box is expected to tip over.
         driven_share: for each plan, the share of its drives' steps that are expected to be simulated, 0 to 1. Legs
             after the leg in which the pallet probably falls are not simulated. If ``driven_share`` is empty, all drives
             are simulated.

@@ -1,6 +1,6 @@
-"""Finds the box that sets the flag ``knife-edge`` of a world, from the distances that a run stores for the world.
+"""Finds the box that sets the flag ``knife-edge`` of a world. The data are distances that a run stores for the world:
 
-These are the distances of the boxes' loads from the edges of their supports.
+the distances of the boxes' loads from the edges of their supports.
 """
 
 from __future__ import annotations

@@ -150,8 +150,8 @@ class BoxMetric:
 @dataclass(frozen=True)
 class WorldMetric:
     """A quantity of a whole world: a column of the table ``worlds``, and a field of ``Outcome`` with the same name. If
-    the type is int32, the value is the number of a box or a step, from 0. The value -1 of the outcome becomes null in
-    the table."""
+    the type is int32, the value is the number of a box or a step, from 0. If the outcome has the value -1, the table
+    has null."""
 
     name: str
     unit: str

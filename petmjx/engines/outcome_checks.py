@@ -146,7 +146,7 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation
     least, boxes_of = edges.least, [slice(*ends) for ends in pairwise(first)]
     scene = np.repeat(np.arange(len(boxes_of)), np.diff(first))
     least_of = dict(zip(*(values.tolist() for values in first_least(least, scene)), strict=True))
-    # Only loads close to an edge can set ``Flag.KNIFE_EDGE``. They are few, so only they are examined.
+    # Only loads close to an edge can set ``Flag.KNIFE_EDGE``. Such loads are few, and only they are examined below.
     close = np.flatnonzero(np.fmin(np.abs(edges.by_weight), np.abs(edges.by_load)) <= NEAR_M)
     by_weight, by_load = edges.by_weight[close], edges.by_load[close]
     near, contradicts_stable, contradicts_unstable = (

@@ -138,8 +138,8 @@ class _AttemptRun(Generic[AnyWorld]):
     """All attempts at the worlds of one call of ``score_worlds``.
 
     At any time, each unfinished world is in one of four collections. Before its first attempt, a world is in
-    ``stream``, or, if the engine of the run cannot simulate the world, in ``for_fallback``. Before each further
-    attempt, a world is in ``retry_queue`` or in ``attempt_tasks``, or again in ``stream``.
+    ``stream``. If the engine of the run cannot simulate the world, it is in ``for_fallback`` instead. Before each
+    further attempt, a world is in ``retry_queue`` or in ``attempt_tasks``, or again in ``stream``.
 
     Attributes:
         first_runner: makes the first attempts, and further attempts that join them (``_join``).

@@ -134,8 +134,8 @@ class BatchRun:
         return EndedWorlds(picked, jobs, {row: self.indices.pop(row) for row in rows}, batch.recorder)
 
     def fitting(self, waiting: Iterable[Job]) -> int:
-        """Number of waiting jobs that get free rows: all up to the first job that is recorded, or whose profile is not
-        in the table of profiles."""
+        """Number of waiting jobs that get free rows. Jobs get rows in order, until a job is recorded, or has a profile
+        that is not in the table of profiles."""
 
         def fits(job: Job) -> bool:
             return job.record is None and (job.drive is None or id(job.drive.excitation) in self.batch.profile_rows)

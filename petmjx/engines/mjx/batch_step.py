@@ -70,7 +70,8 @@ class PaddedModel:
     Args:
         capacity: largest number of boxes of a world.
         boards: number of shapes of each carrier.
-        held: whether the carrier cannot move, as in profiles of accelerations. Its pose is in the data of its world.
+        held: whether the carrier cannot move, as in profiles of accelerations. The pose of a held carrier is in the
+            data of its world.
         pausing: whether the solver of a batch may pause (elliptic cones only). While other worlds take their next
             step, a world that pauses repeats its step, and its solver continues.
     """

@@ -170,7 +170,7 @@ class _LocalRay:
         self.end()
         with suppress(KeyboardInterrupt):
             self._thread.join(END_S)
-        if self._thread.is_alive():  # Ray has not ended in time. Its processes end with this process.
+        if self._thread.is_alive():  # Ray has not ended in time. Ray's processes end with this process.
             atexit.unregister(self._ray.shutdown)  # This function would also wait for Ray.
             self._remove_folder()
 

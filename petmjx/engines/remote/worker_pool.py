@@ -308,7 +308,8 @@ class WorkerPool(Engine):
 
     def _start_again(self, worker: _WorkerRecord, error: BaseException, most: int) -> None:
         """Handle a worker that failed to start: start a worker again with the same CPUs and GPUs. If ``FALSE_STARTS``
-        starts have failed one after another, the device may be broken. Then the run continues with the other workers.
+        starts have failed one after another, the device may be broken. In this case, the run continues with the other
+        workers.
 
         Args:
             error: error that is raised after ``most`` failed starts. The error is not raised if this pool has already

@@ -75,8 +75,8 @@ class KernelBuilds:
     """Processes that compile kernels.
 
     Args:
-        builds: the kernels. At most ``MOST_PROCESSES`` of them are compiled at the same time, and no more than the
-            machine has CPU threads; three if it has fewer than three CPU threads.
+        builds: the kernels. The number of kernels that are compiled at the same time is the number of CPU threads, but
+            at least 3 and at most ``MOST_PROCESSES``.
     """
 
     def __init__(self, builds: Sequence[KernelBuild]) -> None:

@@ -171,7 +171,7 @@ class Forks:
         its.close()
 
     def fork(self) -> Fork:
-        """A further process. If it cannot be started, its answers end at once."""
+        """A further process. If the process cannot be started, the queue of its answers ends at once."""
         self._forks.append(Fork(self._connection))
         return self._forks[-1]
 

@@ -305,7 +305,7 @@ def kernel(launch: Launch) -> Any:
 
 @functools.cache
 def _cpu_kernel(panels: int, pause_after: int) -> Any:
-    """The kernel for CPUs. It serves all sets of features, since features are its arguments
+    """The kernel for CPUs. This kernel serves all sets of features, since features are its arguments
     (``Launch.feature_arguments``). A kernel for each set of features would take seconds to compile, and would have
     machine code of the same size."""
 

@@ -92,7 +92,7 @@ class Model:
     carrier_skin: float  # Margin added to the carrier in collision detection, m.
     pyramidal: int  # 1 if friction cones are pyramidal.
     friction_damping: float  # Damping along a contact's tangents, 1/s; 0: the same damping as along the normal.
-    slip_slack: float  # Tangential acceleration up to which a slip is not corrected, m/s²; inf: no slip is corrected.
+    slip_slack: float  # Slip is corrected only above this tangential acceleration, m/s²; inf: never.
     kinetic_share: float  # Friction of contacts that slide fast, as a share of friction at rest.
     impratio_invsqrt: wp.float64  # 1 / √impratio.
     tolerance: wp.float64  # Tolerance of the solver, as in MuJoCo.
@@ -226,7 +226,7 @@ class Workspace:
     ncon: Annotated[wp.array[int], "block"]
     nfree: Annotated[wp.array[int], "block"]  # Number of bodies that can move.
     solver_niter: Annotated[wp.array[int], "block"]
-    solver_paused: Annotated[wp.array[int], "block"]  # Iterations before the solver paused; 0: it has not.
+    solver_paused: Annotated[wp.array[int], "block"]  # Iterations before the solver paused; 0: it has not paused.
     world: Annotated[wp.array[int], "block"]  # The world of a block; negative: no world.
     frame: Annotated[wp.array[int], "block"]  # Index in FrameBuffer of the frame that a block writes.
 

@@ -1,8 +1,8 @@
 """The loop of a lane's threads: they take one world after another from the queue and step each to its end.
 
 A lane is a thread block, or a warp of a block. The warps of a block go through the parts of a step together, even warps
-that have no more worlds. If the solver of one warp takes longer than the solvers of the others, it pauses. The other
-warps take their next step, and the paused solver continues when they call their solvers again
+that have no more worlds. If the solver of one warp takes longer than the solvers of the other warps, the slow solver
+pauses. The other warps take their next step. When they call their solvers again, the paused solver continues
 (benchmarks/notebook/performance.md, "Small worlds").
 """
 
@@ -230,7 +230,7 @@ def run_worlds(
     """Take worlds and step them, until the queue is empty or the time slice is over.
 
     Args:
-        block: number of the lane. Its data are in the rows of the workspace with this number.
+        block: number of the lane. The lane's data are in the rows of the workspace with this number.
         thread: the thread's number among the threads that share a world.
         threads: the number of these threads.
         n_blocks: number of all lanes of the call, for worlds of any size.

@@ -78,8 +78,8 @@ DRIVER_BYTES = 1 << 10
 
 def own_bytes(panels: int, worlds: int = 1) -> int:
     """Shared memory, in bytes, that the threads of one world need in addition to the strip (rows of the factor) and the
-    Hessian. It is for systems of up to ``panels`` panels, in blocks of ``worlds`` worlds. newton.cu checks that this
-    memory is enough."""
+    Hessian. The memory is for systems of up to ``panels`` panels, in blocks of ``worlds`` worlds. newton.cu checks that
+    this memory is enough."""
     parts = 4 if worlds > 1 else 8 if panels <= FEW_PANELS else 17
     return 4 * (PANEL + 4) * panels + (parts << 10)
 
