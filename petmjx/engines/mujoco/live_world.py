@@ -407,7 +407,7 @@ class LiveWorld:
         self._held = HeldCarrier(pos=state.pose[0, :3], quat=state.pose[0, 3:])
         self._has_waiting = False
         self._shaken = True
-        self._templates = None  # the place of a clamped carrier differs between worlds, and templates lack this place
+        self._templates = None  # templates are only for free carriers: the place of a clamped carrier differs by world
         self._build(self.capacity)
         self._restore(state, time_s)
 

@@ -257,7 +257,7 @@ class WorkerPool(Engine):
 
     def _start(self, resources: WorkerResources) -> _WorkerRecord:
         limits = {"num_cpus": resources.cpus, "num_gpus": resources.gpus}
-        # a worker takes packets of jobs while it reports about its run
+        # a worker handles two calls at the same time: one reports about the run, the other takes a packet of jobs
         remote = self._ray.remote(Worker).options(**limits, max_concurrency=2, max_restarts=0)
         threads = None if self.name in LEAST else resources.cpus
         # after a worker's death, its device may be broken, so the next worker creates its engine before it gets jobs

@@ -64,7 +64,7 @@ class KernelFeatures:
         Raises:
             InputError: a job has more boxes than the largest block has room for.
         """
-        # the inner set has each scene once, although all drives of a placement share its scene
+        # the inner set has each scene only once: all drives of a placement share the scene of the placement
         box_counts = {scene.n_boxes for scene in {job.scene for job in jobs}}
         hands, gives, wraps, _ = Features.joined(needs_of(job.scene, driven=job.drive is not None) for job in jobs)
         stiff = frozenset(job.stiff for job in jobs if job.stiff is not None)

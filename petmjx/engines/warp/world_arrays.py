@@ -198,7 +198,7 @@ class Workspace:
     listed_reach: Annotated[wp.array2d[wp.vec3], "block geom"]
     qpos_before: Annotated[wp.array3d[float], "block box 7"]  # Poses of the boxes at the beginning of a step.
     top_force: Annotated[wp.array2d[float], "block box"]
-    pair_geom1: Annotated[wp.array2d[int], "block pair"]  # The geom of the pair with the smaller index.
+    pair_geom1: Annotated[wp.array2d[int], "block pair"]  # Of the pair's two geoms, the one with the smaller index.
     pair_geom2: Annotated[wp.array2d[int], "block pair"]
     pair_normal: Annotated[wp.array2d[wp.vec3], "block pair"]
     pair_points: Annotated[wp.array3d[wp.vec4], "block pair 8"]  # Contact point, and the two geoms' distance.
@@ -210,7 +210,7 @@ class Workspace:
     pair_ncon: Annotated[wp.array2d[int], "block pair"]  # Contacts of each pair.
     pair_conadr: Annotated[wp.array2d[int], "block pair_end"]  # The first contact of each pair.
     contact_pair: Annotated[wp.array2d[int], "block contact"]
-    # the two bodies of a contact, as indices of free bodies, the smaller one first; negative: a body that does not move
+    # the two bodies of a contact, as indices of free bodies, the smaller index first; negative: the body does not move
     contact_bodies: Annotated[wp.array3d[int], "block contact 2"]
     # contacts of each body, grouped by body: 2 × number of the contact, + 1 for the contact's second body
     body_contact: Annotated[wp.array2d[int], "block link"]
@@ -220,7 +220,8 @@ class Workspace:
     body_root: Annotated[wp.array2d[int], "block body"]  # The body from which distances in a component are counted.
     body_level: Annotated[wp.array2d[int], "block body"]  # Distance from the root, in contacts.
     position: Annotated[wp.array2d[int], "block free_body"]  # Index of a body in the solver's system of equations.
-    # By index in the solver's system: the lowest index among a body and the bodies that it touches.
+    # For each body, by its index in the solver's system: the lowest index among the body and the bodies that it
+    # touches.
     lowest: Annotated[wp.array2d[int], "block free_body"]
     bodies_conadr: Annotated[wp.array2d[int], "block contact"]  # The first contact of each pair of bodies.
     ncon: Annotated[wp.array[int], "block"]

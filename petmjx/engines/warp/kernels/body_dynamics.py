@@ -385,7 +385,7 @@ def _top_force(work: Ref[Workspace], block: int, free_body: int) -> float:
         link = work.body_contact[block, entry]
         k = link // 2
         side = link % 2
-        normal_z = number_of(work.efc, block, k, 2)  # of the normal from the first to the second body
+        normal_z = number_of(work.efc, block, k, 2)  # the normal points from the first body to the second
         if wp.where(side == 1, -normal_z, normal_z) >= VERTICAL_COSINE:
             up = wp.float64(0.0)
             for r in range(3):

@@ -53,7 +53,7 @@ def _impedance(model: Ref[Model], depth: float) -> float:
     low = wp.clamp(model.solimp[0], MIN_IMPEDANCE, MAX_IMPEDANCE)
     high = wp.clamp(model.solimp[1], MIN_IMPEDANCE, MAX_IMPEDANCE)
     x = wp.min(wp.abs(depth) / wp.max(model.solimp[2], MIN_VALUE), 1.0)
-    # MuJoCo's default midpoint 0.5 and power 2
+    # this curve has the midpoint 0.5 and the power 2, which are MuJoCo's defaults
     y = wp.where(x <= 0.5, 2.0 * x * x, 1.0 - 2.0 * (1.0 - x) * (1.0 - x))
     return low + y * (high - low)
 

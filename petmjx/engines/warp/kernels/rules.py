@@ -278,8 +278,8 @@ def after_step(
             culprit = wp.int32(LAST_BOX - (worst & LAST_BOX))
         # Light boxes that land, and tipping boxes that hit something, reach up to 240 rad/s² for a few steps. So a
         # violent sample is an explosion only if the samples before it were violent, too, for the time that a box needs
-        # to land. Samples right after a placement are no evidence of an explosion. But a sample without violent
-        # accelerations shows that one box has landed, so that later violence comes from the landing of another box.
+        # to land. Samples right after a placement are no evidence of an explosion. But if such a sample is not violent,
+        # the series of violent samples before it has ended: one box has landed, and another may land later.
         if sample:
             if not violent or culprit >= 0:
                 violent_since = NEVER
@@ -291,7 +291,7 @@ def after_step(
             lost = lost or is_gone(model, worlds, state, world, box)
         lost = any_of_all(lost)
     stopped = lost and model.early_stop != 0 and not last
-    # a world that ends after this step anyway did not end because of its iterations
+    # a world that ends after this step for another reason does not count as spent
     spent = iterations >= model.iteration_limit and not (last or stopped or exploded or nonfinite)
     finished = stopped or exploded or nonfinite or spent
     if signs:
