@@ -171,7 +171,7 @@ class WorkerPool(Engine):
         try:
             self.dismiss()
         finally:
-            self._thread.shutdown()  # an interrupted thread may still be waiting, and would hang when Ray ends
+            self._thread.shutdown()  # after an interruption, it may still wait for Ray, and would hang when Ray ends
             self._cluster.leave()
 
     def close(self) -> None:

@@ -194,7 +194,7 @@ def copy(main: Callable[[], None]) -> None:
     pair, the program starts a copy of this process, and the copy runs the function ``main`` with these pipes. When the
     socket is closed, the process kills its copies, and ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    copies: list[int] = []  # a copy that has ended keeps its number until ``waitpid``, so no other process is killed
+    copies: list[int] = []  # an ended copy keeps its process id until ``waitpid``, so no other process is killed
     gc.collect()
     # garbage collection in a copy then leaves the objects of this process unchanged, so both processes share memory
     gc.freeze()

@@ -42,9 +42,9 @@ class KernelFeatures:
         widths: block size, named by its largest number of boxes (``block_sizes.Size``) → number of boxes for which
             buffers are made in this run. This number is smaller than the block size if all plans of the run are
             smaller.
-        hands: whether kernels need hands, which carry or drop boxes.
-        gives: whether kernels need compliant boxes.
-        wraps: whether kernels need stretch film that holds boxes.
+        hands: whether kernels must support hands, which carry or drop boxes.
+        gives: whether kernels must support compliant boxes.
+        wraps: whether kernels must support stretch film that holds boxes.
         stiff: the values of ``Job.stiff``, apart from None. Each value needs constants of its own in the kernels.
     """
 
