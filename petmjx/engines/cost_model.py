@@ -206,7 +206,7 @@ class Costs:
         full_worlds: number of worlds that fill the device.
         gpu_tail_s: time for which the longest of n worlds leave the device nearly idle, divided by a world's work
             (``Work.placing``, ``Work.driving``) and by ln(1 + n / ``TAIL_WORLDS``), s.
-        host_s: time of the host for a world of a run on a device, s.
+        host_s: time that the host spends on a world of a run on a device, s.
         gpu_start_s: time to start the device engine, including compilation, s.
         gpu_load_s: time to start the device engine if an earlier run has compiled the kernels, s.
     """

@@ -74,8 +74,8 @@ DISPLACED_STEPS, CARRIED_STEPS = 1.1, 5.0
 their places. ``DISPLACED_STEPS`` is for boxes that appear at places with errors; boxes that would overlap are moved
 apart first. ``CARRIED_STEPS`` is for boxes that are carried to their places, and get stuck at their neighbours."""
 FAILING_BOXES = 0.008
-"""Probability that a box fails, and so ends the world, if it is carried to its place with errors. Of 80 worlds with
-errors of 20 plans of 18 to 71 boxes, about 26 failed; of ten worlds of two plans of 146 and 238 boxes, six failed."""
+"""Probability that a box fails, and so ends the world, if it is carried to its place with errors. For 20 plans of 18 to
+71 boxes, about 26 of 80 worlds with errors failed; for two plans of 146 and 238 boxes, six of ten worlds failed."""
 DRIVEN_SWAY = 4.0
 """Number of additional steps of a drive of compliant boxes, divided by the additional steps of one placement. The
 number is larger than 1, since a drive makes a pile sway more. Columns of 18 boxes of 50 N/mm took 470 additional steps

@@ -50,10 +50,10 @@ same steps as whether the pallet is quiet."""
 CONFIRM_S: Final = 1.0
 """Shortest time from the first sign of failure to the end of a simulation that only has to confirm a fall
 (``Job.confirms``), s. The simulation ends at a sample at which the culprit is still over a threshold. There is one more
-condition: two further boxes have been placed since the sign, or all boxes have been placed, and the last placement was
-at least ``CONFIRM_S`` seconds ago. The simulation waits for further placements, because a board may tip until the next
-box brings it back. The early end saves time: in stiff contacts, a pile that slides takes fifteen iterations of the
-solver per step, and would slide for thousands of steps more."""
+condition: either two further boxes have been placed since the sign, or all boxes have been placed and the last
+placement was at least ``CONFIRM_S`` seconds ago. The simulation waits for further placements, because a board may tip
+until the next box brings it back. The early end saves time: in stiff contacts, a pile that slides takes fifteen
+iterations of the solver per step, and would slide for thousands of steps more."""
 
 
 class SampleAt(StrEnum):
