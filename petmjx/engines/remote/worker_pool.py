@@ -171,7 +171,8 @@ class WorkerPool(Engine):
         try:
             self.dismiss()
         finally:
-            self._thread.shutdown()  # after an interruption, it may still wait for Ray, and would hang when Ray ends
+            # after an interruption, the thread may still wait for Ray, and would hang when Ray ends
+            self._thread.shutdown()
             self._cluster.leave()
 
     def close(self) -> None:
