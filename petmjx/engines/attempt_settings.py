@@ -43,7 +43,7 @@ larger tolerance."""
 
 NEAR = 0.5
 """If the option ``check_timestep`` is set, worlds whose margin has a magnitude below this value are simulated again
-with half the timestep. Invalid worlds have the margin NaN, so they are not simulated again for this reason."""
+with half the timestep. Invalid worlds have the margin NaN, so this rule does not apply to them."""
 
 # The flags as plain integers: comparing integers is several times as fast as comparing members of ``Flag``.
 _EARLY_STOP, _SINKING = int(Flag.EARLY_STOP), int(Flag.SINKING)
@@ -52,8 +52,9 @@ STIFF_ATTEMPT: Final = 6
 """Number of the first attempt with stiffer contacts."""
 
 UNSTABLE_NUMERICALLY: Final = (Reason.NONFINITE, Reason.EXPLOSION)
-"""Reasons of worlds whose simulation became numerically unstable. Attempt 6 has stiffer contacts at the run's timestep,
-and may become unstable if a light box carries a very heavy one. Attempt 7 has an eighth of this timestep."""
+"""Reasons of worlds whose simulation became numerically unstable. Attempt 6 has stiffer contacts, but the timestep of
+the run, so it may become unstable if a light box carries a very heavy one. Attempt 7 then follows, with an eighth of
+this timestep."""
 
 _COUNTED_IN_STEPS = ("steps", "landing_steps", "poll_steps", "still_steps", "tremble_steps")
 """Fields of ``Quiet`` that count steps."""
@@ -82,9 +83,9 @@ class AttemptRecipe:
     """If True, all boxes are flex bodies from the beginning (petmjx/world/soft_boxes.py)."""
 
     doubles: bool = False
-    """Whether the attempt needs double precision. There are two possible reasons. Single precision may have made the
-    world invalid. Or contacts are so stiff (``stiff`` is 0.05) that boxes sink into each other by less than single
-    precision resolves."""
+    """Whether the attempt needs double precision. There are two possible reasons. First, single precision may have made
+    the world invalid. Second, contacts may be so stiff (``stiff`` is 0.05) that boxes sink into each other by less than
+    single precision resolves."""
 
     few: bool = False
     """Whether only few of many worlds need the attempt. Worlds with placement errors are an exception: if their plan
@@ -107,8 +108,8 @@ class AttemptRecipe:
         """Whether this attempt may give a different result from the previous attempt. A world that ran out of time gets
         no further attempt."""
         if self.checks:
-            # a world that ended early has the margin of a falling box, which does not show how near it was to the
-            # threshold
+            # the margin of a world that ended early is that of a falling box, and does not show how near to the
+            # threshold the world was before the fall
             return sim.check_timestep and abs(outcome.margin) < NEAR and not int(outcome.flags) & _EARLY_STOP
         sinks = bool(int(outcome.flags) & _SINKING) and sim.physics.cone is Cone.ELLIPTIC
         if self.soft:
@@ -152,7 +153,7 @@ class AttemptRecipe:
 
     def apply_to_jobs(self, jobs: Sequence[Job]) -> list[Job]:
         """The jobs, with soft boxes if this attempt simulates boxes as soft bodies. Profiles (motions of the carrier)
-        are resampled to the attempt's timestep; jobs that shared a profile still share it."""
+        are resampled to the attempt's timestep; jobs that share a profile also share the resampled profile."""
         if self.soft:
             jobs = [replace(job, scene=job.scene.all_soft, start=None, keep_state=False) for job in jobs]
         if self.timestep_divisor == 1:
@@ -208,8 +209,8 @@ need further attempts."""
 
 ENGINE_WITH_ATTEMPT_THREADS: Final = "mjx-warp-cpu"
 """Name of the engine that makes further attempts itself if few worlds need them: on additional threads of the same
-process, while the run goes on. Without additional threads, most threads of the engine would be idle while the last
-world is simulated."""
+process, while the run goes on. Without additional threads, further attempts would begin only when all first attempts
+have ended, and most threads of the engine would be idle while the last of them runs."""
 
 
 @dataclass(eq=False)
@@ -259,8 +260,9 @@ class Engines:
 
         Args:
             few: whether few worlds need the attempt. If the engine of the run can make the attempt, and many worlds
-                need it, the engine of the run makes it. The same holds for a job with a drive (a motion of the
-                carrier), and for a job whose settled state is kept, since there may be many jobs of these kinds.
+                need it, the engine of the run makes it. The engine of the run also makes the attempt if the job has a
+                drive (a motion of the carrier), or if its settled state is kept, since there may be many jobs of these
+                two kinds.
         """
         if self.primary.name not in (*ATTEMPT_ENGINES, ENGINE_WITH_ATTEMPT_THREADS):
             return None
@@ -286,7 +288,8 @@ class Engines:
         return AttemptProcess("petmjx.engines.subprocess.attempt_child")
 
     def note_failure(self, engine: str, attempt: int, worlds: int, message: str) -> None:
-        """Note that an error ended an attempt on an engine, and what happens to the worlds without an outcome."""
+        """Add a note that an error ended an attempt on an engine. The note also says what happens to the worlds without
+        an outcome: they become invalid, or go to the fallback engine."""
         other = self.fallback
         then = "invalid (failed)" if other is None or engine == other.name else f"went to {other.name}"
         tail = f"; {count_text(worlds, 'world')}: {then}" if worlds else ""

@@ -13,8 +13,9 @@ from petmjx.engines.subprocess.task_pipe import arrived
 
 
 class AttemptThreads:
-    """Simulates worlds on threads. Each thread has its own engine, which uses this thread only. During a run, the
-    threads share the CPUs with the threads of the run. After the run, these threads have the CPUs for themselves.
+    """Simulates worlds on threads. Each thread has its own engine, which uses this thread only. While the threads of
+    the run simulate worlds, the two kinds of threads share the CPUs. Afterwards, the threads of this class have all
+    CPUs.
 
     Args:
         threads: number of threads.

@@ -74,7 +74,8 @@ class AttemptRunner(Generic[AnyWorld]):
             results, such as the drives of a settled pallet, into the stream.
         check_pool: pool of processes that check outcomes; None if this process checks them.
         most: largest number of jobs in a list, for engines that cannot read a stream.
-        verdicts_only: whether only verdicts are needed, as in ``outcome_checks``. A check pool checks everything.
+        verdicts_only: whether only verdicts are needed, as in ``outcome_checks``. A check pool ignores this value and
+            makes all checks.
         joined: world → runner of its further attempt, for worlds whose further attempt is in the stream of
             ``run_stream``.
     """
@@ -168,8 +169,8 @@ class AttemptRunner(Generic[AnyWorld]):
                 self.engines.note_failure(engine.name, self.attempt.number, n_here, self._message)
                 return unanswered
             if answer is None and tells:
-                # The engine pauses, although it had reported that another outcome is ready: that world may have turned
-                # out to be a long world, which leaves the GPU (petmjx/engines/warp/long_worlds.py).
+                # The engine pauses, although it had reported that another outcome is ready. The world of this outcome
+                # may have turned out to be a long world, which leaves the GPU (petmjx/engines/warp/long_worlds.py).
                 yield from self.checked_results(arrivals, engine_name, checked=checked, wait=False)
                 arrivals = []
                 self._follow(stream, arrivals)

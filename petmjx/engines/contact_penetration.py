@@ -99,14 +99,15 @@ def contact_penetration_m(scene: Scene, physics: Physics, top_force_n: FloatArra
     base = float(depth_m(physics, on_floor))
 
     def pulls(top_n: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Two arrays (n,): the part of the product A · f of petmjx.world.contact_laws, m/s², that each box contributes
-        at a contact on its top, and the part that each box contributes at a contact below it.
+        """Two arrays (n,), m/s²: the part that each box contributes to the product A · f of a contact on its top, and
+        to that of a contact below it. A · f is the sum of the inverse masses at a contact, times the contact's force
+        (petmjx.world.contact_laws).
         """
         return of_boxes * top_n / mass / CONTACTS_PER_FACE, own_per_kg * (top_n + mass * gravity)
 
     def is_enough(top_n: FloatArray) -> bool:
-        # a contact's depth grows less than proportionally to A · f, so the sum of the depths for the two parts that
-        # ``pulls`` returns is an upper bound of the depth
+        # the depth of a contact grows less than proportionally to A · f, so the depth is at most the sum of the depths
+        # for the two parts that ``pulls`` returns
         return bool(base + sum(depth_m(physics, part).sum() for part in pulls(top_n)) <= enough_m)
 
     if is_enough(top_force_n):
@@ -191,8 +192,8 @@ def _mass_above(mass: FloatArray, over: NDArray[np.bool_], order: NDArray[np.int
 
 
 def _transitive_closure(over: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """(…, n, n) 1 if the column's box is above the row's box, directly or through other boxes, else 0. Rows and columns
-    are sorted from the lowest to the highest box."""
+    """(…, n, n) 1 where the box of the column is above the box of the row, directly or through other boxes; 0
+    elsewhere. Rows and columns are sorted from the lowest to the highest box."""
     above = np.triu(over, 1).astype(np.float32)
     while True:  # after each product, the matrix covers chains of twice as many boxes, each on top of the other
         further = np.minimum(above + above @ above, 1.0)
@@ -232,10 +233,10 @@ def note_penetration(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simu
 
 
 def penetration_excluded(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Simulation) -> list[bool]:
-    """For each world, whether ``has_penetrated`` is certainly False, without computing it. ``has_penetrated`` is
-    certainly False if no box of the world descended too far, and the reason of the verdict is not a descent
-    (``_failed_otherwise``). For all other worlds, ``has_penetrated`` must be computed. ``penetration_excluded``
-    computes all worlds together, which is fast. The function is valid only for elliptic friction cones."""
+    """For each world, whether ``has_penetrated`` is certainly False. This is so if no box of the world descended too
+    far, and the reason of the verdict is not a descent (``_failed_otherwise``). For all other worlds,
+    ``has_penetrated`` must be called. This function is much faster than ``has_penetrated``, since it computes all
+    worlds together. It is valid only for elliptic friction cones."""
     if not outcomes:
         return []
     enough_m = (1 - _SUM_ERROR) * BOUND_SHARE * sim.thresholds.shift_m
@@ -254,8 +255,8 @@ def penetration_excluded(outcomes: Sequence[Outcome], scenes: Sequence[Scene], s
 
 
 def _failed_otherwise(outcome: Outcome, limit_m: float) -> bool:
-    """Whether something other than a descent of boxes led to the verdict of a world. The reason of such a verdict is
-    not a shift, or a box shifted too far in another direction than down."""
+    """Whether something other than a descent of boxes led to the verdict of a world. The result is True if the reason
+    of the verdict is not a shift, or if a box shifted too far sideways or upwards."""
     if outcome.reason is not Reason.SHIFT:
         return True
     shift = outcome.boxes.shift_m[: outcome.n_placed]
@@ -289,8 +290,8 @@ _PLACES: Final = (("target", np.inf), ("half_size", 0.0))
 def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Physics) -> FloatArray:
     """(m,) an upper bound of the largest ``contact_penetration_m`` in each world, m. The value is an upper bound for
     two reasons. First, the depths on the two sides of a contact are added. Second, the largest force on each box's top
-    is taken as a force at rest, although it may come from an impact. Forces larger than the weight of all boxes above
-    are rare, so the bound is close."""
+    is taken as a force at rest, although it may come from an impact. The forces of impacts are rarely larger than the
+    weight of all boxes above, so the bound is close to the exact value."""
     counts = np.array([scene.n_boxes for scene in scenes], np.intp)
     is_box = np.arange(counts.max()) < counts[:, None]
 

@@ -1,4 +1,4 @@
-"""Contact tilt: how near to tipping over soft contacts bring stacks that would stand on hard contacts.
+"""Contact tilt: how soft contacts make stacks lean, and how near these stacks come to tipping over.
 
 The contacts below a box give way, and they give way more on the side on which the load acts. So the box turns by an
 angle: the difference between the depths of the contacts on its two sides, divided by the width between these sides. The
@@ -134,7 +134,8 @@ def n_loading(outcome: Outcome) -> int:
 
 def places_with_errors(job: Job) -> FloatArray:
     """(n, 3) the places of boxes from which loads are computed in a world with placement or size errors, m. With such
-    errors, every body that is below a box by at most the shift threshold counts as its support.
+    errors, every body below a box counts as a support of the box if the gap between the two is at most the shift
+    threshold.
 
     A box with errors often overlaps a neighbour that is millimetres higher, and is released on the strip in which the
     two overlap. The box does not stay on this strip: it tips and leans on the bodies beside the strip. So loads are

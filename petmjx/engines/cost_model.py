@@ -10,8 +10,8 @@ cost next to nothing.
 
 On a device, too, the cost of a step of a full stack grows with the square of the number of boxes. But a plan with more
 boxes is at rest in a larger share of its steps, so the cost of a run grows more slowly. At the end of a run, and of
-each round of a search, the device is nearly idle until the longest worlds end. In runs of a few hundred worlds, this
-takes most of the time.
+each round of a search, the device is nearly idle until the longest worlds end. In runs of a few hundred worlds, the
+wait for the longest worlds takes most of the time.
 """
 
 from __future__ import annotations
@@ -40,16 +40,16 @@ JAX_POWER, WARP_POWER = 2.0, 1.0
 """Over whole runs, the cost of a step grows with the number of boxes: to the power ``JAX_POWER`` on ``mjx-jax``, and to
 the power ``WARP_POWER`` on ``mjx-warp``. On ``mjx-warp``, steps at rest are cheap, and plans with more boxes are at
 rest in a larger share of their steps. While n boxes are placed one by one, the cost of a step on ``mjx-warp`` is the
-mean of the costs with 1, 2, …, n boxes. This is about 1 / (``WARP_POWER`` + 1) of the cost with n boxes. On
+mean of the costs with 1, 2, …, n boxes. This mean is about 1 / (``WARP_POWER`` + 1) of the cost with n boxes. On
 ``mjx-jax``, all boxes are in the model from the beginning, so every step has the full cost."""
 
 DRIVE_TAIL_STEPS = 1150
-"""On a device, the longest drives of a run take as long as if the mean drive had this number of steps and ended like a
-placement. The length of the profile does not matter: after some drives, boxes creep for a long time."""
+"""On a device, the time in which only the longest drives of a run are simulated is computed from a drive with this
+number of steps. The length of the profile does not matter: after some drives, boxes creep for a long time."""
 
 TAIL_WORLDS = 5
-"""The longest of n worlds on a device takes ``Costs.gpu_tail_s`` · ln(1 + n / ``TAIL_WORLDS``) per unit of the mean
-world's work. The lengths of worlds have an exponential tail, so the largest length grows with the logarithm of n."""
+"""The longest of n worlds on a device takes ``Costs.gpu_tail_s`` · ln(1 + n / ``TAIL_WORLDS``) times the mean world's
+work. The lengths of worlds have an exponential tail, so the largest length grows with the logarithm of n."""
 
 REST_POWER = 1.25
 """The cost of a step at rest on a CPU thread grows with this power of the number of standing boxes."""
@@ -60,9 +60,10 @@ steps than this number. A profile that tilts the carrier has 2,970 steps, and bo
 that shakes boxes for many seconds takes up to ten times as long as expected."""
 
 GENTLE_COST = 0.25
-"""Additional cost of a step of a gentle drive, whose acceleration is at most ``STEADY_G``, relative to a stronger
-drive. In most steps of a gentle drive, boxes neither slide nor fall. On ``mujoco``, this factor was 0.1 to 0.25 for 10
-to 45 boxes in EUMOS's profile of 0.1 to 0.3 g, relative to 0.4 to 0.8 g."""
+"""Additional cost of a step of a gentle drive, divided by the additional cost of a step of a stronger drive. The
+acceleration of a gentle drive is at most ``STEADY_G``. In most of its steps, boxes neither slide nor fall. In
+measurements on ``mujoco`` with EUMOS's profile and 10 to 45 boxes, drives of 0.1 to 0.3 g had 0.1 to 0.25 times the
+additional cost of drives of 0.4 to 0.8 g."""
 
 STATIC_FALL_BOXES = 12
 """A fall in a static check of n boxes costs n / ``STATIC_FALL_BOXES`` times as much as a fall while boxes are placed
@@ -70,8 +71,8 @@ one by one, since all boxes may fall. Static checks took 1 to 1.4 times as long 
 plans of 24 boxes, and 1.6 to 5 times as long for generated plans of 41 boxes."""
 
 BOARDS_COST = 1.35
-"""Cost of a step on a carrier of boards, or between walls, relative to a slab. The measured cost was 1.2 to 1.7 for
-scores, drives and searches of 5 to 60 boxes on epal-1 and gma-48x40, and in a gitterbox."""
+"""Cost of a step on a carrier of boards, or between walls, relative to a slab. Scores, drives and searches of 5 to 60
+boxes took 1.2 to 1.7 times as long on epal-1, on gma-48x40 and in a gitterbox."""
 
 FAILING_POWER = 2.5
 """The time of a world with errors grows with this power of the share of boxes that are placed before one fails. The
@@ -178,8 +179,8 @@ class ThreadCosts:
         return np.asarray(placing_s)
 
     def driving_s(self, work: Work, steps: FloatArray | float | None = None) -> FloatArray:
-        """(n,) time of one drive of each plan, s. ``steps``: number of steps of the drive; None: ``drive_steps`` and
-        ``sway_steps``."""
+        """(n,) time of one drive of each plan, s. ``steps``: number of steps of the drive; if None, the number follows
+        from ``work.drive_steps`` and ``work.sway_steps``."""
         steps = work.drive_steps + DRIVEN_SWAY * work.sway_steps if steps is None else steps
         n = np.asarray(work.boxes, dtype=float)
         step_s = self.rest_s * n**REST_POWER + self.overhead_s + self.driven_s
@@ -203,9 +204,9 @@ class Costs:
         gpu_step_s: time of a step of ``full_worlds`` worlds on a device, divided by (number of boxes) to the power
             ``WARP_POWER``, s.
         full_worlds: number of worlds that fill the device.
-        gpu_tail_s: time for which the longest worlds of a phase of a run leave the device nearly idle, s per unit of a
-            world's work (``Work._placing``, ``Work._driving``) and of the logarithm of ``TAIL_WORLDS``.
-        host_s: time of the host for a world of a run on a device, s.
+        gpu_tail_s: time for which the longest of n worlds leave the device nearly idle, divided by a world's work
+            (``Work.placing``, ``Work.driving``) and by ln(1 + n / ``TAIL_WORLDS``), s.
+        host_s: time that the host spends on a world of a run on a device, s.
         gpu_start_s: time to start the device engine, including compilation, s.
         gpu_load_s: time to start the device engine if an earlier run has compiled the kernels, s.
     """
@@ -297,10 +298,10 @@ class Costs:
         return np.asarray(placing + work.driving(WARP_POWER, drive_steps))
 
     def long_steps(self, jobs: Sequence[Job], sim: Simulation) -> FloatArray:
-        """(n,) for each job, the number of steps from which on its world counts as long (``LONG_PLACEMENT``,
+        """(n,) for each job, the number of steps above which its world counts as long (``LONG_PLACEMENT``,
         ``LONG_DRIVE``). The number depends neither on the machine nor on the other jobs."""
         steps = np.full(len(jobs), float(seconds_to_steps(sim.rest_window_s, sim.physics.timestep_s)))
-        for settles in (False, True):  # _expected_work takes only jobs that settle, or only others
+        for settles in (False, True):  # a call of _expected_work gets only jobs that settle, or none that settle
             rows = [row for row, job in enumerate(jobs) if job.settles is settles]
             some = [jobs[row] for row in rows]
             work, drive_steps = _expected_work(some, sim)
@@ -343,9 +344,9 @@ def _expected_work(jobs: Sequence[Job], sim: Simulation) -> tuple[Work, FloatArr
 def _of_placements(
     jobs: Sequence[Job], planned: FloatArray | float, displaced: FloatArray | float, carried: FloatArray | float
 ) -> FloatArray:
-    """(n,) for each job, one of the three values: for boxes that appear at their places without errors, for boxes that
-    appear with errors, or for boxes that are carried. The result is 0 for jobs that start from a state, and so have no
-    placement."""
+    """(n,) for each job, one of three values: ``planned`` if boxes appear at their places without errors, ``displaced``
+    if they appear with errors, and ``carried`` if they are carried. The value is 0 for jobs that start from a state and
+    so have no placement."""
     carries = np.array([job.scene.placing.carries for job in jobs], dtype=bool)
     has_errors = np.array([job.has_errors for job in jobs], dtype=bool)
     starts = np.array([job.start is not None for job in jobs], dtype=bool)
@@ -365,7 +366,8 @@ with confidence; and ready-made sweeps and chains. The cost of film was fitted t
 cost of a step with compliant boxes to plans of 16 to 24 boxes.
 
 On C MuJoCo, the time of a single fall varies from a tenth of the mean to ten times the mean. So estimates for a few
-plans that fall are less exact. The estimates leave out the time for simulating worlds again with smaller timesteps.
+plans that fall are less exact. The estimates do not include the time for simulating worlds again with smaller
+timesteps.
 
 The costs of devices were fitted to records of one H100 and one H200. The times do not include start and compilation.
 The runs were: 10, 300, 3,000 and 10,003 generated plans; 300 plans that fall; and 2,000 and 4,000 generated plans with

@@ -58,8 +58,8 @@ def resolve_engine(
         costs: costs of the engines; None: the measured costs, scaled to the speed of this machine.
         startup: the workers that ``engine_warmup`` has already started for these options.
         hands_over: whether an engine that ``auto`` chooses may hand worlds over to another engine (``HandoverEngine``).
-        earlier: the engine of the run before it was resumed. ``auto`` keeps this engine, although the machine may be
-            busier now.
+        earlier: if the run is resumed, the engine with which it began. ``auto`` keeps this engine, although the machine
+            may be busier now.
 
     Raises:
         InputError, EngineUnavailable: see ``make_engine``. InputError is also raised if workers are requested and the

@@ -74,8 +74,8 @@ DISPLACED_STEPS, CARRIED_STEPS = 1.1, 5.0
 their places. ``DISPLACED_STEPS`` is for boxes that appear at places with errors; boxes that would overlap are moved
 apart first. ``CARRIED_STEPS`` is for boxes that are carried to their places, and get stuck at their neighbours."""
 FAILING_BOXES = 0.008
-"""Probability that a box fails, and so ends the world, if it is carried to its place with errors. Of 80 worlds with
-errors of 20 plans of 18 to 71 boxes, about 26 failed; of ten worlds of two plans of 146 and 238 boxes, six failed."""
+"""Probability that a box fails, and so ends the world, if it is carried to its place with errors. For 20 plans of 18 to
+71 boxes, about 26 of 80 worlds with errors failed; for two plans of 146 and 238 boxes, six of ten worlds failed."""
 DRIVEN_SWAY = 4.0
 """Number of additional steps of a drive of compliant boxes, divided by the additional steps of one placement. The
 number is larger than 1, since a drive makes a pile sway more. Columns of 18 boxes of 50 N/mm took 470 additional steps
@@ -96,7 +96,7 @@ that appear at places with errors, and may slip into gaps between other boxes. `
 carried to their places. On one GPU, 10,003 worlds without errors took 17 s. With errors, 8,000 worlds (of 500 plans)
 took 35 s if boxes appeared, and 4,000 worlds (of 250 plans) took 30 s if boxes were carried by hand."""
 _SHARES = 50
-"""Number of shares of placed boxes over which ``Work.share_before_failure`` sums."""
+"""Number of points at which ``Work.share_before_failure`` evaluates an integral over the share of placed boxes."""
 
 
 def rest_steps(sim: Simulation, rest_s: float, quiet_steps: int = DRIVEN_QUIET_STEPS) -> int:
@@ -151,19 +151,19 @@ class Work:
         drive_steps: steps of one drive, including ``rest_steps``; the mean over profiles.
         rounds: number of drives of a pallet that must follow one another, because later drives depend on the results of
             earlier ones: the rounds of a search, or the legs of a chain.
-        filmed: share of the steps of drives in which pallets are wrapped in film, 0 to 1: one value for all plans, or
-            one for each plan.
-        gentle: share of the steps of drives whose largest horizontal acceleration is at most ``STEADY_G``, 0 to 1: one
-            value or one per plan, as for ``filmed``. Vertical accelerations do not count. Drives with random vibrations
-            are not gentle.
+        filmed: share of all steps of drives in which the pallet is wrapped in film, 0 to 1. The field holds one value
+            for all plans, or one value per plan.
+        gentle: share of all steps of drives that belong to gentle drives, 0 to 1. The field holds one value for all
+            plans, or one value per plan. In a gentle drive, the horizontal acceleration is at most ``STEADY_G``;
+            vertical accelerations do not count. Drives with random vibrations are not gentle.
         giving: number of compliant boxes of each plan; empty if no plan has compliant boxes.
         sway_mm: how far a pile of each plan's compliant boxes sways, mm (petmjx.plans.plan_workload); empty if no plan
             has compliant boxes.
         ties: for each plan, the mean number of supports that a box has in addition to its first support
             (petmjx.plans.plan_workload); if ``ties`` is empty, ``TYPICAL_TIES`` is used.
         placed_share: for each plan, the share of its boxes that are placed before the first box that tips over at once
-            (petmjx.plans.plan_workload); 1 without such a box. If ``placed_share`` is empty, the share is unknown, and
-            no box is expected to tip over.
+            (petmjx.plans.plan_workload). The share is 1 if no box tips over. If ``placed_share`` is empty, the share is
+            unknown, and no box is expected to tip over.
         driven_share: for each plan, the share of its drives' steps that are expected to be simulated, 0 to 1. Legs
             after the leg in which the pallet probably falls are not simulated. If ``driven_share`` is empty, all drives
             are simulated.
@@ -306,7 +306,7 @@ class Work:
         fails with the chance ``FAILING_BOXES``, so the shares of worlds are distributed exponentially up to 1.
 
         Args:
-            power: the result is the mean of this power of the share, to the power 1 / ``power``.
+            power: the exponent p of the mean: the result is (mean of shareᵖ) to the power 1 / p.
         """
         if not self._ends_with_failure(way):
             return np.ones(len(self.boxes))

@@ -247,8 +247,8 @@ class JobStream(Generic[Tag]):
         return self._open and not self._paused
 
     def _may_follow(self, in_flight: Collection[int], left: Collection[int]) -> bool:
-        """Whether no job is ready, but a job may still come. It may follow from an outcome that has not been processed,
-        or the source may put it in after the outcome of a world that has left the device."""
+        """Whether no job is ready, but a job may still come. The job may follow from an outcome that has not been
+        processed, or the source may put it in after the outcome of a world that has left the device."""
         if self.ready:
             return False
         return (self.feedback and bool(in_flight or self._unfollowed)) or (self._comes and bool(left))

@@ -1,6 +1,7 @@
-"""Finds the box that sets the flag ``knife-edge`` of a world, from the distances that a run stores for the world.
+"""Finds the box that sets the flag ``knife-edge`` of a world.
 
-These are the distances of the boxes' loads from the edges of their supports.
+The data are distances that a run stores for the world: the distances of the boxes' loads from the edges of their
+supports.
 """
 
 from __future__ import annotations

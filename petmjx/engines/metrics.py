@@ -49,11 +49,11 @@ same steps as whether the pallet is quiet."""
 
 CONFIRM_S: Final = 1.0
 """Shortest time from the first sign of failure to the end of a simulation that only has to confirm a fall
-(``Job.confirms``), s. The simulation ends at a sample at which the culprit is still over a threshold. In addition, two
-further boxes must have been placed since the sign, or all boxes must have been placed, the last one at least
-``CONFIRM_S`` seconds ago. Further placements are awaited, because a board may tip until the next box brings it back.
-The early end saves time: in stiff contacts, a pile that slides takes fifteen iterations of the solver per step, and
-would slide for thousands of steps more."""
+(``Job.confirms``), s. The simulation ends at a sample at which the culprit is still over a threshold. There is one more
+condition: either two further boxes have been placed since the sign, or all boxes have been placed and the last
+placement was at least ``CONFIRM_S`` seconds ago. The simulation waits for further placements, because a board may tip
+until the next box brings it back. The early end saves time: in stiff contacts, a pile that slides takes fifteen
+iterations of the solver per step, and would slide for thousands of steps more."""
 
 
 class SampleAt(StrEnum):
@@ -150,8 +150,8 @@ class BoxMetric:
 @dataclass(frozen=True)
 class WorldMetric:
     """A quantity of a whole world: a column of the table ``worlds``, and a field of ``Outcome`` with the same name. If
-    the type is int32, the value is the number of a box or a step, from 0. The value -1 of the outcome becomes null in
-    the table."""
+    the type is int32, the value is the number of a box or a step, from 0. If the outcome has the value -1, the table
+    has null."""
 
     name: str
     unit: str

@@ -56,7 +56,7 @@ def outcome_checks(
     Args:
         jobs: the jobs as the engine simulated them, one for each outcome.
         sim: the options with which the engine simulated.
-        verdicts_only: whether only the verdicts, and what decides about further attempts, are needed. With
+        verdicts_only: whether only the verdicts are needed, and the flags that decide about further attempts. With
             ``verdicts_only``, worlds that stand get no distances from edges, no ``Flag.KNIFE_EDGE`` and no
             ``Flag.LEANS``. Computing these distances and flags takes most of the time of all checks.
     """
@@ -146,7 +146,7 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation
     least, boxes_of = edges.least, [slice(*ends) for ends in pairwise(first)]
     scene = np.repeat(np.arange(len(boxes_of)), np.diff(first))
     least_of = dict(zip(*(values.tolist() for values in first_least(least, scene)), strict=True))
-    # Only loads close to an edge can set ``Flag.KNIFE_EDGE``. They are few, so only they are examined.
+    # Only loads close to an edge can set ``Flag.KNIFE_EDGE``. Such loads are few, and only they are examined below.
     close = np.flatnonzero(np.fmin(np.abs(edges.by_weight), np.abs(edges.by_load)) <= NEAR_M)
     by_weight, by_load = edges.by_weight[close], edges.by_load[close]
     near, contradicts_stable, contradicts_unstable = (
@@ -195,8 +195,9 @@ class _Joined:
     Attributes:
         planned: at least one scene with boxes at their planned places. Each scene comes with two values: the number of
             placed boxes, and whether the smallest distances while the plan is built are needed.
-        elsewhere: further scenes with boxes at other places. Each scene comes with three values: the places (n, 3) of
-            the boxes, m; the number of placed boxes; and the largest gap that ``find_bearings`` allows, m.
+        elsewhere: further scenes with boxes at other places. Each scene comes with four values: the places (n, 3) of
+            the boxes, m; the number of placed boxes; the largest gap that ``find_bearings`` allows, m; and the upward
+            directions (n, 3) of the boxes.
     """
 
     planned: Sequence[tuple[Scene, int, bool]]

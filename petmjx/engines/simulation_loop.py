@@ -138,8 +138,8 @@ class _AttemptRun(Generic[AnyWorld]):
     """All attempts at the worlds of one call of ``score_worlds``.
 
     At any time, each unfinished world is in one of four collections. Before its first attempt, a world is in
-    ``stream``, or, if the engine of the run cannot simulate the world, in ``for_fallback``. Before each further
-    attempt, a world is in ``retry_queue`` or in ``attempt_tasks``, or again in ``stream``.
+    ``stream``. If the engine of the run cannot simulate the world, it is in ``for_fallback`` instead. Before each
+    further attempt, a world is in ``retry_queue`` or in ``attempt_tasks``, or again in ``stream``.
 
     Attributes:
         first_runner: makes the first attempts, and further attempts that join them (``_join``).
@@ -327,10 +327,10 @@ class _AttemptTasks(Generic[AnyWorld]):
         return len(self._in_flight)
 
     def prepare(self, jobs: Sequence[Job], retries: Sequence[AttemptRecipe]) -> None:
-        """At the beginning of a run, start two kinds of processes. In a large run, these are check processes. With
-        ``JOBS_WORTH_A_PROCESS`` jobs, the process that makes attempts starts, too, if few worlds need them. It first
-        simulates one box. So the kernel of this process is compiled early: compiling takes as long as simulating many
-        worlds."""
+        """At the beginning of a run, start the processes that are worth their cost. A large run gets processes that
+        check outcomes. A run of at least ``JOBS_WORTH_A_PROCESS`` jobs gets the process that makes further attempts, if
+        few worlds need such attempts. The first task of the latter process is to simulate one box. In this way, its
+        kernel is compiled before worlds need it: compiling takes as long as simulating many worlds."""
         if self.needs_pool:
             self.check_pool = self.check_pool or self.lent or check_pool_for(self.engines.primary, len(jobs))
         name = ATTEMPT_ENGINES.get(self.engines.primary.name)
@@ -360,7 +360,7 @@ class _AttemptTasks(Generic[AnyWorld]):
     def are_few(self, attempt: AttemptRecipe, pending: Pending[AnyWorld]) -> bool:
         """Whether only few of the run's worlds need this attempt, so that CPU threads can make it."""
         world, before, _ = pending
-        # if boxes of a plan may sink into each other, all of the plan's worlds with placement errors need the attempt
+        # if boxes of a plan may sink into each other, many of the plan's worlds with placement errors need the attempt
         sank = world.variant != 0 and before is not None and before.verdict is Verdict.INVALID
         return attempt.few and not (sank and may_penetrate(world.job.scene, self.sim))
 

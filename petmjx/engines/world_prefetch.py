@@ -15,9 +15,9 @@ PENDING_BOXES: Final = 1 << 20
 this number of boxes take 130 MB."""
 
 PENDING_BOXES_GPU: Final = 1 << 17
-"""The number that replaces ``PENDING_BOXES`` if a GPU takes the jobs: 3,000 plans of 43 boxes. With a larger number,
-the first time slice of the GPU would begin later. Until then, the thread that makes worlds and the thread that loads
-them onto the GPU take turns, since both need Python's global lock."""
+"""The number that replaces ``PENDING_BOXES`` if a GPU takes the jobs, about the boxes of 3,000 plans of 43 boxes. With
+a larger number, the first time slice of the GPU would begin later. Until then, the thread that makes worlds and the
+thread that loads them onto the GPU take turns, since both need Python's global lock."""
 
 PAUSE_S: Final = 0.02
 """Interval at which the paused thread checks whether it may make worlds again, s."""

@@ -4,10 +4,11 @@ Array shapes are annotations, which tests check at every call. The axes:
 
 * ``world``: worlds that are simulated together, padded to a power of two;
 * ``box``: boxes of a world, padded to the same number in all worlds of a table;
-* ``body``: the carrier, then the boxes; ``body_end`` is one longer; MuJoCo's bodies begin with the world's body;
+* ``body``: the carrier, then the boxes (MuJoCo's list of bodies begins with the world's body instead); ``body_end``:
+  the same axis with one more entry;
 * ``shape``: shapes of the bodies, in the order of bodies; MuJoCo's geoms are the floor and then these shapes;
 * ``surface``: surfaces of shapes; friction is given for pairs of surfaces;
-* ``coordinate`` and ``velocity``: generalised positions and velocities of one world;
+* ``coordinate`` and ``velocity``: MuJoCo's coordinates (qpos) and velocities (qvel) of one world;
 * ``constraint``: rows of MuJoCo's constraints; ``contact`` and ``geom``: MuJoCo's contacts and shapes; ``pair``: pairs
   of geoms that may touch, with four contacts each;
 * ``profile`` and ``step``: rows of the table of profiles, and steps of a profile or of the clock;

@@ -26,7 +26,8 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 
 REFILL_SHARE: Final = 8
-"""While jobs wait, a batch is interrupted as soon as the worlds of one in ``REFILL_SHARE`` rows have ended."""
+"""While jobs wait, a batch is interrupted as soon as one in ``REFILL_SHARE`` of its rows holds a world that has
+ended."""
 
 
 class Phase(NamedTuple):
@@ -61,7 +62,8 @@ class BatchRun:
         refills: whether further jobs may get rows of ended worlds. Worlds can begin only in the first phase of a batch.
         phases: the phases that are left. The phase of the placement ends when no world is in its placement any more,
             and the phase of the drive ends when no world is in its drive any more.
-        memory: what the solver keeps in the present phase; None before the phase begins.
+        memory: the data that the solver keeps from one pass to the next in the present phase; None before the phase
+            begins.
     """
 
     batch: Batch
@@ -132,8 +134,8 @@ class BatchRun:
         return EndedWorlds(picked, jobs, {row: self.indices.pop(row) for row in rows}, batch.recorder)
 
     def fitting(self, waiting: Iterable[Job]) -> int:
-        """Number of waiting jobs that get free rows: all up to the first job that is recorded, or whose profile is not
-        in the table of profiles."""
+        """Number of waiting jobs that get free rows. Jobs get rows in order, until a job is recorded, or has a profile
+        that is not in the table of profiles."""
 
         def fits(job: Job) -> bool:
             return job.record is None and (job.drive is None or id(job.drive.excitation) in self.batch.profile_rows)
@@ -144,7 +146,7 @@ class BatchRun:
         return count
 
     def add(self, jobs: Mapping[int, Job], timetable: Timetable) -> None:
-        """Give free rows to jobs. ``jobs``: index → job. Even if memory runs out, the jobs are in ``indices``."""
+        """Give free rows to jobs. ``jobs``: index → job. ``self.indices`` gets the jobs even if memory runs out."""
         batch, width = self.batch, self.batch.worlds.half.shape[1]
         free = [row for row in range(self.rows) if row not in self.indices]
         pairs = list(zip(free, jobs.items(), strict=False))

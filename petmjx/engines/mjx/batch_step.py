@@ -24,11 +24,12 @@ from petmjx.world.mujoco_model import CARRIER_NAME, geom_bodies
 
 
 class Memory(NamedTuple):
-    """What the solver of a batch keeps from one pass to the next.
+    """The data that the solver of a batch keeps from one pass to the next. A pass is one call of ``PaddedModel.step``.
+    A world whose solver pauses needs several passes for one step.
 
     Attributes:
         forces: forces of all constraints in the last step.
-        solution: the solutions of the present step in worlds that pause; None if no world pauses.
+        solution: the solutions so far of the present step, for solvers that pause; None if no solver may pause.
     """
 
     forces: Float[Array, "world constraint"]
@@ -39,7 +40,8 @@ class StepResult(NamedTuple):
     """The result of a step: MuJoCo's coordinates, and values for samples and for the next step.
 
     ``qacc_warmstart``: accelerations from which the solver starts in the next step; ``iterations``: number of the
-    solver's iterations; ``pauses``: whether the world has not completed the step, None if all worlds have.
+    solver's iterations; ``pauses``: whether the solver needs another pass to complete the world's step; None if no
+    solver may pause.
     """
 
     qpos: Float[Array, "world coordinate"]
@@ -68,7 +70,8 @@ class PaddedModel:
     Args:
         capacity: largest number of boxes of a world.
         boards: number of shapes of each carrier.
-        held: whether the carrier cannot move, as in profiles of accelerations. Its pose is in the data of its world.
+        held: whether the carrier cannot move, as in profiles of accelerations. The pose of a held carrier is in the
+            data of its world.
         pausing: whether the solver of a batch may pause (elliptic cones only). While other worlds take their next
             step, a world that pauses repeats its step, and its solver continues.
     """
@@ -108,7 +111,7 @@ class PaddedModel:
         faces: Faces | None = None,
         landing: Landing | None = None,
     ) -> StepResult:
-        """Simulate one step of all worlds. The results of worlds that pause have no meaning.
+        """Simulate one step of all worlds. If the solver of a world pauses, the world's results have no meaning.
 
         Between stiff contacts, accelerations may become NaN in float32. If accelerations are NaN, the step uses the
         accelerations from which the solver started, and the forces of the previous step.
@@ -116,7 +119,7 @@ class PaddedModel:
         Args:
             fields: model fields that differ between worlds.
             inputs: fields of the data: qpos, qvel, qacc_warmstart, xfrc_applied, and the place of a held carrier.
-            memory: what the solver has kept from the previous pass.
+            memory: the data that the solver has kept from the previous pass.
             faces: the faces of the geoms, needed for compliant boxes.
             landing: the landing boxes (petmjx/engines/mjx/landing.py), if the physics has a law of landing.
         """

@@ -27,14 +27,14 @@ NEAR_M: Final = 1e-4
 _BOXES: Final = (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_BOX)
 
 Contacts = tuple[Float[Array, " contact"], Float[Array, "contact 3"], Float[Array, "contact 3 3"]]
-"""Distances, m, places, m, and frames of contacts."""
+"""Distances (m), places (m) and frames of contacts."""
 
 Collider = Callable[[Int[Array, "pair 2"]], Contacts]
 
 
 def collision(model: Any, data: Any) -> Any:
     """The data with the contacts that ``mjx.collision`` (MuJoCo 3.17) finds. Another version of MJX may lack the
-    private functions that this needs. Then its collider gets all pairs."""
+    private functions that this function needs. In this case, MJX's collider gets all pairs."""
     try:
         from mujoco.mjx._src.collision_driver import _COLLISION_FUNC, _contact_groups
     except ImportError:
@@ -56,7 +56,7 @@ def collision(model: Any, data: Any) -> Any:
 
 
 def _overlap(model: Any, data: Any, geoms: Int[Array, "pair 2"], margin: Float[Array, " pair"]) -> Bool[Array, " pair"]:
-    """Whether the bounding boxes of two boxes overlap. Their sides are parallel to the world's axes."""
+    """Whether the bounding boxes of two boxes overlap. The sides of bounding boxes are parallel to the world's axes."""
     half = jnp.einsum("gij,gj->gi", jnp.abs(data.geom_xmat), model.geom_size)
     one, two = geoms.T
     apart = jnp.abs(data.geom_xpos[one] - data.geom_xpos[two]) - half[one] - half[two]

@@ -5,15 +5,15 @@ accelerations without contacts, r (aref) the reference accelerations of the cont
 (MuJoCo's documentation, "Computation", section "Constraint model"). Newton's direction solves H·x = −gradient with
 H = M + Jᵀ·s″·J; a line search follows.
 
-``mjx.solve`` (3.17) does the same, but treats s″ and J as dense matrices: an iteration multiplies (3·contacts)² ·
-velocities numbers, and the program has an instruction per contact that fills in s″. Under ``vmap``, the line search of
-``mjx.solve`` always takes its largest number of iterations. But s″ consists of blocks of 3 × 3, and a contact touches
-two bodies. So in this module, all products run over pairs of geoms, which have four contacts each. The line search ends
-as soon as the slope is small enough.
+``mjx.solve`` (MuJoCo 3.17) does the same, but treats s″ and J as dense matrices. An iteration takes (3·contacts)² ·
+velocities multiplications, and the program has an instruction per contact that fills in s″. Under ``vmap``, the line
+search of ``mjx.solve`` always takes its largest number of iterations. But s″ consists of blocks of 3 × 3, and a contact
+touches two bodies. So in this module, all products run over pairs of geoms, which have four contacts each. The line
+search ends as soon as the slope is small enough.
 
 Under ``vmap``, a loop lasts until it has ended in all worlds. Worlds at rest need one iteration and one evaluation of
-the line search, and worlds that collapse ten times as many of both. So in a batch, iterations are few per call, and a
-line search evaluates many steps at once (``BlockSolver.improved``).
+the line search. Worlds that collapse need ten times as many iterations and evaluations. So in a batch, each call of the
+solver makes only a few iterations, and a line search evaluates many steps at once (``BlockSolver.improved``).
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class Cones(NamedTuple):
         slides: whether the force is on the cone's surface. Contacts that neither stick nor slide have no force.
         slip: derivative of ``speed`` by the two tangential residuals: friction × t / ``speed``, where t is the vector
             (friction × tangential residual).
-        speed: length of this vector t.
+        speed: length of the vector t.
         gap: mu times the normal residual minus mu times ``speed``; negative for contacts that slide.
         surface: stiffness of the cone's surface: the cost of sliding is ½ · surface · gap².
     """
@@ -224,9 +224,9 @@ class BlockSolver:
 
         Args:
             most: largest number of iterations; None: all iterations.
-            steps: number of steps that a line search evaluates at once. If it is 1, the line search ends as soon as the
-                slope is small enough. If it is larger, all line searches end after two evaluations. On problems of
-                worlds that collapse, the solver takes 3 % more iterations with 16 steps than with 1.
+            steps: number of steps that a line search evaluates at once. With ``steps`` = 1, the line search ends as
+                soon as the slope is small enough. With more steps, all line searches end after two evaluations. On
+                problems of worlds that collapse, the solver takes 3 % more iterations with 16 steps than with 1.
         """
 
         def goes_on(now: Iterate) -> Bool[Array, ""]:
@@ -275,8 +275,8 @@ class BlockSolver:
             return cost, slope, step - slope / (square + cones.bend(problem, way)), flat
 
         def evaluated(before: _Search) -> _Search:
-            """The state of the line search after an evaluation of its steps. The next steps divide the bracket evenly,
-            except that Newton's steps from both ends of the bracket replace the first and the last of them, if they lie
+            """The state of the line search after an evaluation of its steps. The next steps divide the bracket evenly.
+            Newton's steps from the two ends of the bracket replace the first and the last of these steps, if they lie
             within the bracket.
             """
             steps = before.steps

@@ -42,7 +42,7 @@ than 50 N in 2.2 % of the steps of small piles. The reason: the solver had given
 iterations, this happened in 0.2 % of the steps."""
 
 CONTACTS_PER_PAIR = 4
-"""Number of contacts of MJX's collider for two boxes, and for a plane and a box."""
+"""Number of contacts that MJX's collider makes for two boxes, and for a plane and a box."""
 
 PARKING_HEIGHT_M = 50.0
 PARKING_PITCH_M = 8.0

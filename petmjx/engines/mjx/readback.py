@@ -18,8 +18,8 @@ from petmjx.engines.mjx.world_state import State, take_rows
 from petmjx.options.simulation import Simulation
 
 READBACK_ROWS: Final = 256
-"""Number of rows that are read back at a time, or the number of rows of the table if that is smaller. The number is
-always the same, because JAX compiles a separate program for each number of rows."""
+"""Number of rows that are read back at a time. (Smaller tables are read back as a whole.) All reads of a table have the
+same number of rows, because JAX compiles a separate program for each number of rows."""
 
 
 class Readback(NamedTuple):

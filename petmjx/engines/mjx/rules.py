@@ -258,7 +258,8 @@ class Rules:
         # Light boxes that land, and tipping boxes that hit something, reach up to 240 rad/s² for a few steps. So a
         # violent sample (accelerations above the thresholds) is an explosion only if the samples before it were
         # violent, too, for the time that a box needs to land. Samples right after a placement are no evidence of an
-        # explosion, but they show where one box has landed and another lands later.
+        # explosion. But if such a sample is not violent, the series of violent samples before it has ended: one box has
+        # landed, and another may land later.
         landing = self.sim.quiet.landing_steps
         counts = sample & (state.step - state.last_placed_at >= landing)
         if self.carries:

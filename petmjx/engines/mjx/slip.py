@@ -18,8 +18,8 @@ from petmjx.world.contact_laws import ENOUGH_M_S2, MOST_ROUNDS, RELAXATION, STIC
 FEW_SHARE: Final = 4
 FEW_ITERATIONS: Final = 8
 """In each pass of a batch, the solver makes one iteration in all worlds, which is enough for worlds at rest. Then the
-solver makes up to ``FEW_ITERATIONS`` further iterations in one in ``FEW_SHARE`` worlds: in few of the worlds of a batch
-do boxes land or fall, and a step of a world that collapses takes 12 iterations on average."""
+solver makes up to ``FEW_ITERATIONS`` further iterations in one in ``FEW_SHARE`` worlds. The reason: boxes land or fall
+in only a few worlds of a batch, and a step of a world that collapses takes 12 iterations on average."""
 
 STEPS: Final = 16
 """In a batch: number of steps that a line search evaluates at once. With 4 steps, some line searches find no step that
@@ -27,7 +27,8 @@ is small enough, and the solver ends too early."""
 
 
 class Solution(NamedTuple):
-    """The solutions of a step, finished or not.
+    """The solutions of a step, finished or not. A solution is found in rounds. In each round, the solver finds the
+    accelerations for fixed slip excesses of the contacts; then the slip excesses are computed again.
 
     Attributes:
         now: state of the solver in the present round.
@@ -47,7 +48,7 @@ class Solution(NamedTuple):
 
     @classmethod
     def finished(cls, qacc: Float[Array, "world velocity"], rows: Float[Array, "world contact 3"]) -> Solution:
-        """Finished solutions with any values."""
+        """Solutions that are marked as finished. Their values have no meaning."""
         none, no = jnp.zeros(len(qacc), jnp.int32), jnp.zeros(len(qacc), bool)
         return cls(jax.vmap(Iterate.unvalued)(qacc, rows), rows[..., 0], none, none, no, ~no)
 
@@ -68,7 +69,8 @@ class SlipLaw:
         start: Float[Array, "world velocity"],
         before: Solution | None = None,
     ) -> Solution:
-        """The solutions ``before`` that are not finished; in all other worlds, solutions before the first round.
+        """The solutions with which a step or a pass begins. A world whose solution ``before`` is not finished keeps
+        this solution. All other worlds get a new solution, before its first round.
 
         Args:
             problem, pull, start: see ``BlockSolver.begin``, for each world.
@@ -78,13 +80,13 @@ class SlipLaw:
         return begin if before is None else select_rows(before.done, begin, before)
 
     def solve(self, problem: Problem, pull: Float[Array, "world contact 3"], solution: Solution) -> Solution:
-        """Finished solutions."""
+        """The solutions, continued until all of them are finished."""
         further = partial(self._further, problem, pull)
         finished: Solution = jax.lax.while_loop(lambda solution: ~solution.done.all(), further, solution)
         return finished
 
     def solve_in_part(self, problem: Problem, pull: Float[Array, "world contact 3"], solution: Solution) -> Solution:
-        """Solutions after a pass of a batch. Some of them may not be finished."""
+        """The solutions after one pass of a batch. Some of them may not be finished."""
         solution = self._further(problem, pull, solution, most=1, steps=STEPS)
         waits = jnp.where(solution.done, -1, solution.iterations + solution.now.iterations)
         rows = jnp.argsort(waits, descending=True)[: max(len(waits) // FEW_SHARE, 1)]

@@ -13,7 +13,8 @@ from petmjx.options.simulation import Simulation
 
 TREMBLES, STAYS = 1, 2
 """Values of ``State.trembles`` for a box that trembled, or stayed at its place, in the last complete period of
-measurement. In both cases, the box did not get anywhere; the path of a box that trembled was longer."""
+measurement. In both cases, the box stayed near the pose that it had when the period began. A box that trembled moved
+along a longer path than a box that stayed."""
 
 
 def trembling_mask(state: State, sim: Simulation) -> Bool[Array, "world box"]:

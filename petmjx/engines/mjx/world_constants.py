@@ -39,8 +39,8 @@ class Worlds(NamedTuple):
     (the origin of the box's frame) to its middle. For ``inertia_box``, see ``petmjx.world.body_shapes.Body``.
 
     Contacts: ``floor_friction`` and ``friction`` are sliding, torsional and rolling coefficients. For
-    ``shape_surface``, ``pair_friction``, ``pair_landing`` and ``pair_kinetic``, see petmjx/world/friction_pairs.py. For
-    ``shape_give``, m³/N, and ``sinks``, the expected descent of boxes, see petmjx/world/compliance.py.
+    ``shape_surface``, ``pair_friction``, ``pair_landing`` and ``pair_kinetic``, see petmjx/world/friction_pairs.py.
+    petmjx/world/compliance.py explains ``shape_give`` (m³/N) and ``sinks``, the expected descent of boxes (m).
 
     Drives: ``driven``: a drive follows the placement. ``held``: the drive holds the carrier fixed. ``drive_yaw`` is
     (cos, sin) of the angle by which the drive is rotated about the vertical. ``profile_steps`` is the number of samples
@@ -62,10 +62,10 @@ class Worlds(NamedTuple):
     ``appears``: all boxes begin at ``start``. In other worlds, boxes are carried, and begin at an offset of
     ``way_offset`` from ``start``. The path of a carried box has ``way_steps`` steps; for a box that falls,
     ``way_steps`` is 0. At the end of the path, boxes are set down, unless they are released to fall
-    (petmjx/world/approach_paths.py). ``hand_force``, N, and ``hand_speed``, m/s, are a hand's limits. ``way_aside``, m,
-    is the largest distance by which the start of a path may be moved aside: towards low and towards high coordinates
-    (axis 2), along x and along y (axis 3). ``wrap_press`` and ``wrap_hold``, N, are the forces of film
-    (petmjx/world/film.py).
+    (petmjx/world/approach_paths.py). ``hand_force`` (N) and ``hand_speed`` (m/s) are a hand's limits. ``way_aside`` (m)
+    has the largest distances by which the start of a path may be moved aside. Axis 2 of this array is the direction:
+    towards low or towards high coordinates. Axis 3 is the coordinate: x or y. ``wrap_press`` and ``wrap_hold``, N, are
+    the forces of film (petmjx/world/film.py).
     """
 
     n_boxes: Int[Array, " world"]
@@ -133,8 +133,8 @@ def device_arrays(arrays: Iterable[NDArray[Any]]) -> list[jax.Array]:
 
 
 MANY_PADDING_ROWS: Final = 4096
-"""If at least this number of padding rows is needed, the device makes them by repeating the first row. To upload 10,000
-padding rows of 24 kB each would delay a run's first step."""
+"""If at least this number of padding rows is needed, the device makes them by repeating the first row. If 10,000
+padding rows of 24 kB each were uploaded, the first step of a run would begin later."""
 
 
 def upload_worlds(

@@ -13,9 +13,9 @@ class Explosion:
     """Detects simulations that cannot be right: accelerations stay large for some time, and no failed box causes them.
 
     When light boxes land, or tipping boxes hit something, accelerations reach 240 rad/s² for a few steps. So an
-    explosion is detected only if accelerations are large in all samples, for the time that a box needs to land. Samples
-    right after a placement are no evidence of an explosion. But if accelerations are small in such a sample, the large
-    accelerations before it have ended: one box has landed, and another may land later.
+    explosion is detected only if accelerations are large in all samples for at least the time that a box needs to land.
+    Samples right after a placement are no evidence of an explosion. But if accelerations are small in such a sample,
+    the large accelerations before it have ended: one box has landed, and another may land later.
 
     Args:
         landing: number of steps that a box needs to land.

@@ -31,7 +31,7 @@ from petmjx.world.scene import IDENTITY_QUAT, Scene
 GROWTH_BLOCK = 8
 """Number of boxes that are added to the model at once. A box that waits in the model costs 0.5 µs per step, and
 compiling the model again costs about 1 ms. For a plan of 40 boxes and the adaptive schedule, the simulation takes 5 %
-longer if 1 or 40 boxes are added at once than if 8 are."""
+longer if boxes are added one by one, or all at once, than if 8 boxes are added at once."""
 
 ORDERED_FROM = 64
 """Smallest number of boxes of a plan whose bodies are sorted in elimination order. In elimination order, third-party
@@ -407,7 +407,7 @@ class LiveWorld:
         self._held = HeldCarrier(pos=state.pose[0, :3], quat=state.pose[0, 3:])
         self._has_waiting = False
         self._shaken = True
-        self._templates = None  # the place of a clamped carrier differs between worlds, and templates lack this place
+        self._templates = None  # templates are only for free carriers: the place of a clamped carrier differs by world
         self._build(self.capacity)
         self._restore(state, time_s)
 

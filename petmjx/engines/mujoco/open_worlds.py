@@ -122,8 +122,8 @@ class OpenWorld(WorldRun):
         return self._outcome(came_to_end=not self.ended and self._loop())
 
     def _lingers(self) -> bool:
-        """Whether the world paused because its time was up, although boxes were still moving, so that the world may get
-        a longer last wait."""
+        """Whether the world may get a longer last wait: it paused because its time was up, although boxes were still
+        moving."""
         return not (self._quiet.holds or self._metrics.has_failed) and self._waits.lasts_longer(self._step)
 
     def _leave_pause(self) -> None:

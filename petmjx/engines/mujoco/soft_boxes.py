@@ -134,7 +134,8 @@ class SoftWorld(LiveWorld):
         return poses[:, :3], poses[:, 3:]
 
     def _turning(self, points: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(s, 3) linear and (s, 3) angular parts of the points' rates of change ``rate``, (s, 27, 3), in world axes."""
+        """(s, 3) linear and (s, 3) angular part of the rates of change of the points, in world axes. ``rate``: (s, 27,
+        3) these rates of change."""
         linear = (self._weight * rate).sum(axis=1)
         arm = points - (self._weight * points).sum(axis=1)[:, None]
         moment = (self._weight * np.cross(arm, rate)).sum(axis=1)

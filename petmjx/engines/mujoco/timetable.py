@@ -88,8 +88,8 @@ class Waits:
         return self._latest_if_failed
 
     def _latest_after(self, since: int) -> int:
-        """The step at which a short wait that began after the step ``since`` ends at the latest, and the next event
-        comes.
+        """The latest end of a short wait, as a step number. The wait began after the step ``since``, and the next event
+        comes when the wait ends.
 
         With the fixed schedule, a drive starts at the same time as in the reference implementation. The start of the
         drive is counted from the nominal time of the last placement. (The real placement is a few steps later, since

@@ -59,7 +59,8 @@ def pressed_box(
     body: NDArray[np.integer], normal_z: FloatArray
 ) -> tuple[NDArray[np.integer], FloatArray, NDArray[np.bool_]]:
     """The box on which each contact presses: of the two bodies, the body from which the normal points upwards. (The
-    centre of a box that leans may be lower than that of the box on which it lies.)
+    normal decides, not the heights of the centres: the centre of a box that leans may be lower than the centre of the
+    box on which it lies.)
 
     Args:
         body: (k, 2) the two bodies of each contact: the number of a box, or a negative number for carrier and floor.

@@ -6,8 +6,8 @@ Newton's method starts either from the accelerations of the last step or from th
 method chooses the start at which its cost function has the lower value, summed over the *whole* world. The method stops
 at a tolerance, so this choice influences the results: single sampled impacts change by up to 100 N. In the reference
 implementation, the waiting boxes stand on the floor, and their cost is part of the sum. In petmjx, a small body presses
-on a stop with a single constraint row. The small body adds exactly as much as the waiting boxes to the difference
-between the costs of the two starts.
+on a stop with a single constraint row. The small body changes the difference between the costs of the two starts by
+exactly as much as the waiting boxes would.
 """
 
 from __future__ import annotations

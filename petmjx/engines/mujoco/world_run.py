@@ -200,8 +200,8 @@ class WorldRun:
         return n_steps
 
     def _is_spent(self) -> bool:
-        """Whether the world has used up its iterations. If it has, the world gets the flag ``ITERATION_LIMIT``, or
-        ``EARLY_STOP`` if a box has failed for good."""
+        """Whether the world has used up its iterations. A world without further iterations gets the flag
+        ``ITERATION_LIMIT``, or ``EARLY_STOP`` if a box has failed for good."""
         if self._stepper.is_spent:
             self._flags |= self._flag_of_end(Flag.ITERATION_LIMIT)
         return self._stepper.is_spent

@@ -25,7 +25,7 @@ job in reserve might wait behind a long job while another thread is idle."""
 
 MOST_ON_DEVICE: Final = 8192
 """Largest number of jobs of a worker whose engine simulates worlds side by side. The device simulates far fewer worlds
-at once. So it can choose, and begins with the longest worlds of these jobs."""
+at once, and begins with the longest worlds of these jobs."""
 
 
 @dataclass(eq=False)

@@ -202,7 +202,7 @@ class _RunJobs:
 
     Attributes:
         stream: the stream from which the engine takes jobs. An engine that waits for many jobs gets the jobs that have
-            arrived, since the worker pool may have no others.
+            arrived, even if they are few, since the worker pool may have no others.
         count: number of jobs so far.
         error: the exception that ended the run.
     """

@@ -146,8 +146,8 @@ class _LocalRay:
         self._thread.join()
 
     def _live(self) -> None:
-        # If the process ends now, it must wait for Ray. Ray registered its exit function earlier, so Ray's function
-        # runs after this one.
+        # If the process ends from now on, the exit function below waits for Ray. Ray registered its own exit function
+        # earlier, so Ray's function runs later.
         atexit.register(self._end_with_process)
         try:
             self._start()
@@ -170,7 +170,7 @@ class _LocalRay:
         self.end()
         with suppress(KeyboardInterrupt):
             self._thread.join(END_S)
-        if self._thread.is_alive():  # Ray has not ended in time. Its processes end with this process.
+        if self._thread.is_alive():  # Ray has not ended in time. Ray's processes end with this process.
             atexit.unregister(self._ray.shutdown)  # This function would also wait for Ray.
             self._remove_folder()
 

@@ -171,7 +171,8 @@ class WorkerPool(Engine):
         try:
             self.dismiss()
         finally:
-            self._thread.shutdown()  # an interrupted thread may still be waiting, and would hang when Ray ends
+            # after an interruption, the thread may still wait for Ray, and would hang when Ray ends
+            self._thread.shutdown()
             self._cluster.leave()
 
     def close(self) -> None:
@@ -257,7 +258,7 @@ class WorkerPool(Engine):
 
     def _start(self, resources: WorkerResources) -> _WorkerRecord:
         limits = {"num_cpus": resources.cpus, "num_gpus": resources.gpus}
-        # a worker takes packets of jobs while it reports about its run
+        # a worker handles two calls at the same time: one reports about the run, the other takes a packet of jobs
         remote = self._ray.remote(Worker).options(**limits, max_concurrency=2, max_restarts=0)
         threads = None if self.name in LEAST else resources.cpus
         # after a worker's death, its device may be broken, so the next worker creates its engine before it gets jobs
@@ -308,7 +309,8 @@ class WorkerPool(Engine):
 
     def _start_again(self, worker: _WorkerRecord, error: BaseException, most: int) -> None:
         """Handle a worker that failed to start: start a worker again with the same CPUs and GPUs. If ``FALSE_STARTS``
-        starts have failed one after another, the device may be broken. Then the run continues with the other workers.
+        starts have failed one after another, the device may be broken. In this case, the run continues with the other
+        workers.
 
         Args:
             error: error that is raised after ``most`` failed starts. The error is not raised if this pool has already

@@ -30,7 +30,8 @@ class WorkerResources:
     """The CPUs and GPUs of one worker.
 
     Attributes:
-        cpus: number of CPUs of the worker, all on one machine. Without a GPU, the number of the engine's threads.
+        cpus: number of CPUs of the worker, all on one machine. Without a GPU, the engine of the worker has this number
+            of threads.
         gpus: number of GPUs on the same machine, or the share of one GPU.
     """
 
@@ -114,8 +115,8 @@ def _sharing(gpus: int, workers: int) -> int:
 
 
 def _share(nodes: Sequence[Node], workers: int) -> int:
-    """The largest number of CPUs per worker with which there is room for all workers, each worker on one machine. At
-    least 1.
+    """The largest number of CPUs per worker with which there is room for all workers, if each worker has all its CPUs
+    on one machine. The result is at least 1.
     """
     most = max(sum(node.cpus for node in nodes) // workers, 1)
     return next((share for share in range(most, 1, -1) if sum(node.cpus // share for node in nodes) >= workers), 1)

@@ -139,8 +139,9 @@ class AttemptProcess:
 
 
 _IDLE: Final[dict[tuple[int, str], list[Child]]] = {}
-"""Process id of a process, and a module → the idle processes that it started for this module. A fork of this process
-must not use these processes, since a fork has no threads that write tasks and read answers."""
+"""(Process id, module) → the idle processes that the process with this id started for this module. A fork has another
+process id than the original process, so it does not use the idle processes of the original: a fork has no threads that
+write tasks and read answers."""
 
 
 def _idle_child(module: str) -> Child:

@@ -162,7 +162,7 @@ class CheckPool(Generic[Key]):
         """Take those answers of a process that have already arrived. With ``wait``, wait for at least one answer,
         unless the caller has other work (``until``). A process that has died or hangs is removed from the check
         pool."""
-        waits = 0  # waits are counted instead of seconds: while this process is stopped (Ctrl-Z), no answer is late
+        waits = 0  # waits are counted, not seconds: time in which this process is stopped (Ctrl-Z) does not count
         while process.unanswered:
             try:
                 answer = process.child.answers.get(timeout=CHECK_WAIT_S) if wait else process.child.answers.get_nowait()

@@ -75,8 +75,8 @@ class KernelBuilds:
     """Processes that compile kernels.
 
     Args:
-        builds: the kernels. At most ``MOST_PROCESSES`` of them are compiled at the same time, and no more than the
-            machine has CPU threads; three if it has fewer than three CPU threads.
+        builds: the kernels. The number of kernels that are compiled at the same time is the number of CPU threads, but
+            at least 3 and at most ``MOST_PROCESSES``.
     """
 
     def __init__(self, builds: Sequence[KernelBuild]) -> None:
@@ -126,13 +126,14 @@ def builds_if_missing(sim: Simulation) -> KernelBuilds | None:
 
 
 def are_kept(sim: Simulation) -> bool:
-    """Whether there are a GPU and a note that the kernels ``usual_builds`` of these options are in the cache."""
+    """Whether this machine has a GPU, and a note says that the kernels of ``usual_builds`` for these options are in the
+    cache."""
     gpu = gpu_here()
     return gpu is not None and are_noted(_name_of(sim, gpu))
 
 
 def note_kept(sim: Simulation, gpu: GpuLimits | None = None) -> None:
-    """Leave a note that the kernels ``usual_builds`` of these options are in the cache."""
+    """Leave a note that the kernels of ``usual_builds`` for these options are in the cache."""
     gpu = gpu or gpu_here()
     if gpu is not None:
         note_kernels(_name_of(sim, gpu))

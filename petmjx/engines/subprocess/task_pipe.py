@@ -126,7 +126,7 @@ class Fork(PipedProcess):
             its_tasks, tasks, answers, its_answers = fds
             socket.send_fds(connection, [b"f"], [its_tasks, its_answers])
             pipes = os.fdopen(tasks, "wb"), os.fdopen(answers, "rb")
-            fds = [its_tasks, its_answers]  # the files of ``pipes`` close the other two
+            fds = [its_tasks, its_answers]  # the other two are closed together with the files of ``pipes``
             self._begin(*pipes)
         except (OSError, RuntimeError):  # memory is short, or the other process has died
             self.answers.put(None)
@@ -171,7 +171,7 @@ class Forks:
         its.close()
 
     def fork(self) -> Fork:
-        """A further process. If it cannot be started, its answers end at once."""
+        """A further process. If the process cannot be started, the queue of its answers ends at once."""
         self._forks.append(Fork(self._connection))
         return self._forks[-1]
 
@@ -194,7 +194,7 @@ def copy(main: Callable[[], None]) -> None:
     pair, the program starts a copy of this process, and the copy runs the function ``main`` with these pipes. When the
     socket is closed, the process kills its copies, and ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    copies: list[int] = []  # a copy that has ended keeps its number until ``waitpid``, so no other process is killed
+    copies: list[int] = []  # an ended copy keeps its process id until ``waitpid``, so no other process is killed
     gc.collect()
     # garbage collection in a copy then leaves the objects of this process unchanged, so both processes share memory
     gc.freeze()

@@ -42,8 +42,9 @@ from petmjx.engines.warp.world_arrays import (
 def launch_device() -> wp.Device:
     """Warp's name for the device on which JAX places new arrays. All launches use this device.
 
-    If several GPUs are visible, Warp's own default is another device: the GPU whose context the calling thread has used
-    last. JAX uses the contexts of all GPUs when it starts. A kernel cannot read arrays of another GPU.
+    If several GPUs are visible, Warp's own default is the GPU whose context the calling thread has used last. This may
+    be any of the GPUs, since JAX uses the contexts of all GPUs when it starts. But a kernel cannot read arrays of
+    another GPU.
     """
     import jax  # imported here, since processes that only compile kernels do not need JAX
 
@@ -304,7 +305,7 @@ def kernel(launch: Launch) -> Any:
 
 @functools.cache
 def _cpu_kernel(panels: int, pause_after: int) -> Any:
-    """The kernel for CPUs. It serves all sets of features, since features are its arguments
+    """The kernel for CPUs. This kernel serves all sets of features, since features are its arguments
     (``Launch.feature_arguments``). A kernel for each set of features would take seconds to compile, and would have
     machine code of the same size."""
 

@@ -18,8 +18,8 @@ from petmjx.world.edge_distances import EdgeRisk, edge_risks
 from petmjx.world.job import Job
 
 EXAMINED_AT_ONCE: Final = 32
-"""Number of worlds whose loads are examined together (``Queues.examine``). A world of a generated plan takes 0.15 ms, a
-world of 96 boxes that all lie on several others 6 ms."""
+"""Number of worlds whose loads are examined together (``Queues.examine``). Examining a world takes 0.15 ms for a
+generated plan, and 6 ms for 96 boxes that each lie on several others."""
 
 EXAMINING_S: Final = 0.015
 """Longest time, s, for which worlds are examined between two time slices, which take 0.1 s each. So the device need not
@@ -84,8 +84,8 @@ class Queues:
         self._rank(live)
 
     def examine(self, jobs: Sequence[Job], live: NDArray[np.bool_]) -> None:
-        """Find out in which worlds loads act beyond or near edges, for as many worlds as ``EXAMINING_S`` allows, the
-        longest first. Worlds with loads beyond or near edges then begin earlier.
+        """Find out in which worlds loads act beyond or near edges. Worlds with the longest expected times are examined
+        first, until the time ``EXAMINING_S`` is over. Worlds with loads beyond or near edges then begin earlier.
 
         Args:
             jobs: the job of each row.

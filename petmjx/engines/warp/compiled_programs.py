@@ -44,8 +44,8 @@ counts."""
 
 
 def friction_damping(physics: Physics) -> float:
-    """Damping of friction, 1/s, as in MuJoCo (its documentation, "Modeling", "Solver parameters"). 0 means the same
-    damping as along the normal of a contact."""
+    """Damping of friction, 1/s, by MuJoCo's formula (MuJoCo's documentation, "Modeling", "Solver parameters"). 0 means
+    the same damping as along the normal of a contact."""
     if not physics.has_own_friction:
         return 0.0
     time_s, damping = physics.solreffriction

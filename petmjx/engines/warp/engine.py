@@ -58,9 +58,9 @@ class MjxWarpEngine(Engine):
 
     Attributes:
         granule: the number of box columns of tables is a multiple of this number.
-        least_rows: smallest number of rows of a table. For each pair of numbers (of rows, of box columns), programs are
-            compiled anew. So a larger ``least_rows`` saves compilations in long runs that begin with few jobs, and in
-            series of runs with different numbers of jobs.
+        least_rows: smallest number of rows of a table. Programs are compiled anew for each size of a table, that is,
+            for each number of rows and of box columns. So a larger ``least_rows`` saves compilations in long runs that
+            begin with few jobs, and in series of runs with different numbers of jobs.
         depth_first: whether worlds that follow from outcomes, such as the drives of a settled pallet, are simulated
             before other worlds begin. On a GPU, the value is False, so that the longest of all worlds come first: if
             long worlds came last, many blocks would be idle.

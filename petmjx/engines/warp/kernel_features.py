@@ -42,9 +42,9 @@ class KernelFeatures:
         widths: block size, named by its largest number of boxes (``block_sizes.Size``) → number of boxes for which
             buffers are made in this run. This number is smaller than the block size if all plans of the run are
             smaller.
-        hands: whether kernels need hands, which carry or drop boxes.
-        gives: whether kernels need compliant boxes.
-        wraps: whether kernels need stretch film that holds boxes.
+        hands: whether kernels must support hands, which carry or drop boxes.
+        gives: whether kernels must support compliant boxes.
+        wraps: whether kernels must support stretch film that holds boxes.
         stiff: the values of ``Job.stiff``, apart from None. Each value needs constants of its own in the kernels.
     """
 
@@ -64,7 +64,7 @@ class KernelFeatures:
         Raises:
             InputError: a job has more boxes than the largest block has room for.
         """
-        # the inner set has each scene once, although all drives of a placement share its scene
+        # the inner set has each scene only once: all drives of a placement share the scene of the placement
         box_counts = {scene.n_boxes for scene in {job.scene for job in jobs}}
         hands, gives, wraps, _ = Features.joined(needs_of(job.scene, driven=job.drive is not None) for job in jobs)
         stiff = frozenset(job.stiff for job in jobs if job.stiff is not None)

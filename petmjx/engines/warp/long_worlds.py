@@ -1,9 +1,9 @@
 """``LongWorlds``: the long worlds of a GPU, which CPU threads simulate to their ends.
 
 A thread block of a GPU takes about four times as long for a step as a CPU thread, so a run would wait for its longest
-worlds. A world leaves the GPU after a number of steps that depends on its job alone (``most_steps``). So its outcome
-does not depend on the worlds beside it, or on how busy the machine is. From this step on, the world's numbers have the
-last digits of ``mjx-warp-cpu``.
+worlds. A world leaves the GPU after a number of steps that depends on its job alone (``most_steps``). So the world's
+outcome does not depend on other worlds, or on how busy the machine is. From this step on, the last digits of the
+world's numbers are those of ``mjx-warp-cpu``.
 """
 
 from __future__ import annotations
@@ -90,7 +90,8 @@ class LongWorlds:
             return False
         self._progress.notes[f"long worlds were simulated to their ends on {ENGINE}"] = None
         self._left[outcome.job] = job, outcome
-        # ``poses`` is left out: it has the boxes' poses at the beginning of the drive, and the world left the GPU later
+        # ``poses`` is left out, since it has the boxes' poses at the beginning of the drive, not when the world left
+        # the GPU
         continued = replace(job, start=outcome.state, poses=None)
         self._simulator.begin(AttemptTask(outcome.job, ENGINE, continued, self._sim))
         return True
@@ -106,8 +107,8 @@ class LongWorlds:
                 outcome = failed_outcome(answer.number, job, self._sim, answer.message)
                 self._progress.notes[f"{ENGINE} failed to simulate a long world to its end ({answer.message})"] = None
             steps = max(outcome.n_steps - before.n_steps, 0)
-            # The thread that runs slices also adds to this count. The line calls no function, so Python does not switch
-            # to that thread within the line.
+            # The thread that runs slices also adds to this count. The next line calls no function, so Python does not
+            # switch to that thread within the line.
             self._progress.world_steps += steps
             history = outcome.history
             if before.history is not None and history is not None:

@@ -18,8 +18,8 @@ from petmjx.engines.warp.block_sizes import FEW_BOXES, size_for
 
 ENOUGH_SHARE, LEAST_SHARE = 0.75, 0.25
 """Limits for the use of blocks for small worlds, as shares of the lanes (places for a world) of these blocks. The
-blocks come into use when small worlds fill at least ``ENOUGH_SHARE`` of the lanes. They go out of use when small worlds
-fill less than ``LEAST_SHARE`` of the lanes, because blocks that simulate one world each are then faster."""
+blocks come into use when small worlds fill at least ``ENOUGH_SHARE`` of the lanes. The blocks go out of use when small
+worlds fill less than ``LEAST_SHARE`` of the lanes, because blocks that simulate one world each are then faster."""
 
 
 def small_world_pool(pool: BlockPool, worlds: int, lanes: int | None = None) -> BlockPool | None:

@@ -165,8 +165,8 @@ class TableJobs:
         return rows
 
     def needs_another(self, table: WorldTable, blocks: int) -> bool:
-        """Whether another table is needed: the next job does not fit in this table, and no more worlds are running than
-        the device has blocks.
+        """Whether another table is needed: the next job does not fit in this table, and the number of running worlds is
+        at most the number of the device's blocks.
 
         Args:
             blocks: number of thread blocks of the device.

@@ -1,6 +1,5 @@
-"""Time slices: calls of mjx-warp's kernels, in which every world of a table advances. The module has the programs and
-buffers of slices, the work of the CPU between two slices, and the outcomes that the CPU makes of the worlds that
-end."""
+"""Time slices: calls of mjx-warp's kernels, in which every world of a table advances. This module starts slices, waits
+for their results, puts further jobs into the rows of ended worlds, and makes the outcomes of these worlds."""
 
 from __future__ import annotations
 

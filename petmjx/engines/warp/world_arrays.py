@@ -92,7 +92,7 @@ class Model:
     carrier_skin: float  # Margin added to the carrier in collision detection, m.
     pyramidal: int  # 1 if friction cones are pyramidal.
     friction_damping: float  # Damping along a contact's tangents, 1/s; 0: the same damping as along the normal.
-    slip_slack: float  # Tangential acceleration up to which a slip is not corrected, m/s²; inf: no slip is corrected.
+    slip_slack: float  # Slip is corrected only above this tangential acceleration, m/s²; inf: never.
     kinetic_share: float  # Friction of contacts that slide fast, as a share of friction at rest.
     impratio_invsqrt: wp.float64  # 1 / √impratio.
     tolerance: wp.float64  # Tolerance of the solver, as in MuJoCo.
@@ -197,7 +197,7 @@ class Workspace:
     listed_reach: Annotated[wp.array2d[wp.vec3], "block geom"]
     qpos_before: Annotated[wp.array3d[float], "block box 7"]  # Poses of the boxes at the beginning of a step.
     top_force: Annotated[wp.array2d[float], "block box"]
-    pair_geom1: Annotated[wp.array2d[int], "block pair"]  # The geom of the pair with the smaller index.
+    pair_geom1: Annotated[wp.array2d[int], "block pair"]  # Of the pair's two geoms, the one with the smaller index.
     pair_geom2: Annotated[wp.array2d[int], "block pair"]
     pair_normal: Annotated[wp.array2d[wp.vec3], "block pair"]
     pair_points: Annotated[wp.array3d[wp.vec4], "block pair 8"]  # Contact point, and the two geoms' distance.
@@ -209,7 +209,7 @@ class Workspace:
     pair_ncon: Annotated[wp.array2d[int], "block pair"]  # Contacts of each pair.
     pair_conadr: Annotated[wp.array2d[int], "block pair_end"]  # The first contact of each pair.
     contact_pair: Annotated[wp.array2d[int], "block contact"]
-    # the two bodies of a contact, as indices of free bodies, the smaller one first; negative: a body that does not move
+    # the two bodies of a contact, as indices of free bodies, the smaller index first; negative: the body does not move
     contact_bodies: Annotated[wp.array3d[int], "block contact 2"]
     # contacts of each body, grouped by body: 2 × number of the contact, + 1 for the contact's second body
     body_contact: Annotated[wp.array2d[int], "block link"]
@@ -219,13 +219,14 @@ class Workspace:
     body_root: Annotated[wp.array2d[int], "block body"]  # The body from which distances in a component are counted.
     body_level: Annotated[wp.array2d[int], "block body"]  # Distance from the root, in contacts.
     position: Annotated[wp.array2d[int], "block free_body"]  # Index of a body in the solver's system of equations.
-    # By index in the solver's system: the lowest index among a body and the bodies that it touches.
+    # For each body, by its index in the solver's system: the lowest index among the body and the bodies that it
+    # touches.
     lowest: Annotated[wp.array2d[int], "block free_body"]
     bodies_conadr: Annotated[wp.array2d[int], "block contact"]  # The first contact of each pair of bodies.
     ncon: Annotated[wp.array[int], "block"]
     nfree: Annotated[wp.array[int], "block"]  # Number of bodies that can move.
     solver_niter: Annotated[wp.array[int], "block"]
-    solver_paused: Annotated[wp.array[int], "block"]  # Iterations before the solver paused; 0: it has not.
+    solver_paused: Annotated[wp.array[int], "block"]  # Iterations before the solver paused; 0: it has not paused.
     world: Annotated[wp.array[int], "block"]  # The world of a block; negative: no world.
     frame: Annotated[wp.array[int], "block"]  # Index in FrameBuffer of the frame that a block writes.
 

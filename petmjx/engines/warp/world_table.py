@@ -171,7 +171,7 @@ class WorldTable(Batch):
             return len(jobs)
         live = [self.jobs[row] for row in np.flatnonzero(self.live).tolist()]
         needed = {id(excitation) for excitation in map(_excitation, live) if excitation is not None}
-        # excitations that no world needs are forgotten: they may have been freed, and others may have got their ids
+        # excitations that no world needs are forgotten: Python may free them and give their ids to other excitations
         self.profile_rows = {key: row for key, row in self.profile_rows.items() if key in needed}
         free = sorted({*range(len(self.profiles))} - {*self.profile_rows.values()}, reverse=True)
         rows, samples = list[int](), list[NDArray[np.float32]]()

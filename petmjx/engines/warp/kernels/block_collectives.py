@@ -92,8 +92,8 @@ def cross(a: wp.vec3, b: wp.vec3) -> wp.vec3:
 
 @wp.func
 def warp_by_warp(at: Thread) -> int:
-    """A thread's number if threads of different warps alternate: threads 0, 32, 64, … come first, then 1, 33, …
-
-    So warps share work evenly if there is too little for all threads. On a CPU, with one thread, it is 0.
+    """A thread's number in an order in which warps alternate: threads 0, 32, 64, … come first, then 1, 33, … If there
+    is too little work for all threads, this order divides the work evenly among the warps. On a CPU, a world has one
+    thread, and its number is 0.
     """
     return at.thread % 32 * (at.threads // 32) + at.thread // 32

@@ -36,7 +36,7 @@ def body_of(worlds: Ref[Worlds], world: int, geom: int) -> int:
 
 @wp.func
 def first_geom(worlds: Ref[Worlds], world: int, body: int) -> int:
-    """The first geom of a body. The geoms of the previous body end before it."""
+    """The first geom of a body. The geoms of the previous body end before this geom."""
     return worlds.first_shape[world, body] + 1
 
 
@@ -206,7 +206,7 @@ def begin_step(
     accelerations from which the solver starts.
 
     A free body's angular velocity is in its own frame, so Euler's equation gives the torque −ω × I·ω. All memory loads
-    come before the first store, so that they run at the same time.
+    come before the first store, so that the loads run at the same time.
 
     Args:
         push: force on the carrier, N.
@@ -302,8 +302,9 @@ def end_step(
     """Take a step of semi-implicit Euler. Returns whether any of the thread's bodies has a position or velocity that is
     not finite or too large.
 
-    The solver's next start continues the line through the accelerations of the last step and this one. From this start
-    it takes a quarter fewer iterations than from the accelerations of this step (benchmarks/notebook/performance.md).
+    The accelerations from which the solver starts in the next step are extrapolated from the accelerations of the
+    previous step and of this step. With this start, the solver takes a quarter fewer iterations than with the
+    accelerations of this step (benchmarks/notebook/performance.md).
 
     Args:
         measured: whether to compute the force on each box's top, too.
@@ -384,7 +385,7 @@ def _top_force(work: Ref[Workspace], block: int, free_body: int) -> float:
         link = work.body_contact[block, entry]
         k = link // 2
         side = link % 2
-        normal_z = number_of(work.efc, block, k, 2)  # of the normal from the first to the second body
+        normal_z = number_of(work.efc, block, k, 2)  # the normal points from the first body to the second
         if wp.where(side == 1, -normal_z, normal_z) >= VERTICAL_COSINE:
             up = wp.float64(0.0)
             for r in range(3):

@@ -62,7 +62,8 @@ def corner_acceleration(worlds: Ref[Worlds], state: Ref[State], world: int, box:
 def excess_of(
     model: Ref[Model], worlds: Ref[Worlds], world: int, box: int, place: wp.vec3, tilt: float, dropped: bool
 ) -> float:
-    """Excess of a box: the larger of shift / its threshold and tilt / its threshold, and over 1 if it has dropped."""
+    """Excess of a box: the larger of shift / its threshold and tilt / its threshold. The excess of a dropped box is
+    above 1."""
     shift = float(0.0)
     for i in range(3):
         moved = wp.abs(place[i] - worlds.target[world, box, i])
@@ -76,7 +77,8 @@ def excess_of(
 
 @wp.func
 def is_gone(model: Ref[Model], worlds: Ref[Worlds], state: Ref[State], world: int, box: int) -> bool:
-    """Whether a box is gone (``petmjx.engines.metrics.GONE_TILT``), so that the pallet of a trial will not stand."""
+    """Whether a box is gone (``petmjx.engines.metrics.GONE_TILT``): its pallet will certainly not stand, so a trial can
+    end."""
     q = orientation(state, world, box + 1)
     place = middle_of(worlds, world, box, center(state, world, box + 1), q)
     descent = worlds.target[world, box, 2] - worlds.sinks[world, box] - place[2]
@@ -128,7 +130,8 @@ def measure(
     if dropped and state.drop_step[world, box] < 0:
         state.drop_step[world, box] = step
     excess = excess_of(model, worlds, world, box, place, tilt, dropped)
-    # positive floats have the same order as their bits; among equal ones the first box counts
+    # the bits of positive floats, read as integers, have the same order as the floats; among equal excesses, the first
+    # box counts
     key = (wp.int64(wp.cast(excess, wp.int32)) << HALF) | (LAST_BOX - wp.int64(box))
     wp.atomic_max(work.worst, at.block, key)
     if sample or look:
@@ -193,8 +196,8 @@ def rises(work: Ref[Workspace], at: Thread) -> bool:
 @wp.func
 def is_unbalanced(work: Ref[Workspace], at: Thread) -> bool:
     """Whether the forces on one of a thread's free bodies are out of balance by more than ``UNBALANCED`` × the body's
-    mass. If a solver was stopped early and this is the case, some forces between bodies may be a hundred times too
-    large."""
+    mass. If a solver was stopped while forces are so far out of balance, some forces between bodies may be a hundred
+    times too large."""
     unbalanced = bool(False)
     for body in range(at.thread, at.placed + 1 - at.held, at.threads):
         most = wp.float64(UNBALANCED) * wp.float64(work.qM[at.block, 6 * body])

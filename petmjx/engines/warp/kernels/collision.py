@@ -1,7 +1,7 @@
 """Collisions of a world: pairs of geoms that are near one another, and the contacts of these pairs.
 
-Pairs are in the order of their geoms, and a pair's contacts in the order in which the collider gives them. So every sum
-over contacts has the same order in every run. Colliders come from mujoco_warp, in the copy inside MJX.
+Pairs are in the order of their geoms. The contacts of a pair are in the order in which the collider gives them. So
+every sum over contacts has the same order in every run. Colliders come from mujoco_warp, in the copy inside MJX.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ COLLINEAR = wp.constant(1e-5)
 """Largest distance from the line between two contacts, m, at which a third contact counts as lying on this line: a
 tenth of the default skin. Contacts are removed one after another, and each is compared with the contacts that remain.
 So where several contacts are removed, the edge of the area on which a box stands may move by more than this distance.
-It moved by 23 µm for the worst of 3,000 random arcs of eight contacts."""
+In the worst of 3,000 random arcs of eight contacts, the edge moved by 23 µm."""
 
 FEWEST = wp.constant(4)
 """Contacts of a pair are removed only if the pair has more than this number: two faces that touch have a contact at
@@ -177,9 +177,9 @@ def collide(
 ) -> bool:
     """Find the contacts of the listed pairs. Returns whether the numbering of contacts has changed since the last step.
 
-    For the collider, boxes are enlarged by a skin, and contacts begin as deep as the skins are thick (``_add_shapes``
-    in petmjx/world/mujoco_model.py). ``pair_conadr[block, npair]`` is the number of contacts, which may exceed the
-    room for contacts. ``contact_pair`` is the pair of each contact that has room.
+    For the collider, boxes are enlarged by a skin. So a contact begins when two enlarged boxes overlap by the thickness
+    of their skins (``_add_shapes`` in petmjx/world/mujoco_model.py). ``pair_conadr[block, npair]`` is the number of
+    contacts, which may exceed the room for contacts. ``contact_pair`` is the pair of each contact that has room.
 
     Args:
         anew: whether the pairs were listed again for this step.
@@ -202,7 +202,7 @@ def collide(
         half = geom_half(worlds, at.world, two) + wp.vec3(skin, skin, skin)
         lower_half = wp.vec3(0.0, 0.0, 0.0)
         margin = -lower_skin - skin
-        # The collider gets places relative to the first geom, since errors of small numbers are small.
+        # The collider gets places relative to the first geom, since small numbers have small rounding errors.
         lower_turn = exact_turn(worlds, state, at.world, one)
         turn = exact_turn(worlds, state, at.world, two)
         apart = exact_place(worlds, state, at.world, two, turn) - exact_place(worlds, state, at.world, one, lower_turn)

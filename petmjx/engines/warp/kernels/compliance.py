@@ -48,7 +48,7 @@ def _shared_area(worlds: Ref[Worlds], world: int, first: int, second: int) -> fl
 
 @wp.func
 def compliance_of_pair(worlds: Ref[Worlds], world: int, first: int, second: int) -> float:
-    """Area divided by stiffness, for the beds of two geoms in series, m³/N; 0: both are rigid."""
+    """Area divided by the stiffness of two geoms' beds of springs in series, m³/N; 0: both geoms are rigid."""
     give = worlds.shape_give[world, second - 1]
     if first != 0:
         give += worlds.shape_give[world, first - 1]

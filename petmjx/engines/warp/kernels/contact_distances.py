@@ -45,7 +45,8 @@ def _reach(half: wp.vec3, turn: wp.mat33d, along: wp.vec3d, point: wp.vec3d) -> 
         half: half extents of the box, m.
         turn: rotation matrix of the box.
         along: the direction in the box's frame, of unit length.
-        point: the collider's point, relative to the centre. It is moved onto the faces to which it belongs.
+        point: the collider's point, relative to the centre. This function moves the point onto the faces to which it
+            belongs.
     """
     local = applied_double(wp.transpose(turn), point)
     for i in range(3):
@@ -71,11 +72,11 @@ def exact_distance(
     Args:
         half_one: half extents of the first geom, m; 0 for the floor.
         turn_one: rotation matrix of the first geom.
-        half_two, turn_two: the same of the second geom.
+        half_two, turn_two: half extents, m, and rotation matrix of the second geom.
         apart: centre of the second geom, relative to that of the first, m.
         normal: the contact's normal, from the first geom to the second, of unit length.
-        touch: the collider's point of the contact, relative to the centre of the first geom, m. It is halfway between
-            the two surfaces.
+        touch: the collider's point of the contact, relative to the centre of the first geom, m. The point is halfway
+            between the two surfaces.
         distance: the collider's distance, m.
     """
     ahead = wp.float64(0.5 * distance)

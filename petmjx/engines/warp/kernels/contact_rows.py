@@ -1,7 +1,7 @@
 """Rows of contacts: the constraints of a world in the solver, and the contacts of each body.
 
-Contacts have MuJoCo's parameters (its documentation, "Modeling", "Solver parameters"). Each of a contact's two bodies
-is free or does not move. So its frame and three moment arms per body (27 numbers) describe a contact.
+Contacts have MuJoCo's parameters (MuJoCo's documentation, "Modeling", "Solver parameters"). Each of the two bodies of a
+contact is free or does not move. So 27 numbers describe a contact: its frame, and three moment arms for each body.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ def _stiffness(model: Ref[Model]) -> wp.vec2:
 
 @wp.func
 def _impedance(model: Ref[Model], depth: float) -> float:
-    """Impedance of a contact (the same page)."""
+    """Impedance of a contact (MuJoCo's documentation, "Modeling", "Solver parameters")."""
     low = wp.clamp(model.solimp[0], MIN_IMPEDANCE, MAX_IMPEDANCE)
     high = wp.clamp(model.solimp[1], MIN_IMPEDANCE, MAX_IMPEDANCE)
     x = wp.min(wp.abs(depth) / wp.max(model.solimp[2], MIN_VALUE), 1.0)
-    # MuJoCo's default midpoint 0.5 and power 2
+    # this curve has the midpoint 0.5 and the power 2, which are MuJoCo's defaults
     y = wp.where(x <= 0.5, 2.0 * x * x, 1.0 - 2.0 * (1.0 - x) * (1.0 - x))
     return low + y * (high - low)
 
@@ -85,7 +85,7 @@ def _friction(worlds: Ref[Worlds], world: int, geom: int) -> float:
 
 @wp.func
 def surface_of(worlds: Ref[Worlds], world: int, geom: int) -> int:
-    """Surface of a geom. The floor has surface 0, which is in no pair of surfaces."""
+    """Number of the surface of a geom. The floor has surface 0, for which no pair of surfaces has values."""
     if geom == 0:
         return 0
     return worlds.shape_surface[world, geom - 1]
@@ -93,7 +93,8 @@ def surface_of(worlds: Ref[Worlds], world: int, geom: int) -> int:
 
 @wp.func
 def _friction_of_pair(worlds: Ref[Worlds], world: int, first: int, second: int) -> float:
-    """Sliding friction between two geoms: the value of their pair of surfaces, else the larger of their own values."""
+    """Sliding friction between two geoms: the value that is given for their pair of surfaces; if there is none, the
+    larger of the two geoms' values."""
     pair_friction = worlds.pair_friction[world, surface_of(worlds, world, first), surface_of(worlds, world, second)]
     if pair_friction >= 0.0:
         return pair_friction
@@ -131,7 +132,7 @@ def make_constraint(
 
     Rows give the acceleration of the second body relative to the first, along normal and tangents. Moment arms are in
     the frames of the bodies. Sliding contacts have the law of petmjx/world/contact_laws.py. With pyramidal cones the
-    rows of the four edges are normal ± friction × tangent; they are not stored. ``excess`` is set to the largest
+    rows of the four edges are normal ± friction × tangent; they are not stored. ``excess`` is set to the largest slip
     excess with which the solver may begin.
     """
     block = at.block
@@ -187,7 +188,7 @@ def make_constraint(
                 put_number(work.efc, block, contact, 18 + 3 * r + i, arms_two[r, i])
         pull = -times(times(kbi[0], kbi[2]), point[3])
         slip = wp.sqrt(fused(velocity[1], velocity[1], times(velocity[2], velocity[2])))
-        if slip > STICKS:  # otherwise the share is 1, and most contacts need no look-up
+        if slip > STICKS:  # below ``STICKS``, the share is 1; so most contacts need no look-up of the kinetic share
             mu = times(mu, friction_share(_kinetic_share(model, worlds, world, first, second), slip))
         excess = times(damping, slip) - model.slip_slack
         work.excess[block, contact] = wp.where(excess > 0.0, excess, -1.0)

@@ -20,4 +20,4 @@ def put_number(efc: wp.array3d[float], lane: int, contact: int, number: int, val
 def is_new(pair: int, last_pair: int) -> bool:
     """Whether the data of a contact's pair must be computed. On a CPU, the data must be computed if the thread's
     previous contact belongs to another pair. On a GPU, neighbouring threads have neighbouring contacts, so the data
-    must always be computed; the compiler knows this."""
+    must always be computed, and the result is a constant for the compiler."""

@@ -8,10 +8,10 @@ bandwidth of sparse symmetric matrices", 1969). In packing order the factor take
 In a world of few boxes the root is the body that is farthest from the carrier. In a world of more than ``MANY_BOXES``
 boxes, the carrier comes last in the order, and contacts with the carrier do not count in distances. (The carrier
 touches the whole lowest layer. If its contacts counted, the boxes at two opposite ends of a pallet would be near one
-another.) Boxes that contacts join are a component; each component has a root of its own. In such a world, the order is
-reversed, so that each component ends with its root. A reversed order never has a wider envelope (Liu and Sherman,
-"Comparative analysis of the Cuthill-McKee and the reverse Cuthill-McKee ordering algorithms for sparse matrices",
-1976).
+another.) A component is a set of boxes that are joined by contacts, directly or through other boxes of the set. Each
+component has a root of its own. With more than ``MANY_BOXES`` boxes, the order is also reversed, so that each component
+ends with its root. A reversed order never has a wider envelope (Liu and Sherman, "Comparative analysis of the
+Cuthill-McKee and the reverse Cuthill-McKee ordering algorithms for sparse matrices", 1976).
 
 The order is part of a world's state, and is renewed at fixed steps. So the order does not depend on the thread blocks
 that have simulated the world.
@@ -30,8 +30,8 @@ RENEWED_EVERY = wp.constant(25)
 
 MANY_BOXES = wp.constant(96)
 """Largest number of placed boxes with which the carrier is ordered by its distance from the root, like the boxes,
-instead of coming last. In generated plans of 10 to 80 boxes, few boxes stand on the carrier. Then the factor takes
-fewer operations if the carrier does not come last."""
+instead of coming last. In generated plans of 10 to 80 boxes, few boxes stand on the carrier. For these plans, the
+factor takes fewer operations if the carrier does not come last."""
 
 UNREACHED = wp.constant(1 << 30)
 

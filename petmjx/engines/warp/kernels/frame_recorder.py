@@ -12,10 +12,11 @@ from petmjx.engines.warp.world_arrays import FrameBuffer, Ref, State, Thread, Wo
 
 @wp.func
 def no_room(frames: Ref[FrameBuffer], blocks: int) -> bool:
-    """Whether the buffer might overflow if every block wrote a frame. If so, no block may step a recorded world. Called
-    by one thread.
+    """Whether the buffer might overflow if every block wrote a frame. While it might, no block may step a recorded
+    world. Called by one thread.
 
-    An atomic addition reads the writes of all blocks; a plain load might read a multiprocessor's own cache.
+    An atomic addition reads the writes of all blocks; a plain load might read an old value from a multiprocessor's own
+    cache.
     """
     return add_to(frames.used, 0, 0) + blocks > frames.of.shape[0]
 

@@ -25,8 +25,8 @@ BEGINS = wp.constant(-1)
 
 @wp.func
 def _speed(state: Ref[State], work: Ref[Workspace], at: Thread, contact: int, side: int, before: bool) -> float:
-    """Speed of a contact's body along the normal, m/s. ``before``: a landing box counts with its speed before the
-    landing.
+    """Speed of a contact's body along the normal, m/s. ``before``: whether the speed of a landing box is the speed that
+    it had before the landing.
     """
     free_body = work.contact_bodies[at.block, contact, side]
     if free_body < 0:

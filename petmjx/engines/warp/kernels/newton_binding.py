@@ -33,12 +33,13 @@ def newton(
     """Compute the accelerations and contact forces of a lane's world, in at most ``model.iterations`` iterations.
 
     ``changed``: whether contacts, or the order of bodies, have changed since the last call. ``forces``: whether contact
-    forces are needed, too. Otherwise, ``contact_force`` may belong to the accelerations before the last iteration.
+    forces are needed, too. If ``forces`` is False, ``contact_force`` may belong to the accelerations before the last
+    iteration.
 
     Reads the accelerations to start from, and the constraints and bodies of contacts. Writes ``qacc``,
     ``contact_force``, ``solver_niter`` and ``solver_paused``. If ``solver_paused`` is not zero, the solver has paused,
     and the next call continues. Other arrays of the workspace are scratch. ``shared`` is a tile in shared memory with
-    ``shared_words`` numbers for each world of a block. It holds rows of the factor and the Hessian if they fit.
+    ``shared_words`` numbers for each world of a block. The tile holds rows of the factor, and the Hessian, if they fit.
     """
 
 

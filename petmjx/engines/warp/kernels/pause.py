@@ -1,4 +1,4 @@
-"""A kernel that only waits. It delays later kernels of its CUDA stream (``block_launch.side_by_side``)."""
+"""A kernel that only waits. The kernel delays later kernels of its CUDA stream (``block_launch.side_by_side``)."""
 
 from __future__ import annotations
 

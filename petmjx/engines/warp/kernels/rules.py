@@ -57,7 +57,8 @@ NOTHING = wp.constant(release_places.NOTHING)
 
 @wp.func
 def _longest_wait(model: Ref[Model], worlds: Ref[Worlds], state: Ref[State], world: int, driven: bool) -> int:
-    """The last step of the wait for a moving world, counted from its last placement or the end of its drive."""
+    """The last step of the longest wait of a world that keeps moving. The wait is counted from the last placement or,
+    in a drive, from the end of the drive."""
     if driven:
         return state.driven_from[world] + worlds.drive_steps[world] + model.longest_steps
     return model.longest[state.last_placed_at[world]]
@@ -78,9 +79,9 @@ def _deadline(
     failed: bool,
     sign_step: int,
 ) -> int:
-    """The latest step for the next event. A long wait becomes a short one once a box has failed; the short wait counts
-    from the first sign. The wait before the next box is also short if an earlier wait ended while the world was still
-    moving."""
+    """The latest step for the next event. If a box has failed, a long wait becomes a short wait, which is counted from
+    the first sign of failure. The wait before the next box is also short if an earlier wait ended while the world was
+    still moving."""
     settles = worlds.settles[world]
     plain_static = model.static_end != NEVER and not settles and not driven
     patient = adapts and not plain_static and model.waits_for_rest != 0
@@ -117,10 +118,10 @@ def _look_at_the_end(
     """Checks at the end of a world.
 
     Returns:
-        Three answers: whether any point of a box has moved too fast since ``still_qpos``, which is ``seconds`` old, or
-        does so now; whether the rules must wait for such a box; and whether a box is lost. A box is lost if it has
-        dropped, or is tilted too far now. In a drive, a tilted box counts only if it has also swayed as far as its
-        drive allows.
+        Three answers: whether any point of a box moves too fast now, or has moved too fast since the poses
+        ``still_qpos``, which are ``seconds`` old; whether the rules must wait for such a box; and whether a box is
+        lost. A box is lost if it has dropped, or is tilted too far now. In a drive, a tilted box counts only if it has
+        also swayed as far as its drive allows.
     """
     world = at.world
     moves = bool(False)
@@ -227,7 +228,7 @@ def after_step(
     """Apply all rules between two steps.
 
     Args:
-        presses: whether forces on tops count.
+        presses: whether the largest forces on tops include the forces of this step.
         nonfinite: whether a body's position or velocity is not finite or out of range.
     """
     world = at.world
@@ -277,8 +278,8 @@ def after_step(
             culprit = wp.int32(LAST_BOX - (worst & LAST_BOX))
         # Light boxes that land, and tipping boxes that hit something, reach up to 240 rad/s² for a few steps. So a
         # violent sample is an explosion only if the samples before it were violent, too, for the time that a box needs
-        # to land. Samples right after a placement are no evidence of an explosion, but they show where one box has
-        # landed and another lands later.
+        # to land. Samples right after a placement are no evidence of an explosion. But if such a sample is not violent,
+        # the series of violent samples before it has ended: one box has landed, and another may land later.
         if sample:
             if not violent or culprit >= 0:
                 violent_since = NEVER
@@ -290,7 +291,7 @@ def after_step(
             lost = lost or is_gone(model, worlds, state, world, box)
         lost = any_of_all(lost)
     stopped = lost and model.early_stop != 0 and not last
-    # a world that ends after this step anyway did not end because of its iterations
+    # a world that ends after this step for another reason does not count as spent
     spent = iterations >= worlds.most_iterations[world] and not (last or stopped or exploded or nonfinite)
     finished = stopped or exploded or nonfinite or spent
     if signs:
@@ -298,8 +299,8 @@ def after_step(
     more = at.placed < n_boxes and not driven
     adapts = model.fixed == 0 or state.waits_since[world] > landed
     rests_first = model.fixed == 0 and model.waits_for_rest != 0
-    # The drive of a quiet pallet ends early only if there is time for it: a rest window that begins now must be over
-    # when the last possible rest window begins.
+    # The drive of a quiet pallet may end early only while two rest windows fit before the planned end of the world: the
+    # window that begins now, and the window before the planned end.
     in_drive = driven and rests_first and end != NEVER and step <= end - 2 * model.rest_steps
     goes = bool(False)
     failed = bool(False)
@@ -319,7 +320,7 @@ def after_step(
         if quiet and adapts and (model.waits_for_rest != 0 or waited >= model.landing_steps):
             goes = True
     pauses = goes and not more and not driven and worlds.pauses[world]
-    # these worlds begin their drive at once, without a check that the pallet rests
+    # in the worlds of ``settles``, the drive begins at once, without a check whether the pallet is at rest
     settles = goes and not more and not pauses and not driven and worlds.settles[world] and not rests_first
     rest_from = state.rest_from[world]
     if goes and not more and not settles and not pauses:

@@ -1,8 +1,8 @@
 """The loop of a lane's threads: they take one world after another from the queue and step each to its end.
 
 A lane is a thread block, or a warp of a block. The warps of a block go through the parts of a step together, even warps
-that have no more worlds. If the solver of one warp takes longer than the solvers of the others, it pauses. The other
-warps take their next step, and the paused solver continues when they call their solvers again
+that have no more worlds. If the solver of one warp takes longer than the solvers of the other warps, the slow solver
+pauses. The other warps take their next step. When they call their solvers again, the paused solver continues
 (benchmarks/notebook/performance.md, "Small worlds").
 """
 
@@ -102,8 +102,10 @@ def advance(
     call then takes the rest of the step.
 
     Args:
-        goes: whether the lane has a running world. If not, its threads only wait for other threads of the block.
-        shared: a tile in shared memory with ``shared_words`` numbers for each world of the block, followed by more.
+        goes: whether the lane has a running world. If ``goes`` is False, the lane's threads only wait for other threads
+            of the block.
+        shared: a tile in shared memory: ``shared_words`` numbers for each world of the block, followed by further
+            memory of the solver.
         listed: number of listed near pairs; negative: no list.
 
     Returns:
@@ -147,8 +149,8 @@ def advance(
             npair = list_pairs(model, worlds, at, APART, work)
             listed = npair
             if npair > model.npairmax:
-                # Pairs that cannot touch yet are left out, so that an overflow does not depend on when pairs were
-                # listed.
+                # The pairs are listed again, without pairs that cannot touch yet. So whether a buffer overflows does
+                # not depend on the step in which pairs were listed.
                 npair = list_pairs(model, worlds, at, NEAR, work)
                 listed = -1
             if npair > model.npairmax:
@@ -228,17 +230,18 @@ def run_worlds(
     """Take worlds and step them, until the queue is empty or the time slice is over.
 
     Args:
-        block: number of the lane. Its data are in the rows of the workspace with this number.
+        block: number of the lane. The lane's data are in the rows of the workspace with this number.
         thread: the thread's number among the threads that share a world.
         threads: the number of these threads.
-        n_blocks: number of lanes of the call, of all sizes.
+        n_blocks: number of all lanes of the call, for worlds of any size.
         hands: 1 if a hand may carry boxes.
         gives: 1 if boxes may be compliant.
         wraps: 1 if film may hold boxes.
         lands: 1 if landing boxes follow a law of their own.
         slice_ns: length of the time slice, ns, from the call's first step on. After the slice is over, a lane takes one
             more step.
-        shared: a tile in shared memory with ``shared_words`` numbers for each world of the block, followed by more.
+        shared: a tile in shared memory: ``shared_words`` numbers for each world of the block, followed by further
+            memory of the solver.
     """
     at = Thread()
     at.block = block

@@ -1,9 +1,10 @@
 // Access to array elements in kernels. In all arrays here the numbers of a row are contiguous, and no index counts from
-// the end. Warp's own functions also allow for strides and negative indices. Without them a kernel has 13 to 15 % fewer
-// instructions (benchmarks/notebook/performance.md). The checks of Warp's debug mode are missing here.
+// the end. Warp's own functions also allow for strides and negative indices. Without strides and negative indices, a
+// kernel has 13 to 15 % fewer instructions (benchmarks/notebook/performance.md). The checks of Warp's debug mode are
+// missing here.
 //
-// Warp's functions of the same names are templates for all kinds of arrays. C++ prefers the functions here, which are
-// for one kind.
+// Warp's functions of the same names are templates for all kinds of arrays. C++ prefers the functions of this file,
+// since each of them is for one kind of array.
 
 #ifndef PETMJX_ARRAYS_CUH
 #define PETMJX_ARRAYS_CUH

@@ -50,8 +50,8 @@ inline CUDA_CALLABLE void wait_for_all() {
 // Index of a lane's world within its block.
 inline CUDA_CALLABLE int place_in_block(int lane) { return lane % PETMJX_WORLDS; }
 
-// Lets the warps of a block wait for one another if each has a world. Then they execute the same instructions together,
-// and the multiprocessor fetches these once.
+// Lets the warps of a block wait for one another if each has a world. Then the warps execute the same instructions at
+// the same time, and the multiprocessor fetches each instruction only once.
 inline CUDA_CALLABLE void go_together() {
 #if defined(PETMJX_WORLD_OF_A_WARP)
     __syncwarp();
@@ -150,10 +150,10 @@ inline CUDA_CALLABLE void raise_to(int* number, int value) {
 #endif
 }
 
-// Time since a lane first read a call's clock, ns; before that `clock` is 0. On a GPU `clock` stores the time of the
-// first reading, in units of 1,024 ns, modulo half an hour. Another lane's first reading may be a little earlier. On a
-// CPU there is no clock without a library, and the host sets `clock` when the slice is over. One thread of a lane calls
-// this.
+// Time since the clock was first read in this call of the kernels, ns. Before the first reading, `clock` is 0. On a
+// GPU, `clock` then stores the time of the first reading, in units of 1,024 ns, modulo half an hour. (If several lanes
+// read the clock first, the stored time may be a little later than the earliest reading.) On a CPU, code without
+// libraries cannot read a clock, so the host sets `clock` when the slice is over. One thread of a lane calls this.
 inline CUDA_CALLABLE long long elapsed(int* clock) {
 #if defined(__CUDA_ARCH__)
     long long now;
@@ -258,7 +258,8 @@ inline CUDA_CALLABLE void take_larger(int& value, int other) {
 #endif
 }
 
-// Sums have the order of this many threads. At most this many threads share a world, and their number divides it.
+// Sums are added in the order in which ORDER threads would add them. The number of threads that share a world is a
+// divisor of ORDER.
 const int ORDER = 256;
 
 // Largest number of warps that share a world.
@@ -281,13 +282,15 @@ inline __device__ void sum_over_warp(double (&x)[COUNT]) {
 #endif
 
 // Sums over i from 0 to `count` − 1: `add(i, x)` adds the terms of i to the COUNT numbers x. The sums are the same to
-// the last bit in every thread and in every run. `add` is also called for i ≥ `count`, and must add nothing then; so
-// neighbouring threads may work together. `partial` is shared memory for COUNT numbers of each of MOST_WARPS warps.
+// the last bit in every thread and in every run. `add` is also called for i ≥ `count`, and must add nothing then;
+// because of these calls, neighbouring threads can work together in `add`. `partial` is shared memory for COUNT numbers
+// of each of MOST_WARPS warps.
 //
-// The order is that of ORDER threads. Thread i has the terms i, i + ORDER, …. The threads of a warp are summed, then
-// the warps in their order. If fewer threads share a world, each thread has several of these places: one after another
-// in a warp, at the same time in a block. So the result is the same, and a world may change between warps and blocks of
-// any size.
+// The terms are added as if ORDER threads shared the world. Thread i of these ORDER threads adds the terms i, i +
+// ORDER, …. Then the sums of the threads of each warp are added, and last the sums of the warps, in order. If fewer
+// threads share the world, each of them does the work of several of the ORDER threads. A world's only warp does this
+// work one after another; the threads of a block do it at the same time. So the result is the same in warps and in
+// blocks of any size, and a world may move between them.
 template <int COUNT, class Add>
 inline CUDA_CALLABLE void sum_over_all(int count, int thread, double* partial, double (&x)[COUNT], const Add& add) {
     #pragma unroll

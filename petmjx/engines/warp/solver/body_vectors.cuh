@@ -29,7 +29,8 @@ inline SixDoubles load_six_doubles(const double* x, int body) {
     return six;
 }
 
-// The three rows of a body times the curvature of a contact's cost: the upper triangle of a 3 × 3 matrix, row by row.
+// The three rows of a body, multiplied by the curvature of a contact's cost. `s`: the curvature, a symmetric 3 × 3
+// matrix, as its upper triangle row by row.
 inline void bend_six(const float* s, const Six (&rows)[3], Six (&out)[3]) {
     out[0] = s[0] * rows[0] + s[1] * rows[1] + s[2] * rows[2];
     out[1] = s[1] * rows[0] + s[3] * rows[1] + s[4] * rows[2];

@@ -1,4 +1,5 @@
-// H·x = g by Cholesky within H's envelope, H = UᵀU, by the threads of a world. On a CPU this is one thread.
+// Solves H·x = g by the Cholesky factorisation H = UᵀU within H's envelope. The threads of a world share this work; on
+// a CPU, a world has one thread.
 //
 // Right-looking by panels of 16 rows: one panel at a time in kernels for few panels, else two. Each number is computed
 // by the same operations in any warp, so results do not depend on how warps share the work.

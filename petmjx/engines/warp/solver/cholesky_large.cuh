@@ -40,8 +40,8 @@ struct Two {
     inline CUDA_CALLABLE static int place(int i, int half) { return (2 * i + half) * TILE; }
 };
 
-// W of a diagonal tile, after the products of `count` tiles in the strip, TILE numbers apart, have been subtracted.
-// Called by one warp.
+// Subtracts the products of `count` tiles of the strip, which are TILE numbers apart, from a diagonal tile, and finds W
+// of the difference. Called by one warp.
 PETMJX_ONCE CUDA_CALLABLE void find_diagonal(
     Diagonal& tile, float* W, float* own, const float* strip, int count, int lane
 ) {
@@ -214,7 +214,7 @@ inline CUDA_CALLABLE void forward(const System& system, PanelPairs<MOST>& shared
         } else {
             wait_for_arrival(2, threads);
         }
-        // the first product was for the diagonal tile
+        // the first product has already been subtracted from the next diagonal tile
         update_below(system, two, Share(two.across, reaches_next, warp, warps), lane);
         wait_for_all();
     }

@@ -1,5 +1,5 @@
-// H = UᵀU and y = U⁻ᵀ·g, one panel at a time, for worlds of few panels. Their steps wait for instructions more than for
-// results, so no code is repeated.
+// H = UᵀU and y = U⁻ᵀ·g, one panel at a time, for worlds of few panels. The steps of such worlds wait for instructions
+// more than for results, so loops are not unrolled and no code is repeated.
 //
 // For each panel all warps find its row of U. Then the first warp finds the next panel's diagonal tile, for which
 // everything waits. Meanwhile the other warps subtract the row's products from the rows below.
@@ -101,7 +101,7 @@ inline CUDA_CALLABLE void forward(const System& system, SinglePanels<MOST>& shar
             factor_diagonal<Elimination>(shared.diagonal, shared.W, system.tile(next, next), lane);
         }
         if (K >= 0 && (warp > 0 || warps == 1)) update_rhs(system, shared, K, other * WARP + lane, others * WARP);
-        // the first product was for the diagonal tile
+        // the first product has already been subtracted from the next diagonal tile
         update_below(system, reached, Share(across, reaches_next, warp, warps), lane);
         wait_for_all();
     }

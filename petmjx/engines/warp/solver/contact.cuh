@@ -143,8 +143,8 @@ inline PETMJX_INLINED CUDA_CALLABLE void respond(
 }
 
 // Updates the excess of a sliding contact from the residual j, and with it j's normal part:
-// petmjx/world/contact_laws.py. `begins`: j belongs to the accelerations from which the solver starts. Else `push` is
-// the force at j. Returns whether j has changed.
+// petmjx/world/contact_laws.py. `begins`: whether j belongs to the accelerations from which the solver starts. If not,
+// `push` is the force at j. Returns whether j has changed.
 inline CUDA_CALLABLE bool correct(
     double impratio_invsqrt, double slack, bool begins, const double* push, const Numbers& contact, double* j, float* excess
 ) {
@@ -190,8 +190,9 @@ inline CUDA_CALLABLE void follow(const double* j, const double* v, float* drag) 
     drag[1] = (float)(two / most);
 }
 
-// Adds the first and second derivative of a contact's cost with respect to `length`, at residual j + length·v. They
-// follow from the results of `respond` there, multiplied by v once and twice, but take fewer operations.
+// Adds the first and second derivative of a contact's cost with respect to `length`, at residual j + length·v. The
+// results of `respond` at this residual, multiplied by v once and twice, are the same derivatives, but take more
+// operations.
 inline PETMJX_INLINED CUDA_CALLABLE void respond_along(
     int pyramidal, double impratio_invsqrt, const double* j, const double* v, double length, const Numbers& contact,
     double (&cost)[2]

@@ -1,7 +1,8 @@
-// H·x = g by Cholesky within H's envelope, by one thread, for CPUs. Their vector units hold a row of a tile.
+// Solves H·x = g by a Cholesky factorisation within H's envelope, with one thread, for CPUs. A vector register of a CPU
+// holds a row of a tile, or a part of it.
 //
-// Left-looking: a tile is read once, all products of the tiles above it are subtracted, and it is written once. These
-// tiles are contiguous, in its own panel and in one other panel.
+// Left-looking: a tile is read once, all products of the tiles above it are subtracted, and it is written once. The
+// factors of these products are contiguous tiles, in the tile's own panel and in one other panel.
 
 #ifndef PETMJX_CPU_CHOLESKY_CUH
 #define PETMJX_CPU_CHOLESKY_CUH
@@ -92,7 +93,7 @@ inline void subtract_squares(const float* tile, const float* X, int begin, int e
     const int COUNT = ROWS < MIDDLE ? ROWS : MIDDLE;
     for (int first = 0; first < MIDDLE; first += COUNT) {
         Row rows[COUNT];
-        Half ends[COUNT];  // of later rows, whose first halves are below the diagonal
+        Half ends[COUNT];  // second halves of later rows, whose first halves are below the diagonal
         #pragma unroll
         for (int i = 0; i < COUNT; ++i) {
             rows[i] = load_row(tile + (first + i) * B);
@@ -143,7 +144,7 @@ inline void times_lower(const float* L, const float* tile, float* out) {
 inline void invert_factor(const float* D, float* L) {
     Row rows[MIDDLE], pivots;
     Half ends[MIDDLE];  // second halves of the later rows
-    alignas(64) float shares[B][B];  // of each pivot's row that are subtracted from later rows
+    alignas(64) float shares[B][B];  // shares of each pivot's row that are subtracted from later rows
     #pragma unroll
     for (int p = 0; p < MIDDLE; ++p) {
         rows[p] = load_row(D + p * B);

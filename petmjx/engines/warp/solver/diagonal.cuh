@@ -29,8 +29,8 @@ inline __device__ float inverse_root(float x) {
 }
 
 // Two pivot rows that are eliminated at once. Other rows are reduced by the first row, and by the second row minus b/a
-// times the first. So no division waits for another. The two rows' own columns hold a b; b c. The second pivot is then
-// (a·c − b²)/a.
+// times the first. So no division waits for another. In the two columns of the pivots, the first row holds a and b, and
+// the second row holds b and c. The second pivot is then (a·c − b²)/a.
 struct Pivots {
     float a, b, determinant, over_a, over_determinant, factor;
 

@@ -19,7 +19,8 @@ inline __device__ void load_curvature(const float* from, float (&s)[6]) {
 // The column of an entry of a 6 × 6 upper triangle, whose entries are numbered column by column: three bits for each.
 inline __device__ int column_of(int entry) { return (int)(0x5b6db2491b6d2448ull >> 3 * entry & 7); }
 
-// A body's own entries of the Hessian, 21 of its 6 × 6, summed over its contacts by SHARE threads.
+// A body's own entries of the Hessian: the upper triangle of 6 × 6 numbers, which are 21 entries. SHARE threads sum
+// them over the contacts of the body.
 inline CUDA_CALLABLE void own_entries(const World& world, const System& system, int thread, int threads) {
     #pragma unroll 1
     for (int base = 0; base < world.nfree * SHARE; base += threads) {
@@ -56,7 +57,8 @@ inline CUDA_CALLABLE void own_entries(const World& world, const System& system, 
         if (b >= world.nfree) continue;
         const int place = world.position[b];
         const Columns columns = system.columns(place);
-        // each thread has every eighth entry; if all did each entry in turn, they would wait for one another
+        // each thread has every eighth entry; if all threads worked on one entry after another, they would wait for one
+        // another
         #pragma unroll
         for (int first = 0; first < 21; first += SHARE) {
             const int e = first + share_of;

@@ -67,8 +67,8 @@ inline CUDA_CALLABLE double gradient(const World& world, float* rhs, double* par
             }
         }
 #endif
-        // On a GPU each thread has one of the six numbers. If all did each number in turn, they would wait for one
-        // another.
+        // On a GPU each thread has one of the six numbers. If all threads worked on one number after another, they
+        // would wait for one another.
         #pragma unroll
         for (int first = 0; first < 6; first += SHARE) {
             const int i = first + share_of;

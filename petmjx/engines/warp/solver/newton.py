@@ -21,17 +21,18 @@ Five things make this solver fast:
 - The direction of friction in sliding contacts is an unknown of its own. Let j be the part of J·a − r along the
   tangents of a contact, p the normal force, and μ the coefficient of friction. While the contact slides, its cost is
   nearly μ·p·|j|. Within a tiny change of j, the curvature of this cost, μ·p/|j|·(I − j·jᵀ/|j|²), leaps from zero (along
-  j) to the curvature of sticking. Line searches end at such kinks: plain Newton, also MuJoCo's, takes 30 iterations and
-  more while a pallet slides. So j/|j| in the curvature is replaced by a vector w, |w| ≤ 1, which is updated with the
-  linearised equation |j|·w = j (Chan, Golub and Mulet, "A nonlinear primal-dual method for total variation-based image
-  restoration", SIAM J. Sci. Comput. 20, 1999; Andersen and others, "An efficient primal-dual interior-point method for
-  minimizing a sum of Euclidean norms", SIAM J. Sci. Comput. 22, 2000). The minimum is the same, and the cost decreases
-  along each direction. While a pallet slides, a step takes little more than half of the iterations, and its
-  line searches together take a quarter of the evaluations (benchmarks/notebook/performance.md, "Sliding contacts").
+  j) to the curvature of sticking. Line searches end at such kinks. So the plain Newton method, which MuJoCo uses, takes
+  30 iterations or more while a pallet slides. Here, j/|j| in the curvature is replaced by a vector w, |w| ≤ 1, which is
+  updated with the linearised equation |j|·w = j (Chan, Golub and Mulet, "A nonlinear primal-dual method for total
+  variation-based image restoration", SIAM J. Sci. Comput. 20, 1999; Andersen and others, "An efficient primal-dual
+  interior-point method for minimizing a sum of Euclidean norms", SIAM J. Sci. Comput. 22, 2000). The minimum is the
+  same, and the cost decreases along each direction. With the vector w, a step of a sliding pallet takes little more
+  than half as many iterations, and its line searches together take a quarter as many evaluations
+  (benchmarks/notebook/performance.md, "Sliding contacts").
 
 Accelerations, residuals, forces and gradients are double precision; H and its factor are single precision. Rounding in
 the factor slows the convergence a little; rounding in the gradient would stop the convergence. Every sum has a fixed
-order, so a world's result depends neither on other blocks nor on their number nor on the run.
+order, so a world has the same result in every run, whatever other thread blocks there are.
 
 The method itself is written in CUDA C++: petmjx/engines/warp/solver/newton.cu and the files that it includes.
 """
@@ -77,8 +78,8 @@ DRIVER_BYTES = 1 << 10
 
 def own_bytes(panels: int, worlds: int = 1) -> int:
     """Shared memory, in bytes, that the threads of one world need in addition to the strip (rows of the factor) and the
-    Hessian. It is for systems of up to ``panels`` panels, in blocks of ``worlds`` worlds. newton.cu checks that this
-    memory is enough."""
+    Hessian. The memory is for systems of up to ``panels`` panels, in blocks of ``worlds`` worlds. newton.cu checks that
+    this memory is enough."""
     parts = 4 if worlds > 1 else 8 if panels <= FEW_PANELS else 17
     return 4 * (PANEL + 4) * panels + (parts << 10)
 
@@ -89,7 +90,7 @@ def text_for(panels: int, worlds: int = 1, threads: int = 32, pause_after: int =
     Args:
         worlds: number of worlds of a block; if there are several, each has a warp.
         threads: number of threads of a world.
-        pause_after: number of iterations after which the solver pauses. If 0, the solver never pauses.
+        pause_after: number of iterations after which the solver pauses. With 0, the solver never pauses.
     """
     numbers: dict[str, float] = {
         PANELS_MACRO: panels,

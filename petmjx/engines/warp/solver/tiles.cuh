@@ -1,10 +1,10 @@
-// Tiles of 16 × 16 numbers, and products of two of them. On a GPU a warp has a tile, on a CPU a thread.
+// Tiles of 16 × 16 numbers, and products of two tiles. On a GPU, a warp computes a tile; on a CPU, a thread does.
 //
 // Tensor cores multiply numbers of 11 bits and add in single precision, but truncate instead of rounding. So each
 // number is split into an upper and a lower part, which together have 22 of its 24 bits. A product of tiles is the sum
-// of three products of parts; the product of the lower parts is left out. The tensor cores do not subtract this product
-// from other numbers (Ootomo and Yokota, "Recovering single precision accuracy from Tensor Cores while surpassing the
-// FP32 theoretical peak performance", Int. J. High Perform. Comput. Appl. 36, 2022).
+// of three products of parts; the product of the lower parts is left out. This sum is subtracted from other numbers
+// outside the tensor cores, with rounding (Ootomo and Yokota, "Recovering single precision accuracy from Tensor Cores
+// while surpassing the FP32 theoretical peak performance", Int. J. High Perform. Comput. Appl. 36, 2022).
 
 #ifndef PETMJX_TILES_CUH
 #define PETMJX_TILES_CUH
@@ -23,8 +23,8 @@ const int PITCH = 24;  // distance of rows in a separate tile: four rows begin i
 
 const int TILE = B * B;
 
-// A lane's piece of a tile: rows 2·(lane / 4) and the next one, columns 4·(lane % 4) and the next three. On a CPU it is
-// the whole tile.
+// A lane's piece of a tile: the row 2·(lane / 4) and the next row, and in them the column 4·(lane % 4) and the next
+// three columns. On a CPU, the piece is the whole tile.
 #if defined(__CUDA_ARCH__)
 const int PIECE_ROWS = 2, PIECE_COLUMNS = 4;
 #else
@@ -66,8 +66,9 @@ inline CUDA_CALLABLE void subtract(Piece& from, const Piece& what) {
     }
 }
 
-// A lane's part of one factor of a product. With tensor cores: of rows 8·i + lane % 4 and the fourth row after it,
-// columns 2·(lane / 4) and the next one, row by row. Otherwise the whole tile.
+// A lane's part of one factor of a product. With tensor cores, the part has four numbers for each i: those of the rows
+// 8·i + lane % 4 and 8·i + lane % 4 + 4 in the columns 2·(lane / 4) and 2·(lane / 4) + 1, row by row. Without tensor
+// cores, the part is the whole tile.
 struct Operand {
 #ifdef PETMJX_TENSOR_CORES
     float upper[2][4], lower[2][4];
@@ -147,7 +148,7 @@ inline __device__ void multiply_add(float (&sums)[4], const float (&x)[4], const
 }
 #endif
 
-// XᵀY for N tiles X: no sum waits for another one.
+// The products XᵀY of N tiles X with one tile Y. The N products are independent, so that no sum waits for another one.
 template <int N>
 inline CUDA_CALLABLE void multiply(const Operand (&x)[N], const Operand& y, int lane, Piece (&out)[N]) {
 #ifdef PETMJX_TENSOR_CORES
