@@ -443,7 +443,7 @@ class TrialStream:
         self._queues: dict[object, _Queue] = {}
         self._complete: deque[_Request] = deque()
         self._last: _Queue | None = None
-        self._n_open = 0
+        self._n_open = self._most_boxes = 0
 
     def put(self, ticket: Any, drafts: Sequence[Asked]) -> None:
         """Request the trials of at least one draft.
@@ -453,6 +453,9 @@ class TrialStream:
         """
         request = _Request(ticket, drafts)
         self._n_open += 1
+        # Later runs of the engine have room for the plans of all searches: a search whose drafts are being scored may
+        # soon request judged drafts again, and tables with few different sizes need few programs.
+        self._most_boxes = max(self._most_boxes, *(one.draft.plan.n_boxes for one in drafts))
         numbered: dict[object, list[tuple[int, Job | None]]] = {}
         for number, (one, job) in enumerate(zip(drafts, self._question.jobs(drafts), strict=True)):
             if (known := self._known(one)) is not None:
@@ -503,7 +506,7 @@ class TrialStream:
 
     def _judged(self, queue: _Queue, lane: Lane) -> Iterator[TrialAnswer | None]:
         """Judge the drafts of a queue, until the queue is empty or another queue needs the engine."""
-        most = max(one.draft.plan.n_boxes for request, _ in queue.entries for one in request.drafts) + SHEETS_MORE
+        most = self._most_boxes + SHEETS_MORE
         bounds = JobBounds(self._question.rows, range(1, most + 1), drive_steps=0, excitations=None)
         stream = JobStream[Placement[tuple[_Request, int]]](feedback=True, bounds=bounds)
         stream.close()  # drafts that are requested later enter the stream as jobs that follow from an outcome
