@@ -267,7 +267,7 @@ def _row_of_faces(measures: Mapping[str, Any], contacts: str, engine: str, note:
     toss end with the same face up."""
     measured, runs_agree = measures["same_face_as_measured"], measures["same_face_between_runs"]
     return Row(
-        f"runs of a toss with uncertain starts, {contacts}: share that agrees on the face that is up at the end", _CUBE,
+        f"face that is up at the end, in runs of a toss with uncertain starts, {contacts}", _CUBE,
         f"{percent(measured)} of runs agree with the film",
         f"{percent(runs_agree)} of pairs of runs of the same toss agree", percent(runs_agree - measured),
         engine, note,
@@ -280,7 +280,7 @@ def _rows_of_friction(measures: Mapping[str, Any], engine: str) -> Iterator[Row]
         yield Row(
             f"friction fitted to {name} of the tosses", _CUBE, f"{measures['published']}", f"{half['friction']}",
             f"{abs(miss):.3f}", engine,
-            f"in the other half of the tosses, {percent(other['right_face'])} have the filmed face up; errors: "
+            f"of the tosses not used for the fit, {percent(other['right_face'])} have the filmed face up; errors: "
             f"place {other['place_median_mm']:.1f} mm, path {other['path_mean_mm']:.1f} mm",
             abs(miss) <= _FRICTION_WITHIN + 1e-9,
         )  # fmt: skip
@@ -298,8 +298,8 @@ def _rows_of_calibration(measures: Mapping[str, Any], engine: str) -> Iterator[R
         )  # fmt: skip
     chance, likeliest = measures["chance_of_measured_face"], measures["chance_of_members_face"]
     yield Row(
-        "agreement of draws on the face that is up at the end", _CUBE,
+        "face that is up at the end, in draws (simulations with random errors)", _CUBE,
         f"{percent(chance)} of draws show the measured face",
         f"{percent(likeliest)} of pairs of draws of the same toss agree", percent(likeliest - chance), engine,
-        "the difference is petmjx's overconfidence about the face",
+        "the difference is how much petmjx is too sure of the face",
     )  # fmt: skip

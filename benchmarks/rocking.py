@@ -418,8 +418,9 @@ def overturning(
         for (k, pulse_s), level in product(enumerate(PULSES_S), levels):
             lost = block.rock(half_sine(level, pulse_s), SETTLES_S, pulse_s).lost
             same += lost == (verdicts[f"p{k}", level] != "stable")
-        quantity = f"number of pulses, of 96, with the same outcome as for Housner's block, {width:g} × {height:g} mm"
-        yield Row(quantity + _contacts(physics), "Housner 1963, integrated", 96, same, engine)
+        quantity = "number of pulses (of 96) with the same outcome for petmjx's and Housner's block, "
+        quantity += f"{width:g} × {height:g} mm{_contacts(physics)}"
+        yield Row(quantity, "Housner 1963, integrated", 96, same, engine)
 
 
 LIMITS_S: Final = (0.15, 0.2, 0.3, 0.4)
@@ -562,7 +563,8 @@ def wrapped_levels(engine: EngineName) -> Iterator[Row]:
         turns = answer["wrap_turns"]
         hold_n = FILM_FRICTION * 4 * 2 * turns * TURN_N * height_m / FILM_M
         expected = slide_level_g(BOX_FRICTION + hold_n / (mass_kg * GRAVITY))
-        quantity = f"largest level of EUMOS's test that a box of 10 kg in {turns:g} turns of {TURN_N:g} N survives, g"
+        film = f"{turns:g} turns of film of {TURN_N:g} N"
+        quantity = f"largest level of EUMOS's test that a box of 10 kg survives in {film}, g"
         yield Row(quantity, "Coulomb, with film as in Sensors 2025", expected, answer["largest_level_g"], engine)
 
 

@@ -294,7 +294,8 @@ def rows(engine: EngineName = "mujoco", count: int = 40, seed: int = 55) -> list
     fields = {"source": "bed of springs (Winkler 1867)", "engine": engine}
     return [
         {
-            "quantity": f"columns at least 5 % from buckling, {len(clear)} in number, that stand or fall as springs do",
+            "quantity": f"of {len(clear)} columns at least 5 % from buckling: "
+            "how many stand or fall as on a bed of springs",
             "measured": str(len(clear)),
             "petmjx": str(len(clear) - other),
             "miss": other,

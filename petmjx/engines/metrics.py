@@ -1,9 +1,13 @@
 """The table of all metrics: name, unit, type, meaning, time of sampling, and how boxes' values become a world's value.
 
-Four places use this table: the columns of the tables ``boxes`` and ``worlds`` (petmjx.results.schema), the code that
-fills them (petmjx.results.world_rows), and the comparison of two runs (petmjx.analysis.run_comparison). The fourth
-place is docs/metrics.md: ``python -m petmjx.engines.metrics`` prints its tables. The engines compute the values, in
-NumPy, JAX and Warp.
+Four places use this table:
+
+- petmjx.results.schema defines the columns of the tables ``boxes`` and ``worlds``.
+- petmjx.results.world_rows fills these columns.
+- petmjx.analysis.run_comparison compares the metrics of two runs.
+- docs/metrics.md has the tables that ``python -m petmjx.engines.metrics`` prints.
+
+The engines compute the values, in NumPy, JAX and Warp.
 
 docs/extending.md explains step by step how to add a metric.
 """
@@ -41,19 +45,19 @@ than ``RISING_M_S2``, a force exceeds the weight on the top by at most a twentie
 
 GONE_TILT: Final = 1.25
 GONE_DESCENT: Final = 1.5
-"""A trial simulation that asks only whether the pallet stands ends as soon as a box is *gone*. A box is gone if it is
-tilted by ``GONE_TILT`` times the tilt threshold, or has descended by ``GONE_DESCENT`` times the shift threshold. Boxes
-start at rest, so a box that has descended so far does not rise again by itself. Whether a box is gone is checked at the
-same steps as whether the pallet is quiet."""
+"""Limits of a trial simulation, which only has to find out whether the pallet stands. The trial ends as soon as a box
+is *gone*: tilted by more than ``GONE_TILT`` times the tilt threshold, or lower than planned by more than
+``GONE_DESCENT`` times the shift threshold. Boxes start at rest, so a box that has descended so far does not rise again
+by itself. At the steps at which the engine checks whether the pallet is quiet, it also checks whether a box is gone."""
 
 
 CONFIRM_S: Final = 1.0
 """Shortest time from the first sign of failure to the end of a simulation that only has to confirm a fall
 (``Job.confirms``), s. The simulation ends at a sample at which the culprit is still over a threshold. There is one more
-condition: either two further boxes have been placed since the sign, or all boxes have been placed and the last
-placement was at least ``CONFIRM_S`` seconds ago. The simulation waits for further placements, because a board may tip
-until the next box brings it back. The early end saves time: in stiff contacts, a pile that slides takes fifteen
-iterations of the solver per step, and would slide for thousands of steps more."""
+condition: two further boxes have been placed since the sign, or the last box of the plan was placed at least
+``CONFIRM_S`` seconds ago. The simulation waits for these placements because a board that has tipped may become level
+again when the next box is placed on it. The early end saves time: with stiff contacts, a sliding pile takes fifteen
+iterations of the solver per step, and would slide for thousands of further steps."""
 
 
 class SampleAt(StrEnum):
@@ -83,7 +87,7 @@ class Column:
         dtype: NumPy type of the column on disk.
         meaning: the meaning of the column in one line, which is written into the Parquet file.
         compared: whether a comparison of the runs a and b shows |b - a| for this column.
-        relative: whether this comparison also shows |b - a| / a.
+        relative: whether this comparison also shows |b - a| / max(a, 10 N).
     """
 
     name: str
@@ -109,10 +113,10 @@ class BoxMetric:
 
     Attributes:
         attribute: field of ``BoxMetrics`` that holds the values, as an array (n,) or (n, components).
-        columns: name → meaning of the column of each component.
+        columns: the name of each component's column → the meaning of this column.
         definition: the formula, for docs/metrics.md.
-        dtype: type of the column. Measured values are float32 (exact to 1 µm at 8 m; the MJX engines use float32, too),
-            times are float64, and yes-or-no values are bool.
+        dtype: type of the columns. Measured values are float32, which is exact to 1 µm at 8 m and is also the precision
+            of the MJX engines. Times are float64, and yes-or-no values are bool.
         of_world: the column of ``worlds`` that is computed from this metric, if any.
         driven_only: whether only runs with profiles (motions of the carrier) have this metric.
         legs_only: whether only chains of several legs (parts of a journey) have this metric.
@@ -150,8 +154,8 @@ class BoxMetric:
 @dataclass(frozen=True)
 class WorldMetric:
     """A quantity of a whole world: a column of the table ``worlds``, and a field of ``Outcome`` with the same name. If
-    the type is int32, the value is the number of a box or a step, from 0. If the outcome has the value -1, the table
-    has null."""
+    the type is int32, the value is the number of a box or a step, from 0. In an outcome, -1 stands for no value; in the
+    table, -1 becomes null."""
 
     name: str
     unit: str
@@ -207,14 +211,14 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     _number("rest_edge_box", "box whose load has the distance rest_edge_m (packing order from 0)", SampleAt.END),
     WorldMetric(
         "build_edge_m", "m",
-        "smallest distance of a box's load from the edge of the box's supports, after any placement while the plan is "
-        "built; < 0 beyond the edge; null if all boxes are placed at once, or with errors",
+        "smallest distance of a box's load from the edge of the box's supports while the plan is built, computed after "
+        "each placement; < 0 beyond the edge; null if all boxes are placed at once, or if the world has errors",
         SampleAt.PLAN, compared=False,
     ),
     _number("build_edge_box", "box whose load has the distance build_edge_m (packing order from 0)", SampleAt.PLAN),
     _number(
-        "build_edge_step", "box after whose placement the distance build_edge_m occurs (packing order from 0)",
-        SampleAt.PLAN,
+        "build_edge_step",
+        "box after whose placement the smallest distance, build_edge_m, occurs (packing order from 0)", SampleAt.PLAN,
     ),
     WorldMetric(
         "first_sign_s", "s", "time at which the culprit crossed a threshold; null if no box crossed one", SampleAt.LOOKS
@@ -224,8 +228,9 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
         {"shift_x_m": "x of final centre - planned centre; 0 if |x| < shift_floor_m; null if the box was never placed",
          "shift_y_m": "y of final centre - planned centre; 0 or null as shift_x_m",
          "shift_z_m": "z of final centre - planned centre; 0 or null as shift_x_m"},
-        SampleAt.END, "c − c_planned of the box's centre c; a component with a magnitude below `shift_floor_m` is 0; "
-        "downwards, the planned descent of boxes with a stiffness does not count",
+        SampleAt.END,
+        "c − c_planned, with c the box's centre; a component with a magnitude below `shift_floor_m` is set to 0; if "
+        "boxes have a stiffness, the descent that is expected under the plan's loads does not count as shift",
         of_world=WorldReduction(
             "max_shift_m", Reduction.LARGEST, "largest |x|, |y| or |z| component of any box's shift"
         ),
@@ -238,8 +243,8 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     ),
     BoxMetric(
         "dropped", TEXT, {"dropped": "whether the box fell off the carrier"}, SampleAt.LOOKS,
-        "true once c_z < 0, or once the lowest point c_z − Σⱼ |R_zj|·hⱼ < `drop_hull_z_m`; "
-        "R is the box's rotation matrix, h its half sizes",
+        "true once c_z < 0, or once the box's lowest point c_z − Σⱼ |R_zj|·hⱼ is below `drop_hull_z_m`; c is the box's "
+        "centre, R its rotation matrix, h its half sizes",
         dtype=np.bool_, of_world=WorldReduction("n_dropped", Reduction.COUNT, "number of boxes that dropped"),
     ),
     BoxMetric(
@@ -261,13 +266,14 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     ),
     _largest(
         "max_top_force_n", "N", SampleAt.STEPS,
-        "max F, with F the force on the box's top (below); at least `rest_top_force_n`",
+        "max F, with F the force on the box's top (defined below), or `rest_top_force_n` if that is larger",
         of_box="largest force on the box's top in any step, at least the force at rest",
         of_world="largest force on the top of any box in any step, at least the force at rest", relative=True,
     ),
     _largest(
         "rest_top_force_n", "N", SampleAt.REST,
-        "mean of F over all steps of the last `rest_window_s` of a world that reached its end",
+        "mean of F, the force on the box's top, over all steps of the last `rest_window_s` of a world that reached its "
+        "end",
         of_box="force on the box's top at rest; null if the world never came to rest",
         of_world="largest force on the top of any box at rest; null if the world never came to rest", relative=True,
     ),
@@ -287,27 +293,32 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
         {"plan_edge_m": "distance of the box's load from the edge of its supports, in the plan; < 0 beyond the edge"},
         SampleAt.PLAN,
         "the smaller of two distances from the edge of the box's supports: the distance of the box's own weight, and "
-        "the distance of its load (own weight and all boxes on it); if the load is inside the edge and the own weight "
-        "is not, the distance of the load",
+        "the distance of its total load (own weight and all boxes on it). Exception: if only the own weight is beyond "
+        "the edge, the distance of the total load",
         compared=False,
     ),
     BoxMetric(
         "rest_edge_m", "m",
         {"rest_edge_m": "distance of the box's load from the edge of its supports, with all boxes where they came to "
          "rest; < 0 beyond the edge"},
-        SampleAt.END, "as `plan_edge_m`, with all boxes at their last places", compared=False,
+        SampleAt.END,
+        "computed like `plan_edge_m` (distance of the box's load from the edge of its supports), but with all boxes at "
+        "their last places",
+        compared=False,
     ),
     BoxMetric(
         "max_sway_m", "m",
         {"max_sway_m": "largest horizontal distance of the box from its place at the beginning of the profile"},
-        SampleAt.LOOKS, "max √(Δx² + Δy²) of c since the profile's beginning", driven_only=True,
+        SampleAt.LOOKS, "max √(Δx² + Δy²), with Δx and Δy the motion of the box's centre since the profile's beginning",
+        driven_only=True,
     ),
     BoxMetric(
         "sustained_top_force_n", "N",
         {"sustained_top_force_n": "largest force on the box's top at rest, after the placement or any leg; null if the "
          "world took no leg"},
-        SampleAt.REST, "max of `rest_top_force_n` at the ends of the placement and of the legs", driven_only=True,
-        legs_only=True, relative=True,
+        SampleAt.REST,
+        "largest of the values that `rest_top_force_n` has at the end of the placement and at the end of each leg",
+        driven_only=True, legs_only=True, relative=True,
     ),
     WorldMetric("sim_time_s", "s", "simulated time after the soft start", SampleAt.END),
     WorldMetric(
@@ -363,8 +374,8 @@ class BoxMetrics:
         return other
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle and copy all metrics as one float64 array. Pickling eleven small arrays takes two and a half times as
-        long as pickling one array. Attributes that are not metrics are lost.
+        """Pickle and copy all metrics as one float64 array. Pickling each small array on its own takes two
+        and a half times as long. Attributes that are not metrics are lost.
         """
         values = [getattr(self, metric.attribute).ravel() for metric in box_metrics()]
         return _of_numbers, (type(self), np.concatenate(values, dtype=np.float64), self.max_tilt_deg.shape)
@@ -391,7 +402,7 @@ FORCE_INTERVAL: Final = tuple(
     )
     for name, word in (("rest_top_force_low_n", "smallest"), ("rest_top_force_high_n", "largest"))
 )  # fmt: skip
-"""Optional columns of the table ``boxes``, which follow the metrics (petmjx.analysis.force_intervals)."""
+"""Optional columns of the table ``boxes``, after the columns of the metrics (petmjx.analysis.force_intervals)."""
 
 
 @functools.cache
