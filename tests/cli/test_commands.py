@@ -74,7 +74,7 @@ def test_export_writes_the_model_of_a_plan(plans: Path, tmp_path: Path, capsys: 
     assert (tmp_path / "of-run.xml").read_text() != (tmp_path / "tower.xml").read_text()
     capsys.readouterr()
     assert run("export", "tower", tmp_path / "run", "--carrier", "euro-pallet") == 2
-    assert "a world of a run has the run's options; drop this one" in only_line(capsys.readouterr().err)
+    assert "a world of a run has the run's options; drop this option" in only_line(capsys.readouterr().err)
     assert run("export", "castle", plans) == 2
     assert "plan castle is not among the 2 plans read" in only_line(capsys.readouterr().err)
 

@@ -128,7 +128,7 @@ def runs_of(results: Path) -> dict[str, Path]:
 def test_compare_of_simulators_points_to_packers(results: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("compare", results / "good", results / "bad,one") == 0
     text = " ".join(capsys.readouterr().out.split())
-    assert "1 of 2 plans is not the same in b" in text
+    assert "1 of 2 plans is not the same in a and b" in text
     assert "petmjx compare --packers" in text
 
 

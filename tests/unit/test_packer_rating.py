@@ -347,7 +347,7 @@ def test_strangers_of_all_kinds_on_one_board_and_by_kpis(made: Path, tmp_path: P
         "8 boxes of heavy have other sizes or masses than ordered",
         "8 boxes of weighted have other centres of mass, stiffnesses or kinds than ordered; the first: plan o0, ",
         "4 boxes of spread are not on their orders' targets",
-        "no KPIs of 1 plan of elsewhere: without an order (p)",
+        "no KPIs of 1 plan of elsewhere: no order was given for these ids (p)",
     ):
         assert line in notes
 
