@@ -150,7 +150,7 @@ def test_what_a_story_needs_and_is_not_there_is_said_in_a_line(plan_file: Path, 
     with pytest.raises(PetmjxError, match="plan tower: there are no frames: engine forgetful records no histories"):
         petmjx.tell("tower", moved, engine=Forgetful(1))
     file.write_text(SWEEP.replace("1.5", "1.4"))
-    refused("x.toml: has changed since the run .*swept", "tower", swept, plans=moved)
+    refused("x.toml: the sweep file has changed since the run .*swept", "tower", swept, plans=moved)
     file.unlink()
     refused("swept: the sweep file from which the run was made no longer exists", "tower", swept, plans=moved)
     plan_file.write_text(json.dumps({"tower": tower(3)}))

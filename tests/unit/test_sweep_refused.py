@@ -103,7 +103,7 @@ FILES = {
         "mode = 'sample'\nsample = 3\n[axes]\nprofile = 'radial'\n[search]",
         '[search] contradicts mode = "sample"',
     ),
-    "replicates of nothing": ("replicates = 5\n[axes]\nmass_factor = 1", "replicates = 5 needs something random"),
+    "replicates of nothing": ("replicates = 5\n[axes]\nmass_factor = 1", "replicates = 5 needs a random axis"),
     "unknown table": ("[simulations]\ninterval_s = 1\n[axes]\nmass_factor = 1", "simulations: unknown field"),
     "unknown option": ("[simulation]\nspeed = 1\n[axes]\nmass_factor = 1", "simulation.speed: unknown field"),
     "bad interval": (
