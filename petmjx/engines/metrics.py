@@ -193,39 +193,51 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     ),
     WorldMetric(
         "plan_edge_m", "m",
-        "smallest distance of a box's load from the edge of the box's supports, in the plan; < 0 beyond the edge; "
-        "null if the world is invalid",
+        "smallest distance of a box's load from the edge of the box's supports, with all boxes at their planned "
+        "places; < 0 beyond the edge; null if the world is invalid",
         SampleAt.PLAN, compared=False,
     ),
-    _number("plan_edge_box", "box whose load has the distance plan_edge_m (packing order from 0)", SampleAt.PLAN),
+    _number(
+        "plan_edge_box", "number of the box (in packing order, from 0) whose load has the distance plan_edge_m",
+        SampleAt.PLAN,
+    ),
     WorldMetric(
         "rest_edge_m", "m",
         "smallest distance of a box's load from the edge of the box's supports, with all boxes where they came to "
         "rest; < 0 beyond the edge; null unless the world is stable and was not shaken",
         SampleAt.END, compared=False,
     ),
-    _number("rest_edge_box", "box whose load has the distance rest_edge_m (packing order from 0)", SampleAt.END),
+    _number(
+        "rest_edge_box", "number of the box (in packing order, from 0) whose load has the distance rest_edge_m",
+        SampleAt.END,
+    ),
     WorldMetric(
         "build_edge_m", "m",
         "smallest distance of a box's load from the edge of the box's supports, after any placement while the plan is "
         "built; < 0 beyond the edge; null if all boxes are placed at once, or with errors",
         SampleAt.PLAN, compared=False,
     ),
-    _number("build_edge_box", "box whose load has the distance build_edge_m (packing order from 0)", SampleAt.PLAN),
     _number(
-        "build_edge_step", "box after whose placement the distance build_edge_m occurs (packing order from 0)",
+        "build_edge_box", "number of the box (in packing order, from 0) whose load has the distance build_edge_m",
+        SampleAt.PLAN,
+    ),
+    _number(
+        "build_edge_step", "number of the box (in packing order, from 0) after whose placement the distance "
+        "build_edge_m occurs",
         SampleAt.PLAN,
     ),
     WorldMetric(
-        "first_sign_s", "s", "time at which the culprit crossed a threshold; null if no box crossed one", SampleAt.LOOKS
+        "first_sign_s", "s",
+        "time at which the culprit (the first box that fails) crossed a threshold; null if no box crossed one",
+        SampleAt.LOOKS,
     ),
     BoxMetric(
         "shift_m", "m",
         {"shift_x_m": "x of final centre - planned centre; 0 if |x| < shift_floor_m; null if the box was never placed",
-         "shift_y_m": "y of final centre - planned centre; 0 or null as shift_x_m",
-         "shift_z_m": "z of final centre - planned centre; 0 or null as shift_x_m"},
+         "shift_y_m": "y of final centre - planned centre; 0 if |y| < shift_floor_m; null if the box was never placed",
+         "shift_z_m": "z of final centre - planned centre; 0 if |z| < shift_floor_m; null if the box was never placed"},
         SampleAt.END, "c − c_planned of the box's centre c; a component with a magnitude below `shift_floor_m` is 0; "
-        "downwards, the planned descent of boxes with a stiffness does not count",
+        "for a box with a stiffness, the planned descent does not count as a shift",
         of_world=WorldReduction(
             "max_shift_m", Reduction.LARGEST, "largest |x|, |y| or |z| component of any box's shift"
         ),
@@ -267,7 +279,8 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     ),
     _largest(
         "rest_top_force_n", "N", SampleAt.REST,
-        "mean of F over all steps of the last `rest_window_s` of a world that reached its end",
+        "mean of F (the force on the box's top) over all steps of the last `rest_window_s` of a world that reached its "
+        "end",
         of_box="force on the box's top at rest; null if the world never came to rest",
         of_world="largest force on the top of any box at rest; null if the world never came to rest", relative=True,
     ),
@@ -280,11 +293,13 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     ),
     BoxMetric(
         "quat", DIMENSIONLESS, {f"quat_{part}": f"final orientation, unit quaternion, {part}" for part in "wxyz"},
-        SampleAt.END, "unit quaternion; two runs are compared by the angle between their orientations", compared=False,
+        SampleAt.END, "unit quaternion; `petmjx compare` compares two runs by the angle between the two orientations "
+        "of a box", compared=False,
     ),
     BoxMetric(
         "plan_edge_m", "m",
-        {"plan_edge_m": "distance of the box's load from the edge of its supports, in the plan; < 0 beyond the edge"},
+        {"plan_edge_m": "distance of the box's load from the edge of the box's supports, with all boxes at their "
+        "planned places; < 0 beyond the edge"},
         SampleAt.PLAN,
         "the smaller of two distances from the edge of the box's supports: the distance of the box's own weight, and "
         "the distance of its load (own weight and all boxes on it); if the load is inside the edge and the own weight "
@@ -293,14 +308,14 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     ),
     BoxMetric(
         "rest_edge_m", "m",
-        {"rest_edge_m": "distance of the box's load from the edge of its supports, with all boxes where they came to "
-         "rest; < 0 beyond the edge"},
+        {"rest_edge_m": "distance of the box's load from the edge of the box's supports, with all boxes where they "
+        "came to rest; < 0 beyond the edge"},
         SampleAt.END, "as `plan_edge_m`, with all boxes at their last places", compared=False,
     ),
     BoxMetric(
         "max_sway_m", "m",
         {"max_sway_m": "largest horizontal distance of the box from its place at the beginning of the profile"},
-        SampleAt.LOOKS, "max √(Δx² + Δy²) of c since the profile's beginning", driven_only=True,
+        SampleAt.LOOKS, "max √(Δx² + Δy²) of the box's centre c since the beginning of the profile", driven_only=True,
     ),
     BoxMetric(
         "sustained_top_force_n", "N",

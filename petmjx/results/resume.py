@@ -126,7 +126,7 @@ def resume_state(
     parts = Parts.of(folder, info)
     differs = manifest.difference_from(Manifest.read(parts, info))
     if differs:
-        raise InputError(f"{folder}: cannot be resumed, it is another run ({differs})")
+        raise InputError(f"{folder}: cannot be resumed, because the folder has another run ({differs})")
     warnings = list(split_warnings(info)[0])
     for name, version in versions.items():
         before = info["versions"].get(name)

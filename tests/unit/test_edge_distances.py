@@ -122,7 +122,7 @@ def test_worlds_near_a_threshold_are_checked_at_half_the_timestep(
     assert [a.attempt for a in results[0].attempts] == ([1, 8] if checked else [1])
     changed = [result.world.plan.plan_id for result in results if result.outcome.flags & Flag.TIMESTEP]
     assert changed == (["p1"] if checked else [])
-    assert ("p1: stable, but unstable at half the timestep" in notes) is checked
+    assert ("p1: the verdict is stable, but unstable at half the timestep" in notes) is checked
     assert [sim.physics.timestep_s for sim in engine.sims] == ([0.002, 0.001] if checked else [0.002])
 
 

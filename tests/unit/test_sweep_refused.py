@@ -63,7 +63,7 @@ FILES = {
     "no axes": ("seed = 1", "axes is empty: nothing is varied"),
     "random without psd": (
         "[axes]\nprofile = 'truck'\n[profiles.truck]\nkind = 'random'",
-        "profiles.truck.psd is missing: random vibration needs a PSD table",
+        "profiles.truck.psd is missing: PSD table of the vibration",
     ),
     "psd file missing": (
         "[axes]\nprofile = 'truck'\n[profiles.truck]\nkind = 'random'\npsd = 'gone.csv'",
