@@ -175,7 +175,7 @@ class OwnCarrier(CheckedRecord):
     )
     walls: Walls = Field(Walls(), description="walls around the carrier's top, as for the option walls")
     boards: Annotated[tuple[Board, ...], Field(min_length=1, max_length=MOST_BOARDS)] = Field(
-        description="one table [[boards]] for each board of the carrier, with corner_mm, size_mm and mass_kg"
+        description="one table [[boards]] for each board, with corner_mm, size_mm and mass_kg"
     )
 
     @property

@@ -125,7 +125,7 @@ def test_a_file_may_have_walls_and_options_change_them() -> None:
         (changed("[[boards]]", "[[board]]", 9), "board: unknown field; did you mean boards?"),
         (
             lambda text: text.partition("[[boards]]")[0],
-            "boards is missing: one table [[boards]] for each board of the carrier, with corner_mm, size_mm and mass_kg",
+            "boards is missing: one table [[boards]] for each board, with corner_mm, size_mm and mass_kg",
         ),
         (
             lambda text: text + text[text.rindex("[[boards]]") :] * MOST_BOARDS,
