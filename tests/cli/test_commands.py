@@ -171,7 +171,7 @@ def test_every_command_says_that_it_was_interrupted(
         ("--explore", "2", "must be at most 1"),
         ("--worlds-with-errors", "0", "must be at least 1"),
         ("--max-height-mm", "0", "must be at least 1"),
-        ("--carrier", "footprint", ": footprint depends on the whole plan"),
+        ("--carrier", "footprint", ": the size of footprint depends on the whole plan"),
         ("--units", "foot", "must be one of mm"),
         ("-n", "0", "must be at least 1"),
     ],

@@ -69,7 +69,7 @@ def test_an_interrupted_run_goes_on(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert run_interrupted("score", path, "--engine", "mujoco", "--out", out, "--resume").returncode == 130
     assert run("score", path, "--engine", "mujoco", "--out", out, "--resume") == 0
     stderr = capsys.readouterr().err
-    assert f"{INTERRUPT_AFTER} plans of an earlier run are there already" in stderr
+    assert f"{INTERRUPT_AFTER} plans of an earlier run are already in the folder" in stderr
     assert "10 of 10 plans" in stderr
     assert run("score", path, "--engine", "mujoco", "--out", tmp_path / "whole") == 0
     left, right = (

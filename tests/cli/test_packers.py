@@ -45,7 +45,7 @@ def test_it_goes_on_where_it_was_and_tells_who_won(results: Path, capsys: pytest
     plans = [f"good={folder / 'good.json'}", f"bad,one={folder / 'bad.json'}"]
     assert run("score", "--name", plans[0], "--name", plans[1], *FAST, "-o", results, "--resume") == 0
     out = capsys.readouterr()
-    assert out.err.count("2 plans of an earlier run are there already") == 2
+    assert out.err.count("2 plans of an earlier run are already in the folder") == 2
     lines = words(out.out)
     assert lines.index("packer good") < lines.index("packer bad,one")
     assert "good stands, bad,one does not: y" in lines

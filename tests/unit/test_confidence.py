@@ -158,7 +158,7 @@ def test_a_box_could_not_be_placed_where_its_gap_is_too_narrow_and_stands_there_
     print_renderables(run_tables(results), console)
     printed = console.file.getvalue()  # type: ignore[attr-defined]  # it is a StringIO
     assert re.search(rf"could not be placed │ +{n} ", printed)
-    assert "stands more often, beyond chance, if boxes are placed exactly: gap" in printed
+    assert "plans that stand more often, beyond chance, if boxes are placed exactly: gap" in printed
     alone = summary_of(score(**options)).loc["gap"]
     pd.testing.assert_series_equal(alone, summary_of(results).loc["gap", alone.index], check_exact=True)
     assert petmjx.load_run(tmp_path / "both").summary.equals(results.summary)  # type: ignore[union-attr]

@@ -271,7 +271,10 @@ def test_labels_that_were_interrupted_go_on_as_if_they_had_not_been(
     assert main([*command, "8", "-n", "60"]) == 2
     assert f"set: holds {n_kept} labels of an unfinished set; continue with --resume, or" in capsys.readouterr().err
     assert main([*command, "8", "-n", "60", "--resume", "--seed", "1"]) == 2
-    assert "cannot be resumed: its labels differ from these (options.seed was 0, is 1)" in capsys.readouterr().err
+    assert (
+        "cannot be resumed, because its labels were made in another way (options.seed was 0, is 1)"
+        in capsys.readouterr().err
+    )
     monkeypatch.setattr(Labeller, "episodes", whole)
     assert main([*command, "3", "-n", "60", "--resume"]) == 0
     for split, file in label_files(folder / "set").items():
@@ -409,7 +412,7 @@ def test_labels_of_another_reading_or_number_are_not_resumed(begun: Path) -> Non
         ({"units": "mm,kg"}, r'orders.units was null, is "mm,kg"'),
         ({"columns": {"length": "length_mm"}}, r'orders.columns was null, is {"length": "length_mm"}'),
     ):
-        with pytest.raises(InputError, match=r"its labels differ from these \(" + re.escape(line)):
+        with pytest.raises(InputError, match=r"its labels were made in another way \(" + re.escape(line)):
             write_labels(labeller_of(renamed, **reading), 60, begun, source=renamed, resume=True)
     with pytest.raises(InputError, match=rf"set: holds {n_kept} labels; pass count {n_kept} or more"):
         write_labels(labeller_of(renamed), n_kept - 1, begun, source=renamed, resume=True)
