@@ -129,7 +129,9 @@ class Simulation(CheckedRecord):
         "before the next box is placed. A world that still moves after this wait has the flag moving",
     )
     duration_s: Annotated[float, within(0, LONGEST_S), CliFlag("--duration", "S")] = Field(
-        10.0, gt=0, description="length of the static check, s; with schedule adaptive: its largest length"
+        10.0,
+        gt=0,
+        description="length of the static check, s; with schedule adaptive: largest length of the static check",
     )
     settle_s: Annotated[float, within(0, LONGEST_S), CliFlag("--settle", "S")] = Field(
         2.0,
