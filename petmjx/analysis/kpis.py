@@ -75,8 +75,8 @@ COLUMNS: Final = (
         "kpi_5",
         "float64",
         "1",
-        "share of the boxes on other boxes that tie the pile together: that lie on several boxes, or are turned "
-        "differently from the plan's first box; null if no box lies on a box",
+        "among the boxes that lie on other boxes, share of those that tie the pile together (lie on several boxes, or "
+        "are turned otherwise than the plan's first box); null if no box lies on a box",
     ),
     KpiColumn(
         "kpi_6",

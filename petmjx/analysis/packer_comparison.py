@@ -353,7 +353,7 @@ _NUMBERS: Final = {
     "low": "lower end of the confidence interval of share; in the table pairs: of difference",
     "high": "upper end of the confidence interval of share; in the table pairs: of difference",
     "share_at_worst": "share of all orders whose plan stands, if missing and invalid plans count as unstable",
-    "difference": "share of packer b minus share of packer a",
+    "difference": "share of the compared orders whose plan of packer b stands, minus the same share for packer a",
     "p": "p-value of McNemar's exact test; null if there is no test",
     "p_holm": "p-value of McNemar's exact test, corrected for the number of pairs (Holm)",
     "p_arrives": "share of worlds with errors that arrive at the end of a chain; in the table packers: mean over "

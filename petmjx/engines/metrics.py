@@ -310,7 +310,7 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
         "rest_edge_m", "m",
         {"rest_edge_m": "distance of the box's load from the edge of the box's supports, with all boxes where they "
         "came to rest; < 0 beyond the edge"},
-        SampleAt.END, "as `plan_edge_m`, with all boxes at their last places", compared=False,
+        SampleAt.END, "the same distance as in `plan_edge_m`, but with all boxes at their last places", compared=False,
     ),
     BoxMetric(
         "max_sway_m", "m",

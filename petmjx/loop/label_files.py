@@ -151,8 +151,8 @@ def write_labels(
         if not parts.n_labels:
             name = printable(str(source)) if isinstance(source, Path) else "orders"
             raise InputError(
-                f"{name}: no box has a place on the empty carrier "
-                f"({option('--max-height-mm')} {labeller.options['max_height_mm']:g}, {option('--carrier')})"
+                f"{name}: no box has a place on the empty carrier; check {option('--max-height-mm')} "
+                f"({labeller.options['max_height_mm']:g}) and {option('--carrier')}"
             )
         card = _write(parts, count, files, head)
         with write_errors(folder):

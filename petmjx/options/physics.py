@@ -123,7 +123,8 @@ class Physics(CheckedRecord):
     )
     solimp: Annotated[Triple, AfterValidator(_impedances)] = Field(
         (0.1, 0.999, 0.0001),
-        description="MuJoCo's solimp of contacts: impedance at first touch, impedance at full depth, and this depth, m",
+        description="MuJoCo's solimp of contacts: impedance at first touch, impedance at full depth, and the full "
+        "depth, m",
     )
     impratio: Annotated[float, within(1, 10_000)] = Field(
         100.0,

@@ -163,8 +163,8 @@ class RunOptions(CheckedRecord):
     )
     ray: Annotated[str | None, AfterValidator(_address), CliFlag("--ray", "ADDRESS")] = Field(
         None,
-        description="run on the Ray cluster whose head is at HOST:PORT (auto: the cluster on this machine); if the "
-        "option workers is not given, it is then auto; by default, workers run on this machine",
+        description="run on the Ray cluster whose head is at HOST:PORT (auto: the cluster on this machine), with "
+        "workers=auto if the option workers is not given; by default, workers run on this machine",
     )
     limit: Annotated[int | None, within(1, 2**63 - 1), CliFlag("--limit", "N")] = Field(
         None, ge=1, description="number of plans that are used, from the first plan on; by default all"

@@ -167,8 +167,8 @@ class Simulation(CheckedRecord):
     )
     check_timestep: Annotated[bool, CliFlag("--check-timestep")] = Field(
         False,
-        description="simulate worlds whose margin is between -0.5 and 0.5 a second time, at half the timestep, and "
-        "name the worlds whose verdict changes (flag timestep)",
+        description="simulate again, at half the timestep, the worlds whose margin is between -0.5 and 0.5, and report "
+        "the worlds whose verdict then changes (flag timestep)",
     )
     soft: Annotated[bool, CliFlag("--soft")] = Field(
         False,

@@ -46,7 +46,9 @@ class RepairOptions(CheckedRecord):
         tuple[str, ...], BeforeValidator(_split), AfterValidator(_kinds), CliFlag("--without", "KIND,…")
     ] = Field((), description=f"changes that must not be made: {KINDS}")
     built: Annotated[int, within(0, 100_000), CliFlag("--built", "N")] = Field(
-        0, description="boxes that stand already: the first N of each plan are not changed"
+        0,
+        description="number of boxes at the beginning of each plan that already stand, so that the repair does not "
+        "change them",
     )
     most_move_mm: Annotated[float, within(1, 10_000), CliFlag("--most-move-mm", "MM")] = Field(
         150.0, description="largest distance by which a box is moved along x or y, mm"

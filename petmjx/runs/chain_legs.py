@@ -136,7 +136,7 @@ def check_chain(legs: Sequence[Leg], remedies: Sequence[Remedy], defined: Mappin
             raise complaint(f": no leg {remedy.leg!r}{similar(remedy.leg, names)}", "remedies", number, "leg")
         leg = legs[names.index(remedy.leg)]
         if remedy.factor is not None and not any(_has_strength(event, defined) for event in leg.events):
-            text = f": no event of leg {remedy.leg!r} has a level or scale"
+            text = f": no event of leg {remedy.leg!r} has a level or scale to change"
             raise complaint(text, "remedies", number, "factor")
 
 
@@ -160,7 +160,7 @@ def _check_event(event: Event, defined: Mapping[str, Profile], path: tuple[str |
             if isinstance(drawn := getattr(event, name), Range) and not drawn.continuous:
                 raise complaint("is drawn at random between from and to: leave out step and count", *path, name)
         if profile.strength is Strength.LEVEL and event.level is None:
-            raise complaint(f"is missing: profile {profile.name!r} has a level in g", *path, "level")
+            raise complaint(f"is missing: profile {profile.name!r} needs a level in g", *path, "level")
 
 
 def profiles_of_legs(legs: Sequence[Leg], defined: Mapping[str, Profile]) -> dict[str, Profile]:

@@ -60,10 +60,10 @@ _DESCRIPTIONS: Final = {
     "pallet arrives without the remedy, but not with it",
     "gain": "share of worlds that arrive with the remedy, minus the share that arrive without it; both over the draws "
     "of random numbers that have a verdict with and without the remedy",
-    "gain_low": "lower end of Newcombe's 95 % interval, for pairs, of the column gain; null if nothing is drawn at "
-    "random",
-    "gain_high": "upper end of Newcombe's 95 % interval, for pairs, of the column gain; null if nothing is drawn at "
-    "random",
+    "gain_low": "lower end of the 95 % interval of the column gain (Newcombe's interval for paired shares); null if "
+    "nothing is drawn at random",
+    "gain_high": "upper end of the 95 % interval of the column gain (Newcombe's interval for paired shares); null if "
+    "nothing is drawn at random",
 }
 
 _TEXTS: Final = frozenset({"scope", "plan_id", "remedy", "leg", "weakest_leg"})

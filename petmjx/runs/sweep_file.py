@@ -170,8 +170,7 @@ class Sweep(CheckedRecord):
     simulation: Simulation = Field(Simulation(), description="how worlds are simulated")
     search: Search | None = Field(
         None,
-        description="search for the largest level or scale that pallets survive, which replaces the axis level or "
-        "scale",
+        description="search for the largest level or scale that pallets survive; it replaces the axis level or scale",
     )
     own_profiles: Annotated[dict[str, Any], PlainValidator(_own_profiles)] = Field(
         {}, alias="profiles", description="the file's own profiles, by name"
@@ -313,7 +312,7 @@ class Sweep(CheckedRecord):
             )
         if self.sample is not None:
             raise complaint(
-                'contradicts legs: set replicates, the number of worlds, instead of mode = "sample"', "sample"
+                'contradicts legs: instead of mode = "sample", set replicates to the number of worlds', "sample"
             )
         for name, axis in self.axes.items():
             if not axis.kind.placement:

@@ -195,7 +195,9 @@ def test_what_is_wrong_with_labels_is_one_line(tmp_path: Path) -> None:
 
     sizes = {"length_mm": 2000, "width_mm": 2000, "height_mm": 100, "weight_kg": 1}
     too_long = pd.DataFrame([{"order_id": order, **sizes} for order in "abb"])
-    with pytest.raises(InputError, match=r"orders: no box has a place on the empty carrier \(max_height_mm 1800, car"):
+    with pytest.raises(
+        InputError, match=r"orders: no box has a place on the empty carrier; check max_height_mm \(1800\)"
+    ):
         write_labels(Labeller(Orders(too_long), pallets=4, **MUJOCO), 5, tmp_path / "none", source="endless")
     assert not (tmp_path / "none").exists()
     thin = pd.DataFrame([{"order_id": order, **sizes, "length_mm": side} for order, side in (("A7", 90), ("B8", 4))])

@@ -202,7 +202,10 @@ def _film(run: RunResults, plan: Plan, slides_g: float) -> str:
     turns = [f"{leg['wrap_turns']:g} turns from {printable_name(leg['name'])} on" for leg in legs]
     most = max([leg["wrap_turns"] for leg in legs], default=sim.wrap.turns)
     wrap = sim.wrap.changed(turns=most)
-    text = f"Film of {wrap.force_n:g} N a turn across {wrap.film_mm:g} mm: {', '.join(turns) or f'{most:g} turns'}."
+    text = (
+        f"Film of {wrap.film_mm:g} mm width, with a tension of {wrap.force_n:g} N in each turn: "
+        f"{', '.join(turns) or f'{most:g} turns'}."
+    )
     if not wrap.holds:
         return text
     film = film_of(build_scene(plan, sim.changed(wrap=wrap)))

@@ -119,7 +119,7 @@ class PictureOptions(CheckedRecord):
     at: Annotated[
         str | None,
         _checked_by(_moments),
-        CliFlag("--at", "TIMES", default="before,first-sign,end where a box fails, else end"),
+        CliFlag("--at", "TIMES", default="before,first-sign,end if a box fails; else end"),
     ] = Field(
         None,
         description="moments that pictures show, separated by commas: times in seconds, or start, before (the last "

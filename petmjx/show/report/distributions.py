@@ -193,7 +193,7 @@ def first_boxes(run: ReportRun) -> Markup:
     histogram(along, place, falls["verdict"], ORDER)
     numbers = Scale(-0.5, float(falls["culprit"].max()) + 0.5, counts=True)
     title = "Number of the box that fails first"
-    number = Frame(title, numbers, Scale(0, 1), "number in the order, from 0", f"{run.what}s")
+    number = Frame(title, numbers, Scale(0, 1), "number in the packing order, from 0", f"{run.what}s")
     histogram(number, falls["culprit"].astype("float64"), falls["verdict"], ORDER)
     return joined_markup(
         element("p", f"In {count_text(len(falls), run.what)}, a box crossed a threshold."),

@@ -50,9 +50,9 @@ class WindowRow(CheckedRecord):
 
     start_s: Seconds = Field(description="time at which the push begins, s after the beginning of the profile")
     duration_s: LongerThanNothing = Field(description="how long the push acts, s")
-    x: Component = Field(description="force along x in units of scale × total mass × 9.81 m/s²")
-    y: Component = Field(description="force along y in units of scale × total mass × 9.81 m/s²")
-    z: Component = Field(description="force along z in units of scale × total mass × 9.81 m/s²")
+    x: Component = Field(description="force along x in units of scale × mass of boxes and carrier × 9.81 m/s²")
+    y: Component = Field(description="force along y in units of scale × mass of boxes and carrier × 9.81 m/s²")
+    z: Component = Field(description="force along z in units of scale × mass of boxes and carrier × 9.81 m/s²")
 
     @model_validator(mode="before")
     @classmethod
