@@ -429,8 +429,8 @@ CRITERIA: Final = (
         _MM,
         "Zhao et al. 2022, arXiv 2108.13680",
         lambda inputs: load_slack(inputs.contacts, inputs.hulls, lever_rule),
-        number="how far the resultant of weight and load is inside the edge of the hull of the contact areas, smallest "
-        "value",
+        number="smallest distance by which a resultant of weight and load is inside the edge of the hull of the "
+        "contact areas",
     ),
     Criterion(
         "equilibrium",
@@ -441,8 +441,8 @@ CRITERIA: Final = (
         _MM,
         "Ramos et al. 2016",
         lambda inputs: equilibrium_slack(inputs.contacts, inputs.hulls),
-        number="how far the resultant of weight and load is inside the edge of the hull of the contact areas, smallest "
-        "value",
+        number="smallest distance by which a resultant of weight and load is inside the edge of the hull of the "
+        "contact areas",
     ),
     Criterion(
         "force_balance",

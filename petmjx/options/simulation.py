@@ -86,8 +86,8 @@ class Simulation(CheckedRecord):
     )
     physics: Annotated[Physics, CliFlag("--physics")] = Field(
         PHYSICS["pallet"],
-        description="physics of contacts: pallet: made so that stacks of boxes come to rest, with a carrier of wood; "
-        "reference: as in PET-Physics",
+        description="physics of contacts: with pallet, stacks of boxes come to rest, and the carrier is of wood; "
+        "reference is as in PET-Physics",
     )
     carrier: Annotated[AnyCarrier, CliFlag("--carrier", "NAME|FILE")] = Field(
         Carrier.FOOTPRINT,

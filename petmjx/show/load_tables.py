@@ -45,7 +45,8 @@ def load_tables(loads: Loads, out: Path | None = None) -> Iterator[RenderableTyp
     if "surely_overloaded" in loads.plans:
         surely, possibly = (int(loads.plans[name].sum()) for name in ("surely_overloaded", "possibly_overloaded"))
         yield line(
-            f"{surely:,} surely, {possibly:,} possibly overloaded: by the least and the most force that statics allows"
+            f"{surely:,} surely, {possibly:,} possibly overloaded, by the smallest and the largest force that statics "
+            "allows"
         )
     counts = {name: int((loads.plans["crushed"] == name).sum()) for name in (SURELY, POSSIBLY, NOT)}
     unsure = len(loads.plans) - sum(counts.values())
