@@ -46,17 +46,34 @@ _BOX_UNITS: Final = {
     "box": ("1", "index of the box in packing order, from 0"),
     "article": ("", "article of the item"),
     "rest_top_force_n": ("N", "force on top of the box at rest"),
-    "rest_top_force_low_n": ("N", "smallest force on top of the box that balance and friction allow; null if unknown"),
-    "rest_top_force_high_n": ("N", "largest force on top of the box that balance and friction allow; null if unknown"),
-    SUSTAINED: ("N", "largest force on top of the box at rest after any leg of a chain; null without a leg"),
+    "rest_top_force_low_n": (
+        "N",
+        "smallest force on top of the box at rest that balance and friction allow; null if unknown",
+    ),
+    "rest_top_force_high_n": (
+        "N",
+        "largest force on top of the box at rest that balance and friction allow; null if unknown",
+    ),
+    SUSTAINED: (
+        "N",
+        "largest of the forces on top of the box at rest, after the placement and after each leg of a chain; null if "
+        "the world took no leg",
+    ),
     "max_top_force_n": ("N", "largest force on top of the box in any step, also while it is placed or shaken"),
     "press_strength_n": ("N", "strength of the box between the plates of a press; null if unknown"),
-    "wall_factor": ("1", "factor on the strength; smaller if walls of boxes above do not stand on the box's walls"),
-    "overhang_factor": ("1", "factor on the strength; smaller if the box's walls hang over nothing"),
-    "deck_factor": ("1", "factor on the strength; smaller if the deck on which the box stands has gaps or bends"),
-    "humidity_factor": ("1", "factor on the strength; smaller in moist air"),
-    "strength_n": ("N", "strength of the box as stacked: press_strength_n times the four factors; null if unknown"),
-    "time_factor": ("1", "factor on the strength; smaller after days under load; applies only to forces at rest"),
+    "wall_factor": (
+        "1",
+        "factor on the box's strength, below 1 if walls of boxes above do not stand on the box's walls",
+    ),
+    "overhang_factor": ("1", "factor on the box's strength, below 1 if the box's walls hang over nothing"),
+    "deck_factor": ("1", "factor on the box's strength, below 1 if the deck on which the box stands has gaps or bends"),
+    "humidity_factor": ("1", "factor on the box's strength, below 1 in moist air"),
+    "strength_n": (
+        "N",
+        "strength of the box as stacked: press_strength_n * wall_factor * overhang_factor * deck_factor * "
+        "humidity_factor; null if unknown",
+    ),
+    "time_factor": ("1", "factor on the box's strength against forces at rest, below 1 after days under load"),
     "load_share": ("1", "rest_top_force_n / (strength_n * time_factor)"),
     "peak_share": ("1", "max_top_force_n / strength_n"),
     "load_share_low": ("1", "rest_top_force_low_n / (strength_n * time_factor)"),
@@ -70,7 +87,7 @@ _PLAN_UNITS: Final = {
     "overloaded": ("1", "whether the load_share of any box is above 1; null if unknown"),
     "n_boxes": ("1", "number of boxes of the plan, without sheets"),
     "n_overloaded": ("1", "number of boxes with a load_share above 1"),
-    "n_unknown": ("1", "number of boxes with unknown strength or unknown load"),
+    "n_unknown": ("1", "number of boxes whose strength or load is unknown"),
     "surely_overloaded": ("1", "whether the load_share_low of any box is above 1; null if unknown"),
     "possibly_overloaded": ("1", "whether the load_share_high of any box is above 1; null if unknown"),
     "n_surely_overloaded": ("1", "number of boxes with a load_share_low above 1"),
@@ -199,7 +216,9 @@ def loads(
     of_run = _plans_of(results, plans)
     known, missing = stacked_strengths(of_run.values(), strengths, losses, results.carrier)
     if articles is None and known["strength_n"].isna().all():
-        raise InputError(f"{results.path}: the plans have no strengths (strength_n): give a table of articles")
+        raise InputError(
+            f"{results.path}: the plans have no strengths of boxes (strength_n): give a table of articles that has them"
+        )
     shares = {force: share for force, share in _SHARES.items() if force in results.boxes}
     forces = [*shares, *([SUSTAINED] if SUSTAINED in results.boxes else [])]
     boxes = results.boxes[["plan_id", "variant", "box", "article", *forces]].astype(dict.fromkeys(forces, "float64"))
@@ -230,7 +249,8 @@ def _plans_of(results: RunResults, plans: PlanSource | None) -> Mapping[str, Pla
     if plans is None and plans_again.gone and plans_again.missing:
         missing_file = printable(plans_again.gone[0])
         raise InputError(
-            f"{results.path}: needs the plans of the run, but {missing_file} does not exist: name the plans"
+            f"{results.path}: needs the plans of the run, but their file {missing_file} does not exist: name the file "
+            "or folder that has the plans"
         )
     for plan_ids, fault in (
         (plans_again.missing, "is not among the plans that were read"),
@@ -292,4 +312,4 @@ def _film_notes(results: RunResults) -> list[str]:
     turns = results.worlds.get("wrap_turns", pd.Series([wrap.get("turns") or 0]))
     if not (turns > 0).any() or "profile" not in results.worlds:
         return []
-    return ["film presses boxes together: after a drive, friction between layers changes the forces at rest"]
+    return ["film presses the boxes together, so friction between the layers changes the forces at rest after a drive"]

@@ -322,7 +322,10 @@ def load_points_slack(contacts: PlanContacts) -> FloatArray:
 
 _MM: Final = "mm"
 
-_CORNER_SHARE: Final = "largest s for which each of the n corners under a box can carry s / n of the box's weight"
+_CORNER_SHARE: Final = (
+    "largest s such that forces balance all boxes, and each of the n corners under a box carries at least s / n of the "
+    "box's weight"
+)
 """The slack of force balance (docs/criteria.md, section "Force balance")."""
 
 LEANING: Final = "force_balance_leaning"
@@ -378,7 +381,8 @@ def _corner_area(name: str, least: tuple[float, float, float], source: str) -> C
     four, three, fewer = (f"{100 * share:.0f} %" for share in least)
     return Criterion(
         name,
-        f"more than {four} of the box's base is borne with 4 supported corners, {three} with 3, {fewer} with fewer",
+        f"more than {four} of the box's base is borne if 4 corners are supported, more than {three} if 3 are, or more "
+        f"than {fewer} if fewer are",
         "borne share of the base - required share",
         DIMENSIONLESS,
         source,
@@ -402,42 +406,48 @@ CRITERIA: Final = (
     Criterion(
         "centre",
         "the box's centre lies over the hull of its contact areas",
-        "distance of the box's centre inside the hull's edge",
+        "how far the box's centre is inside the edge of the hull of its contact areas; negative outside",
         _MM,
         "common",
         lambda inputs: inputs.hulls.distance(np.arange(inputs.contacts.n_boxes), inputs.contacts.centre_mm[:, :2]),
-        number="distance of the box's centre from the hull's edge",
+        number="how far the box's centre is inside the edge of the hull of its contact areas",
     ),
     Criterion(
         "load_polygon",
-        "the box's centre lies over the hull of those parts of its contact areas that can bear loads",
-        "distance of the box's centre inside the hull's edge",
+        "the box's centre lies over its load polygon, the hull of those parts of its contact areas that can bear loads",
+        "how far the box's centre is inside the edge of its load polygon; negative outside",
         _MM,
         "Gao et al. 2025, arXiv 2507.09123",
         lambda inputs: load_polygon_slack(inputs.contacts),
-        number="distance of the box's centre from the load polygon's edge",
+        number="how far the box's centre is inside the edge of its load polygon",
     ),
     Criterion(
         "stacking_tree",
-        "for the box and each box below: weight and load act inside the contact hull; loads pass down by lever rule",
-        "smallest distance of a resultant inside its hull's edge",
+        "for the box and each box below, the resultant of weight and load acts inside the hull of the contact areas, "
+        "if loads are passed down by the lever rule",
+        "how far the resultant of weight and load is inside the edge of the hull of the contact areas: smallest value "
+        "among the box and the boxes below it",
         _MM,
         "Zhao et al. 2022, arXiv 2108.13680",
         lambda inputs: load_slack(inputs.contacts, inputs.hulls, lever_rule),
-        number="smallest distance of a resultant from its hull's edge",
+        number="smallest distance by which a resultant of weight and load is inside the edge of the hull of the "
+        "contact areas",
     ),
     Criterion(
         "equilibrium",
-        "for the box and each box below: weight and load act inside the contact hull; loads pass down in balance",
-        "smallest distance of a resultant inside its hull's edge",
+        "for the box and each box below, the resultant of weight and load acts inside the hull of the contact areas, "
+        "if loads are passed down in balance of forces and moments",
+        "how far the resultant of weight and load is inside the edge of the hull of the contact areas: smallest value "
+        "among the box and the boxes below it",
         _MM,
         "Ramos et al. 2016",
         lambda inputs: equilibrium_slack(inputs.contacts, inputs.hulls),
-        number="smallest distance of a resultant from its hull's edge",
+        number="smallest distance by which a resultant of weight and load is inside the edge of the hull of the "
+        "contact areas",
     ),
     Criterion(
         "force_balance",
-        "forces exist at the corners of all contact areas that balance every box",
+        "every box can be balanced by forces at the corners of the contact areas",
         _CORNER_SHARE,
         DIMENSIONLESS,
         "StableLego, arXiv 2402.10711; Whiting et al. 2009",
@@ -447,7 +457,8 @@ CRITERIA: Final = (
     ),
     Criterion(
         LEANING,
-        "forces exist that balance every box, if boxes may also press on walls and on neighbours beside them",
+        "every box can be balanced by forces at the corners of the contact areas, if boxes may also press on walls and "
+        "on neighbours beside them",
         _CORNER_SHARE,
         DIMENSIONLESS,
         "StableLego, arXiv 2402.10711; Whiting et al. 2009",
@@ -457,9 +468,10 @@ CRITERIA: Final = (
     ),
     Criterion(
         "strength",
-        "neither the box nor a box that bears part of its weight carries more than its strength, if loads are passed "
-        "down in balance",
-        "1 - load / strength: the smallest value of these boxes; 1 without a known strength",
+        "the box, and each box that bears part of its weight, carries no more than its own strength, if loads are "
+        "passed down in balance of forces and moments",
+        "smallest value of 1 - load / strength among the box and the boxes that bear part of its weight; 1 if no "
+        "strength is known",
         DIMENSIONLESS,
         "McKee, Gander, Wachuta 1963, or the user's own strengths",
         lambda inputs: strength_slack(inputs.contacts, inputs.strength_n, even_bedding),
@@ -467,8 +479,9 @@ CRITERIA: Final = (
     ),
     Criterion(
         "tolerable_acceleration",
-        f"neither the box nor the whole load placed so far slides or tips as a rigid body at {LEAST_TOLERABLE_G:g} g",
-        f"smallest acceleration at which the box or the load slides or tips, - {LEAST_TOLERABLE_G:g}",
+        f"at {LEAST_TOLERABLE_G:g} g, neither the box nor the whole load placed so far slides or tips as a rigid body",
+        "smallest acceleration, in g, at which the box or the whole load placed so far slides or tips, minus "
+        f"{LEAST_TOLERABLE_G:g}",
         DIMENSIONLESS,
         "EN 12195-1:2010, and statics",
         lambda inputs: (
@@ -480,8 +493,10 @@ CRITERIA: Final = (
     ),
     Criterion(
         "load_points",
-        f"the load has at least {LEAST_POINTS:g} of {sum(MOST_POINTS.values()):g} points by a seller's five rules",
-        f"points - {LEAST_POINTS:g} for the last box; {sum(MOST_POINTS.values()) - LEAST_POINTS:g} for all other boxes",
+        f"the load has at least {LEAST_POINTS:g} of the {sum(MOST_POINTS.values()):g} points that a seller's five "
+        "rules can give",
+        f"for the last box, the load's points minus {LEAST_POINTS:g}; for all other boxes, "
+        f"{sum(MOST_POINTS.values()) - LEAST_POINTS:g}",
         DIMENSIONLESS,
         "a seller's rule of thumb, with formulas of petmjx's own",
         lambda inputs: load_points_slack(inputs.contacts),
@@ -515,10 +530,12 @@ class CriteriaOptions(CheckedRecord):
     a run."""
 
     friction: Annotated[float, within(0, 10), CliFlag("--friction", "MU")] = Field(
-        PHYSICS["pallet"].box_friction[0], description="coefficient of friction under boxes, for force balance"
+        PHYSICS["pallet"].box_friction[0],
+        description="coefficient of friction under boxes, for the criteria force_balance and force_balance_leaning",
     )
     side_friction: Annotated[float, within(0, 10), CliFlag("--side-friction", "MU")] = Field(
-        0.0, description="coefficient of friction where boxes touch side by side, for force balance with leaning"
+        0.0,
+        description="coefficient of friction where boxes touch side by side, for the criterion force_balance_leaning",
     )
     tolerance_mm: Annotated[float, within(0, 100), CliFlag("--tolerance-mm", "MM")] = Field(
         DEFAULT_TOLERANCE_MM, description="largest gap or overlap of two boxes that count as touching, mm"
@@ -528,21 +545,27 @@ class CriteriaOptions(CheckedRecord):
         CliFlag("--carrier", "NAME|FILE", default="the run's carrier; else footprint, the plan's bounding box"),
     ] = Field(
         Carrier.FOOTPRINT,
-        description="carrier on which the boxes stand, as for petmjx score; gaps between boards bear nothing; a "
-        "carrier without boards is taken to reach under all boxes",
+        description="carrier on which the boxes stand, as for petmjx score; gaps between boards bear nothing, and a "
+        "carrier without boards counts as reaching under all boxes",
     )
     walls: Walls = Field(Walls(), description="walls around the carrier's top, by default the run's walls")
-    only: tuple[str, ...] | None = Field(None, description="names of criteria; by default all")
+    only: tuple[str, ...] | None = Field(
+        None,
+        description="names of the criteria to evaluate; by default all but strength, tolerable_acceleration and "
+        "load_points",
+    )
     processes: Annotated[int, within(1, 1024)] = Field(
         1, description="number of processes among which the plans are divided"
     )
     p_arrives: Annotated[float, within(0, 1), CliFlag("--p-arrives", "P")] = Field(
         0.5,
-        description="share of a plan's worlds that must arrive so that the plan counts as standing, if the run is "
-        "of a chain",
+        description="with the run of a chain: least share of a plan's worlds that must arrive so that the plan counts "
+        "as standing",
     )
     seed: Annotated[int, within(0, 2**63 - 1), CliFlag("--seed", "SEED")] = Field(
-        0, description="seed for the division of the plans into halves, and for the bootstrap"
+        0,
+        description="seed of the random numbers: they divide the plans into one half on which thresholds are searched "
+        "and one half on which they are tested, and they draw the bootstrap samples",
     )
 
     @property

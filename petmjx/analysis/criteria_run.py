@@ -120,7 +120,10 @@ def documented_plans(criteria: Sequence[Criterion]) -> Described:
             DIMENSIONLESS,
             "number of the first box that the criterion does not accept; null if it accepts all boxes",
         )
-        columns[f"{criterion.name}_slack"] = (criterion.unit, f"smallest value of all boxes: {criterion.slack}")
+        columns[f"{criterion.name}_slack"] = (
+            criterion.unit,
+            f"smallest value among the boxes of the plan: {criterion.slack}",
+        )
     return columns
 
 
@@ -134,7 +137,7 @@ def criteria_vs_physics_columns() -> Described:
         says, stands = cell.split("_")
         columns[cell] = (
             DIMENSIONLESS,
-            f"number of plans {says} by the criterion; in the simulation, each of them {stands}",
+            f"number of plans each of which is {says} by the criterion and {stands} in the simulation",
         )
     meanings = ("share of the accepted plans that stand", "share of the standing plans that are accepted")
     for name, meaning in zip(SCORES, (*meanings, "Matthews' correlation coefficient"), strict=True):
@@ -143,10 +146,14 @@ def criteria_vs_physics_columns() -> Described:
         columns[f"{name}_high"] = (DIMENSIONLESS, f"upper end of the 95 % interval of {name}, by bootstrap over plans")
     columns["same_first_box"] = (
         DIMENSIONLESS,
-        "number of refused falling plans for which the criterion and the simulation name the same first box",
+        "number of plans that the criterion refuses and that fall in the simulation, with the same first box in both",
     )
     for name, says in zip(ARRIVES, ("accepts", "refuses"), strict=True):
-        columns[name] = (DIMENSIONLESS, f"mean of P(arrives) in a chain over the plans that the criterion {says}")
+        columns[name] = (
+            DIMENSIONLESS,
+            "share of a plan's worlds that arrive at the end of the chain, as a mean over the plans that the criterion "
+            f"{says}",
+        )
     return columns
 
 
@@ -158,11 +165,15 @@ def documented_thresholds() -> Described:
         "criterion": (TEXT, "name of the criterion"),
         "number": (
             TEXT,
-            "the quantity that is compared with the threshold: its smallest value among the boxes of a plan",
+            "quantity whose smallest value among the boxes of a plan is compared with the threshold",
         ),
         "unit": (TEXT, "unit of the threshold"),
-        "threshold": (in_row, "the threshold found: plans with at least this value are accepted"),
-        "published": (in_row, "the criterion's own threshold"),
+        "threshold": (
+            in_row,
+            "threshold that the search found: a plan is accepted if the quantity (column number) is at least this "
+            "value for all of its boxes",
+        ),
+        "published": (in_row, "threshold that the criterion's source states"),
         "n_found_on": (DIMENSIONLESS, "number of plans on which the threshold was found"),
         "mcc_found_on": (
             DIMENSIONLESS,
@@ -178,7 +189,8 @@ def documented_thresholds() -> Described:
         | {
             "mcc_published": (
                 DIMENSIONLESS,
-                "MCC of the published threshold, on the half of the plans on which thresholds are tested",
+                "MCC (Matthews' correlation coefficient) of the published threshold, on the half of the plans on which "
+                "thresholds are tested",
             )
         }
     )
@@ -450,5 +462,5 @@ def _check_same_plans(worlds: pd.DataFrame, run: RunResults, plans: Sequence[Pla
         first = other.iloc[0]
         raise InputError(
             f"{run.path}: plan {printable_name(str(first['plan_id']))} has {first['n_boxes']} boxes in the run, but "
-            f"{counts[first['plan_id']]} here: the plans differ"
+            f"{counts[first['plan_id']]} in the given plans: these are different plans"
         )

@@ -14,21 +14,30 @@ NOT: Final = "not"
 """Values of the column ``crushed``."""
 
 BOX_UNITS: Final = {
-    "strength_low_n": ("N", "smallest possible strength of the box as stacked, for a short time"),
-    "strength_high_n": ("N", "largest possible strength of the box as stacked, for a short time"),
+    "strength_low_n": (
+        "N",
+        "smallest possible strength of the box as stacked, against forces that act for a short time",
+    ),
+    "strength_high_n": (
+        "N",
+        "largest possible strength of the box as stacked, against forces that act for a short time",
+    ),
     "crush_share_low": (
         "1",
-        "the larger of two quotients: smallest possible force at rest / largest possible strength at rest, and largest "
-        "force in any step / largest possible strength for a short time",
+        "the larger of two quotients. At rest: smallest possible force / largest possible strength. At the peak: "
+        "largest force in any step / largest possible strength for a short time",
     ),
     "crush_share_high": (
         "1",
-        "the larger of two quotients: largest possible force at rest / smallest possible strength at rest, and largest "
-        "force in any step / smallest possible strength for a short time",
+        "the larger of two quotients. At rest: largest possible force / smallest possible strength. At the peak: "
+        "largest force in any step / smallest possible strength for a short time",
     ),
 }
 PLAN_UNITS: Final = {
-    "crushed": ("", "whether a box is crushed, at rest or at the peak: surely, possibly or not; null if unknown"),
+    "crushed": (
+        "",
+        "surely, possibly or not: whether a box of the plan is crushed, at rest or at the peak; null if unknown",
+    ),
     "crush_box": ("1", "number of the box with the largest crush_share_high"),
 }
 

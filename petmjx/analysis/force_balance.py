@@ -177,7 +177,9 @@ def _least_cost_solution(
     if solution.status == _INFEASIBLE:
         return None
     if solution.x is None:
-        raise PetmjxError(f"HiGHS has no answer to a force balance of {len(rows[0])} rows: {solution.message}")
+        raise PetmjxError(
+            f"the solver HiGHS found no answer for a force balance with {len(rows[0])} constraints: {solution.message}"
+        )
     answer: FloatArray = solution.x
     return answer
 

@@ -48,7 +48,7 @@ class Stability:
     @classmethod
     def assumed(cls) -> Stability:
         """A ``Stability`` without simulations: all plans are assumed to stand according to BED-BPP's rule."""
-        return cls(all_stand=True, notes=("stability is taken as 1 for all plans, not simulated",))
+        return cls(all_stand=True, notes=("all plans are assumed to be stable; none was simulated",))
 
     def column(self, known: Mapping[str, bool], plan_ids: Iterable[str]) -> pd.Series:
         """A column with one value per plan, which is 1 if the plan stands, 0 if the plan does not stand, and null if
@@ -69,8 +69,8 @@ def read_stability(sources: Sequence[RunResults | Path], plans: Collection[Plan]
             same id.
     """
     if not sources:
-        command = "petmjx score PLANS --check static --out DIR, then --run DIR"
-        return Stability(notes=(f"no run was given, so the standing plans are unknown: {command}",))
+        command = "give --run DIR with a run made by petmjx score PLANS --check static --out DIR"
+        return Stability(notes=(f"no run was given, so it is unknown which plans stand: {command}",))
     runs = [run if isinstance(run, RunResults) else load_run(run) for run in sources]
     for run in runs:
         _check_same(run, plans)
@@ -79,8 +79,8 @@ def read_stability(sources: Sequence[RunResults | Path], plans: Collection[Plan]
     notes = [line for run in runs for line in run.doubts(run.where)]
     if static is None:
         notes.append(
-            f"kpi_6 needs a run with check static, but {runs[0].where} has {_check(runs[0])}: "
-            "petmjx score PLANS --check static --out DIR, then --run DIR too"
+            f"kpi_6 needs a run with check static, but the run {runs[0].where} has check {_check(runs[0])}: give also "
+            "--run DIR with a run made by petmjx score PLANS --check static --out DIR"
         )
     invalid = Verdict.INVALID.value
     stable = {name: verdict == Verdict.STABLE.value for name, verdict in verdicts.items() if verdict != invalid}

@@ -75,7 +75,8 @@ COLUMNS: Final = (
         "kpi_5",
         "float64",
         "1",
-        "among the boxes that lie on boxes, share of boxes that tie the pile together; null if no box lies on a box",
+        "among the boxes that lie on other boxes, share of those that tie the pile together (lie on several boxes, or "
+        "are turned otherwise than the plan's first box); null if no box lies on a box",
     ),
     KpiColumn(
         "kpi_6",
@@ -84,32 +85,52 @@ COLUMNS: Final = (
         "1: no box moved by more than 0.01 m along z in the static check; 0: a box did; null: unknown",
     ),
     KpiColumn(
-        "eval_score_pal_ratio", "Float64", "1", "kpi_6 × share of the ordered boxes that begin at or below 2.0 m"
+        "eval_score_pal_ratio",
+        "Float64",
+        "1",
+        "kpi_6 × share of the ordered boxes that are placed with their bottom at or below 2.0 m",
     ),
     KpiColumn(
         "eval_score_height",
         "float64",
         "m",
-        "greatest height of boxes below 2.0 m, as BED-BPP computes it (1 mm too low)",
+        "height of the highest box top at or below 2.0 m, as BED-BPP computes it (1 mm too low)",
     ),
     KpiColumn(
-        "eval_score_absolute_n_stable_pal_items", "Int64", "1", "kpi_6 × ordered boxes that begin at or below 2.0 m"
+        "eval_score_absolute_n_stable_pal_items",
+        "Int64",
+        "1",
+        "kpi_6 × number of ordered boxes that are placed with their bottom at or below 2.0 m",
     ),
     KpiColumn(
         "n_pal_items",
         "int64",
         "1",
-        "number of boxes on the target that are as ordered and begin at or below 2.0 m; each ordered box counts once",
+        "number of boxes on the target that are as ordered and have their bottom at or below 2.0 m; each ordered box "
+        "counts once",
     ),
-    KpiColumn("height_below_2m_m", "float64", "m", "greatest height of boxes that end at or below 2.0 m"),
+    KpiColumn("height_below_2m_m", "float64", "m", "height of the highest box top at or below 2.0 m"),
     KpiColumn("volume_m3", "float64", "m^3", "volume of the boxes"),
     KpiColumn(
-        "utilisation_2m", "float64", "1", "volume of boxes that end at or below 2.0 m / (area of the target × 2.0 m)"
+        "utilisation_2m",
+        "float64",
+        "1",
+        "volume of the boxes whose top is at or below 2.0 m / (area of the target × 2.0 m)",
     ),
     _text("verdict", "petmjx's verdict; null if unknown"),
     KpiColumn("stable", "Int64", "1", "1: the verdict is stable; 0: it is unstable; null: it is invalid or unknown"),
-    KpiColumn("stable_pal_ratio", "Float64", "1", "stable × share of the ordered boxes that begin at or below 2.0 m"),
-    KpiColumn("n_stable_pal_items", "Int64", "1", "stable × ordered boxes that begin at or below 2.0 m"),
+    KpiColumn(
+        "stable_pal_ratio",
+        "Float64",
+        "1",
+        "stable × share of the ordered boxes that are placed with their bottom at or below 2.0 m",
+    ),
+    KpiColumn(
+        "n_stable_pal_items",
+        "Int64",
+        "1",
+        "stable × number of ordered boxes that are placed with their bottom at or below 2.0 m",
+    ),
 )
 """The columns of the table of KPIs."""
 
@@ -261,7 +282,7 @@ def kpis(
         orders_by_id[order_id] = order
     rated = {plan_id: plan for plan_id, plan in by_id.items() if plan_id in orders_by_id}
     if not rated:
-        first = f"; the first that is unusable: {skipped[0]}" if skipped else ""
+        first = f"; the first unusable order: {skipped[0]}" if skipped else ""
         raise InputError(
             f"no plan has an order: {count_text(len(by_id), 'plan')} and "
             f"{count_text(len(orders_by_id), 'usable order')} "

@@ -81,14 +81,14 @@ def against_orders(runs: Mapping[str, RunResults], file: Path, articles: Path | 
         if without := [plan_id for plan_id in ids if plan_id not in orders]:
             first = first_names(without)
             notes.append(
-                f"no KPIs of {count_text(len(without), 'plan')} of {printable_name(name)}: without an order ({first})"
+                f"no KPIs of {count_text(len(without), 'plan')} of {printable_name(name)}: no order was given for "
+                f"these ids ({first})"
             )
         if lost := [plan_id for plan_id in ids if plan_id in orders and plan_id not in plans[name]]:
             first = first_names(lost)
             notes.append(
-                f"no KPIs of {count_text(len(lost), 'plan')} of {printable_name(name)}: not found again, so it is "
-                "not known "
-                f"whether their boxes were ordered ({first})"
+                f"no KPIs of {count_text(len(lost), 'plan')} of {printable_name(name)}: these plans are in no file any "
+                f"more, so it is unknown whether their boxes were ordered ({first})"
             )
     packed = {plan_id for run in runs.values() for plan_id in run.worlds["plan_id"]}
     if left := [order_id for order_id in orders if order_id not in packed]:

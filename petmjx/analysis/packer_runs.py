@@ -88,7 +88,9 @@ def runs_by_packer(runs: Sequence[RunSource] | Mapping[str, RunSource]) -> dict[
         if run.info.get("config", {}).get("command") == "sweep":
             raise InputError(f"{run.path}: is a sweep; packers are compared by runs of petmjx score")
         if run.worlds.duplicated(["plan_id", "variant"]).any():
-            raise InputError(f"{run.path}: has the same plan and variant more than once; cannot be compared")
+            raise InputError(
+                f"{run.path}: the run has the same plan and variant more than once, so it cannot be compared"
+            )
     return dict(zip(names, loaded_runs, strict=True))
 
 
@@ -97,7 +99,7 @@ def _names(folders: Sequence[Path]) -> list[str]:
     names = short if len(set(short)) == len(short) else [str(folder) for folder in folders]
     for number, name in enumerate(names):
         if name in names[:number]:
-            raise InputError(f"{printable_name(name)}: given twice; a packer is compared with others")
+            raise InputError(f"{printable_name(name)}: this run is given twice; give runs of different packers")
     return names
 
 
@@ -229,9 +231,7 @@ def doubts(runs: Mapping[str, RunResults], table: pd.DataFrame) -> list[str]:
         lines.append(f"simulated by different engines: {', '.join(sorted(engines))}")
     unknown = [printable_name(name) for name in runs if table.loc[table["packer"] == name, "volume_m3"].isna().all()]
     if unknown:
-        lines.append(
-            f"no utilisation of {', '.join(unknown)}: the run was written by an earlier petmjx; score it again"
-        )
+        lines.append(f"no utilisation of {', '.join(unknown)}: an earlier petmjx wrote the run; score its plans again")
     if not table["compared"].any():
         lines.append("no order has a valid verdict from every packer")
     lines += _same_plans(table, list(runs))

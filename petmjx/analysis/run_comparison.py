@@ -156,7 +156,9 @@ def compare_runs(a: RunResults | str | Path, b: RunResults | str | Path, *, pack
     run_a, run_b = (run if isinstance(run, RunResults) else load_run(run) for run in (a, b))
     for run in (run_a, run_b):
         if run.worlds.duplicated(KEY).any():
-            raise InputError(f"{run.path}: has the same plan and variant more than once; cannot be compared")
+            raise InputError(
+                f"{run.path}: the run has the same plan and variant more than once, so it cannot be compared"
+            )
     keys = run_a.worlds[KEY].merge(run_b.worlds[KEY], on=KEY, how="outer", indicator="side")
     common_worlds = run_a.worlds.merge(run_b.worlds, on=KEY, suffixes=("_a", "_b"))
     verdicts_agree = common_worlds["verdict_a"] == common_worlds["verdict_b"]
@@ -292,22 +294,22 @@ def _notes(run_a: RunResults, run_b: RunResults, common_worlds: pd.DataFrame, ot
     notes = run_a.doubts("a") + run_b.doubts("b")
     without = [name for name, run in (("a", run_a), ("b", run_b)) if not run.keeps_boxes]
     if without:
-        notes.append(f"{' and '.join(without)} kept no boxes: only worlds are compared")
+        notes.append(f"{' and '.join(without)} kept no table boxes: only worlds are compared")
     if common_worlds.empty:
         notes.append("no world is in both runs")
     if thresholds_of(run_a.info) != thresholds_of(run_b.info):
-        notes.append("the runs have different thresholds; the margins of a run refer to its own thresholds")
+        notes.append("a and b have different thresholds; the margins of each run refer to the thresholds of that run")
     if other:
         of, verb = count_text(common_worlds["plan_id"].nunique(), "plan"), "is" if len(other) == 1 else "are"
         notes.append(
-            f"{len(other):,} of {of} {verb} not the same in b; only their verdicts are compared "
-            "(to compare packers: petmjx compare --packers)"
+            f"{len(other):,} of {of} {verb} not the same in a and b, so only verdicts are compared (to compare "
+            "packers: petmjx compare --packers)"
         )
     names = {run: {str(param.get("name")) for param in run.info.get("params", [])} for run in (run_a, run_b)}
     if names[run_a] != names[run_b]:
-        notes.append("the runs' variants have different parameters")
+        notes.append("the variants of a and b have different parameters")
     for name in sorted(names[run_a] & names[run_b]):
         left, right = common_worlds.get(f"{name}_a"), common_worlds.get(f"{name}_b")
         if left is not None and right is not None and not ((left == right) | (left.isna() & right.isna())).all():
-            notes.append(f"variants with the same number differ in {name}")
+            notes.append(f"variants with the same number have different values of {name} in a and b")
     return notes

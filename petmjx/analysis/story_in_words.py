@@ -128,7 +128,7 @@ REASONS: Final = {
     Reason.OVERFLOW: "there were more contacts than the engine had room for",
     Reason.EXPLOSION: "accelerations were impossibly large before any box had moved",
     Reason.OUT_OF_MEMORY: "the device had too little memory",
-    Reason.SINKING: "boxes sank into what bears them",
+    Reason.SINKING: "boxes sank into the boxes or the carrier below them",
     Reason.FAILED: "the simulation failed",
     Reason.TIMEOUT: "the simulation took longer than its time limit",
     Reason.ITERATION_LIMIT: "the simulation took more solver iterations than its limit",
@@ -169,7 +169,7 @@ def notes_in_words(story: Story) -> list[str]:
     if outcome.flags & Flag.NOT_PLACED:
         notes.append("The hand found no room for a box: it released the box beside its place.")
     if outcome.flags & Flag.TIMESTEP:
-        notes.append("At half the timestep the verdict differs.")
+        notes.append("A simulation with half the timestep gives another verdict.")
     return notes
 
 
@@ -190,8 +190,8 @@ def _knife_edge(story: Story) -> str:
     load = "own weight" if nearest.own_weight else "load"
     of_box = f" (the {load} of {box_name(story, nearest.box)})" if nearest.box >= 0 else ""
     return (
-        f"A load acts at the edge of its support, within {MM_PER_M * abs(nearest.edge_m):.2g} mm, {time_text}: "
-        f"a tenth of a millimetre may change the verdict{of_box}."
+        f"A load acts within {MM_PER_M * abs(nearest.edge_m):.2g} mm of the edge of its support ({time_text}): a tenth "
+        f"of a millimetre may change the verdict{of_box}."
     )
 
 
@@ -205,9 +205,11 @@ def _hangs_over(story: Story) -> list[str]:
     first_step, counterweight = steps_beyond(story.scene, box)
     if first_step < 0:
         return []
-    overhang = f"While the plan is built, box {box} hangs over from step {first_step} on"
+    overhang = (
+        f"While the plan is built, box {box} hangs too far over the edge of its support from step {first_step} on"
+    )
     if counterweight < 0:
-        return [f"{overhang}; nothing that is placed later holds it."]
+        return [f"{overhang}; no box that is placed later holds it down."]
     return [f"{overhang}; its counterweight, box {counterweight}, comes too late."]
 
 

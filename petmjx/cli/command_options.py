@@ -27,8 +27,8 @@ from petmjx.options.simulation import Simulation
 Command = TypeVar("Command", bound=Callable[..., None])
 
 PLANS_HELP = (
-    "Packing plans: files of BED-BPP's JSON, CSV (both also gzipped) or Parquet, or of other tools (JSON, tables, "
-    "sheets, arrays, MJCF; petmjx info says how they are read), or folders of them."
+    "Packing plans: files, or folders of files. Files may be BED-BPP's JSON, CSV (both also gzipped), Parquet, or "
+    "files of other tools (JSON, tables, sheets, arrays, MJCF; petmjx info says how they are read)."
 )
 
 PlanPaths = Annotated[
@@ -59,8 +59,8 @@ PlansOrRun = Annotated[
     list[Path] | None,
     typer.Argument(
         metavar="PLANS|DIR",
-        help="Or the folder of a run, whose options are then used. If its plan files were moved, name them after the "
-        "folder. Without plans or a folder: the bundled samples.",
+        help="Packing plans, or the folder of a run, whose options are then used. If the plan files of the run were "
+        "moved, name these files after the folder. Without plans or a folder: the bundled samples.",
     ),
 ]
 Variant = Annotated[

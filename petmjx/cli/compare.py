@@ -27,7 +27,11 @@ def compare(
     ] = False,
     orders: Annotated[
         Path | None,
-        typer.Option("--orders", metavar="FILE", help="With --packers: orders of the plans, in any form; adds KPIs."),
+        typer.Option(
+            "--orders",
+            metavar="FILE",
+            help="With --packers: orders of the plans, in any form; with orders, the tables also have KPIs.",
+        ),
     ] = None,
     rows: Annotated[
         int, typer.Option("--rows", metavar="N", min=1, help="List at most N plans with different verdicts.")

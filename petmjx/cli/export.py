@@ -64,7 +64,7 @@ def _scene(plan_id: str, source: list[Path], variant: int | None, options: dict[
         from petmjx.runs.worlds_of_earlier_run import worlds_of_run
 
         if options:
-            raise InputError(f"{next(iter(options))}: a world of a run has the run's options; drop this one")
+            raise InputError(f"{next(iter(options))}: a world of a run has the run's options; drop this option")
         worlds, index = worlds_of_run(load_run(source[0]), plan_id, source[1:] or None, variant)
         return worlds.scene(worlds.find(plan_id, index)[0]), worlds.sweep.simulation.physics
     if variant is not None:

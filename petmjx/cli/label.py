@@ -131,11 +131,11 @@ def label(
         )
     for name, shares in card["baselines"].items():
         print(
-            f"{name}: finds {shares['standing_found']:.1%} of the boxes that stand, "
-            f"{shares['falling_found']:.1%} of those that fall"
+            f"{name}: accepts {shares['standing_found']:.1%} of the boxes that stand, and refuses "
+            f"{shares['falling_found']:.1%} of the boxes that fall"
         )
     if empty := [split for split, numbers in card["splits"].items() if not numbers["labels"]]:
         all_used = sum(numbers["orders"] for numbers in card["splits"].values()) >= source.count
         cure = "give more orders" if all_used else "give more labels (-n) or more orders"
         print(f"note: too few orders for {' and '.join(empty)}: {cure}")
-    print(f"{printable(str(out))}: README.md and card.json say what is in it")
+    print(f"{printable(str(out))}: README.md and card.json describe the labels")

@@ -33,7 +33,9 @@ def leaderboard(
     orders: Annotated[
         Path | None,
         typer.Option(
-            "--orders", metavar="FILE", help="Orders of the plans, in any form; adds boxes left out and KPIs."
+            "--orders",
+            metavar="FILE",
+            help="Orders of the plans, in any form; with orders, the site also shows boxes left out and KPIs.",
         ),
     ] = None,
     baselines: Annotated[

@@ -97,7 +97,7 @@ def repair(
         print_renderables([*repair_tables(result), *_written(result, out, html)], results_console())
     if interrupted:
         how_far = f"{len(result.each):,} of {count_text(watcher.total or 0, 'plan')} were searched to the end"
-        raise RunInterrupted(f"{how_far}; the results contain only these")
+        raise RunInterrupted(f"{how_far}; the results contain only these plans")
 
 
 def _written(result: Repairs, out: Path | None, html: Path | None) -> Iterator[str]:

@@ -46,7 +46,12 @@ def samples(
     ] = None,
     seed: Annotated[
         int,
-        typer.Option("--seed", metavar="SEED", help="Plan i depends only on the seed, i, --packer and --loose-share."),
+        typer.Option(
+            "--seed",
+            metavar="SEED",
+            help="Seed of the random plans: plan number i depends only on the seed, on i, on --packer and on "
+            "--loose-share.",
+        ),
     ] = 0,
     loose_share: Annotated[
         float | None,
@@ -236,7 +241,10 @@ def _write_physical(
     if shaky:
         verb = "has" if len(shaky) == 1 else "have"
         names = ", ".join(shaky[:MOST_SHOWN]) + (", …" if len(shaky) > MOST_SHOWN else "")
-        print(f"{count_text(len(shaky), 'order')} {verb} no packing that stands as often as asked for: {names}")
+        print(
+            f"{count_text(len(shaky), 'order')} {verb} no packing that stands in the least share of worlds with errors "
+            f"(--least-share): {names}"
+        )
     table = Packed(tuple(packings)).orders
     totals = _totals(int(table["left_out"].sum()), int((table["left_out"] > 0).sum()))
     table = table[table["boxes"] > 0]

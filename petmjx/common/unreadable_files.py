@@ -9,7 +9,7 @@ from typing import Final
 _SAVE: Final = "save the sheet as CSV"
 
 _MAGIC: Final = (
-    (b"\x93NUMPY", "is a NumPy array (.npy): plans have names and several columns, as a table in CSV or Parquet has"),
+    (b"\x93NUMPY", "is a NumPy array (.npy), which has no named columns: save the plans as a table in CSV or Parquet"),
     (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", f"is an Excel workbook of the old kind (.xls): {_SAVE}"),
     (b"ARROW1", "is an Arrow file (Feather): save the table as Parquet"),
     (b"FEA1", "is a Feather file: save the table as Parquet"),
@@ -85,5 +85,5 @@ def _zip_kind(begin: bytes) -> str:
     if b"opendocument.spreadsheet" in begin:
         return f"is a workbook (.ods): {_SAVE}"
     if b".npy" in begin:
-        return "holds NumPy arrays (.npz): plans have names and several columns, as a table in CSV or Parquet has"
+        return "holds NumPy arrays (.npz) instead of a table with named columns: save the plans as CSV or Parquet"
     return "is a ZIP archive: unpack it"

@@ -270,5 +270,5 @@ class AttemptRunner(Generic[AnyWorld]):
         ``Flag.TIMESTEP`` if half the timestep gives another verdict."""
         if checked.verdict is before.verdict:
             return before
-        self.engines.note(f"{world.name}: {before.verdict}, but {checked.verdict} at half the timestep")
+        self.engines.note(f"{world.name}: the verdict is {before.verdict}, but {checked.verdict} at half the timestep")
         return replace(before, flags=before.flags | Flag.TIMESTEP)

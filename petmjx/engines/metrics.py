@@ -197,37 +197,49 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     ),
     WorldMetric(
         "plan_edge_m", "m",
-        "smallest distance of a box's load from the edge of the box's supports, in the plan; < 0 beyond the edge; "
-        "null if the world is invalid",
+        "smallest distance of a box's load from the edge of the box's supports, with all boxes at their planned "
+        "places; < 0 beyond the edge; null if the world is invalid",
         SampleAt.PLAN, compared=False,
     ),
-    _number("plan_edge_box", "box whose load has the distance plan_edge_m (packing order from 0)", SampleAt.PLAN),
+    _number(
+        "plan_edge_box", "number of the box (in packing order, from 0) whose load has the distance plan_edge_m",
+        SampleAt.PLAN,
+    ),
     WorldMetric(
         "rest_edge_m", "m",
         "smallest distance of a box's load from the edge of the box's supports, with all boxes where they came to "
         "rest; < 0 beyond the edge; null unless the world is stable and was not shaken",
         SampleAt.END, compared=False,
     ),
-    _number("rest_edge_box", "box whose load has the distance rest_edge_m (packing order from 0)", SampleAt.END),
+    _number(
+        "rest_edge_box", "number of the box (in packing order, from 0) whose load has the distance rest_edge_m",
+        SampleAt.END,
+    ),
     WorldMetric(
         "build_edge_m", "m",
         "smallest distance of a box's load from the edge of the box's supports while the plan is built, computed after "
         "each placement; < 0 beyond the edge; null if all boxes are placed at once, or if the world has errors",
         SampleAt.PLAN, compared=False,
     ),
-    _number("build_edge_box", "box whose load has the distance build_edge_m (packing order from 0)", SampleAt.PLAN),
     _number(
-        "build_edge_step",
-        "box after whose placement the smallest distance, build_edge_m, occurs (packing order from 0)", SampleAt.PLAN,
+        "build_edge_box", "number of the box (in packing order, from 0) whose load has the distance build_edge_m",
+        SampleAt.PLAN,
+    ),
+    _number(
+        "build_edge_step", "number of the box (in packing order, from 0) after whose placement the distance "
+        "build_edge_m occurs",
+        SampleAt.PLAN,
     ),
     WorldMetric(
-        "first_sign_s", "s", "time at which the culprit crossed a threshold; null if no box crossed one", SampleAt.LOOKS
+        "first_sign_s", "s",
+        "time at which the culprit (the first box that fails) crossed a threshold; null if no box crossed one",
+        SampleAt.LOOKS,
     ),
     BoxMetric(
         "shift_m", "m",
         {"shift_x_m": "x of final centre - planned centre; 0 if |x| < shift_floor_m; null if the box was never placed",
-         "shift_y_m": "y of final centre - planned centre; 0 or null as shift_x_m",
-         "shift_z_m": "z of final centre - planned centre; 0 or null as shift_x_m"},
+         "shift_y_m": "y of final centre - planned centre; 0 if |y| < shift_floor_m; null if the box was never placed",
+         "shift_z_m": "z of final centre - planned centre; 0 if |z| < shift_floor_m; null if the box was never placed"},
         SampleAt.END,
         "c − c_planned, with c the box's centre; a component with a magnitude below `shift_floor_m` is set to 0; if "
         "boxes have a stiffness, the descent that is expected under the plan's loads does not count as shift",
@@ -286,11 +298,13 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     ),
     BoxMetric(
         "quat", DIMENSIONLESS, {f"quat_{part}": f"final orientation, unit quaternion, {part}" for part in "wxyz"},
-        SampleAt.END, "unit quaternion; two runs are compared by the angle between their orientations", compared=False,
+        SampleAt.END, "unit quaternion; `petmjx compare` compares two runs by the angle between the two orientations "
+        "of a box", compared=False,
     ),
     BoxMetric(
         "plan_edge_m", "m",
-        {"plan_edge_m": "distance of the box's load from the edge of its supports, in the plan; < 0 beyond the edge"},
+        {"plan_edge_m": "distance of the box's load from the edge of the box's supports, with all boxes at their "
+        "planned places; < 0 beyond the edge"},
         SampleAt.PLAN,
         "the smaller of two distances from the edge of the box's supports: the distance of the box's own weight, and "
         "the distance of its total load (own weight and all boxes on it). Exception: if only the own weight is beyond "
@@ -299,8 +313,8 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     ),
     BoxMetric(
         "rest_edge_m", "m",
-        {"rest_edge_m": "distance of the box's load from the edge of its supports, with all boxes where they came to "
-         "rest; < 0 beyond the edge"},
+        {"rest_edge_m": "distance of the box's load from the edge of the box's supports, with all boxes where they "
+         "came to rest; < 0 beyond the edge"},
         SampleAt.END,
         "computed like `plan_edge_m` (distance of the box's load from the edge of its supports), but with all boxes at "
         "their last places",

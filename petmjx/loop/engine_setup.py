@@ -29,7 +29,9 @@ OF_RUN: Final = ("threads", "lanes")
 def check_open(sim: Simulation) -> None:
     """Raise InputError if open pallets do not support one of the options."""
     if extent_m(sim.carrier) is None:
-        raise InputError(f"carrier: {sim.carrier} depends on the whole plan; name one of a fixed size")
+        raise InputError(
+            f"carrier: the size of {sim.carrier} depends on the whole plan; name a carrier of a fixed size"
+        )
     if sim.has_soft:
         raise InputError("soft: soft boxes are not supported on pallets to which boxes are added one by one")
     if sim.check is not Check.ONE_BY_ONE:

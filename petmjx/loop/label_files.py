@@ -151,8 +151,8 @@ def write_labels(
         if not parts.n_labels:
             name = printable(str(source)) if isinstance(source, Path) else "orders"
             raise InputError(
-                f"{name}: no box has a place on the empty carrier "
-                f"({option('--max-height-mm')} {labeller.options['max_height_mm']:g}, {option('--carrier')})"
+                f"{name}: no box has a place on the empty carrier; check {option('--max-height-mm')} "
+                f"({labeller.options['max_height_mm']:g}) and {option('--carrier')}"
             )
         card = _write(parts, count, files, head)
         with write_errors(folder):
@@ -360,8 +360,8 @@ def _page(card: dict[str, Any]) -> str:
         f"Orders come from {source}. Boxes come in the order's sequence. {100 * options['explore']:g} % of them are "
         "first put to a random place: an extreme point inside the carrier at which the box rests on something. All "
         "other boxes are put to a careful place (`careful`): one of the four lowest places at which three quarters of "
-        "the base are borne. If the pallet does not stand, the box is taken back; after a random place, it is tried "
-        "once more, at a careful place. So pallets are neither random nor like a packer's pallets.",
+        "the base are borne. If the pallet does not stand, the box is taken back; a box that was put to a random place "
+        "is then tried once more, at a careful place. So pallets are neither random nor like a packer's pallets.",
         "",
         "## Splits",
         "",
@@ -378,7 +378,9 @@ def _page(card: dict[str, Any]) -> str:
     lines += [f"| `{name}` | {of['type']} | {of['meaning']} |" for name, of in card["columns"].items()]
     lines += ["", "## Baselines", ""]
     if not card["baselines"]:
-        return "\n".join([*lines, "No rule is judged: in the split test, no placement stands, or none falls.", ""])
+        return "\n".join(
+            [*lines, "No rule is rated: in the split test, no placement stands, or no placement falls.", ""]
+        )
     first = next(iter(card["baselines"].values()))
     lines += [
         f"On {count_text(first['labels'], 'label')} of the split test: the share of the standing placements that a "

@@ -79,8 +79,11 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
         pa.list_(pa.list_(pa.float64(), 3)),
         "extents of all boxes of the pallet as they stand; the new box is the last",
     ),
-    "corner_mm": (pa.list_(pa.list_(pa.float64(), 3)), "front-left-bottom corners of all boxes of the pallet"),
-    "mass_kg": (pa.list_(pa.float64()), "masses of all boxes of the pallet"),
+    "corner_mm": (
+        pa.list_(pa.list_(pa.float64(), 3)),
+        "front-left-bottom corners of all boxes of the pallet; the new box is the last",
+    ),
+    "mass_kg": (pa.list_(pa.float64()), "masses of all boxes of the pallet; the new box is the last"),
     "stands": (pa.bool_(), "whether the pallet with the new box is stable in a score; null if it has no verdict"),
     "reason": (pa.string(), "reason why the pallet is not stable (drop, tilt or shift), or why it has no verdict"),
     "culprit": (pa.int32(), "number of the box that failed first, from 0; null if no box failed"),
@@ -88,7 +91,10 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
         pa.float32(),
         "distance to the nearest threshold, as in the column margin of a run; null without a verdict",
     ),
-    "share": (pa.float32(), "share of worlds with errors in which the pallet stands; null if they were not simulated"),
+    "share": (
+        pa.float32(),
+        "share of worlds with errors in which the pallet stands; null if no worlds with errors were simulated",
+    ),
     "top_force_n": (
         pa.list_(pa.float32()),
         "force on the top of each box at rest, N; null if the pallet did not come to rest",

@@ -47,8 +47,11 @@ def _load(placed: Placement) -> FloatArray:
 
 
 TERMS: Final[dict[str, tuple[str, Callable[[Placement], FloatArray]]]] = {
-    "placed": ("1 for a box that stands", lambda p: np.where(p.results.stable, 1.0, 0.0)),
-    "utilisation": ("the box's volume as a share of the room over the carrier, if it stands", _utilisation),
+    "placed": ("1 if the pallet stands with the new box, else 0", lambda p: np.where(p.results.stable, 1.0, 0.0)),
+    "utilisation": (
+        "the box's volume as a share of the room over the carrier; 0 if the pallet does not stand",
+        _utilisation,
+    ),
     "fall": ("-1 where the pallet does not stand", lambda p: np.where(p.results.stable, 0.0, -1.0)),
     "margin": ("the pallet's margin, from -1 to 1; -1 if invalid", _margin),
     "load": ("minus the largest force on a box's top, as a share of the weight of all boxes", _load),

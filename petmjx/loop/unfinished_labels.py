@@ -99,7 +99,7 @@ class LabelParts:
             episodes = parts.read(file, ["episode"])["episode"]
             with open_for_arrow(file) as stream:
                 if not pq.read_schema(stream).equals(_PART_SCHEMA):
-                    raise InputError(f"{file}: labels of another version of petmjx; {label_cure()}")
+                    raise InputError(f"{file}: has labels of another version of petmjx; {label_cure()}")
             n_rows += len(episodes)
             next_episode = (pc.max(episodes).as_py() or 0) + 1
         if (n_rows, next_episode) != (self.n_labels, self.next_episode):
@@ -169,7 +169,7 @@ def check_same_set(folder: Path, before: Mapping[str, Any], now: Mapping[str, An
     for name, earlier, later in differing_settings(before, now):
         if earlier != later:  # equal if one is null and the other missing
             different = f"{name} was {json.dumps(earlier)}, is {json.dumps(later)}"
-            raise InputError(f"{folder}: cannot be resumed: its labels differ from these ({different})")
+            raise InputError(f"{folder}: cannot be resumed, because its labels were made in another way ({different})")
 
 
 def _entries(folder: Path) -> dict[str, Any] | None:

@@ -137,10 +137,13 @@ class Board(CheckedRecord):
     )
     size_mm: tuple[Length, Length, Length] = Field(description="extents of the board along x, y and z, mm")
     mass_kg: Mass | None = Field(
-        None, description="mass of the board, kg; by default its share, by volume, of the carrier's mass_kg"
+        None,
+        description="mass of the board, kg; by default, the carrier's mass_kg is divided among the boards by their "
+        "volumes",
     )
     friction: Coefficient | None = Field(
-        None, description="coefficient of sliding friction between the board and boxes; by default the carrier's"
+        None,
+        description="coefficient of sliding friction between the board and boxes; by default the carrier's friction",
     )
     material: Name = Field("", description="material of the board; by default the carrier's material")
 
@@ -160,15 +163,19 @@ class OwnCarrier(CheckedRecord):
 
     name: Name = Field("", description="name of the carrier; by default the name of its file")
     mass_kg: Mass | None = Field(
-        None, description="mass of all boards together, kg, if the boards have no masses of their own"
+        None, description="mass of all boards together, kg; only if no board has a mass of its own"
     )
     friction: Coefficient | None = Field(
-        None, description="coefficient of sliding friction of boards without a value of their own"
+        None, description="coefficient of sliding friction of the boards that have no friction of their own"
     )
-    material: Name = Field(WOOD, description="material of boards that name none; it determines friction by materials")
+    material: Name = Field(
+        WOOD,
+        description="material of the boards that have no material of their own; friction between two materials depends "
+        "on it",
+    )
     walls: Walls = Field(Walls(), description="walls around the carrier's top, as for the option walls")
     boards: Annotated[tuple[Board, ...], Field(min_length=1, max_length=MOST_BOARDS)] = Field(
-        description="[[boards]] tables with corner_mm, size_mm and mass_kg"
+        description="one table [[boards]] for each board, with corner_mm, size_mm and mass_kg"
     )
 
     @property
@@ -238,7 +245,7 @@ def _check_masses(carrier: OwnCarrier) -> None:
     for number, board in enumerate(carrier.boards):
         location = ("boards", number, "mass_kg")
         if carrier.mass_kg is None and board.mass_kg is None:
-            raise complaint("is missing: give the mass of each board, or the carrier's mass_kg", *location)
+            raise complaint("is missing: give a mass to each board, or give the carrier's mass_kg", *location)
         if carrier.mass_kg is not None and board.mass_kg is not None:
             raise complaint("contradicts the carrier's mass_kg: drop one of them", *location)
     for number, (board, mass_kg) in enumerate(zip(carrier.boards, carrier.masses_kg, strict=True)):
@@ -302,7 +309,7 @@ def _check_top(carrier: OwnCarrier) -> None:
     for number, board in enumerate(carrier.boards):
         lower = height - board.corner_mm[2] - board.size_mm[2]
         if _ROUNDING_MM < lower < _LEVEL_MM and not any(_bears(board, other) for other in carrier.boards):
-            level = f"a carrier's top is level, at {height:g} mm here"
+            level = f"a carrier's top must be level, and the highest board ends at {height:g} mm"
             raise complaint(f": {_board_label(carrier, number)} ends {lower:.3g} mm below the top: {level}")
 
 

@@ -108,8 +108,8 @@ class FrictionPair(_MaterialPair):
     )
     kinetic: Annotated[StrictFloat, Field(ge=0, le=100)] | None = Field(
         None,
-        description="coefficient of friction while the materials slide on each other, at most friction; by default "
-        "friction times physics.kinetic_friction_share",
+        description="coefficient of friction while the materials slide on each other, at most the value of friction; "
+        "by default friction times physics.kinetic_friction_share",
     )
 
     @model_validator(mode="after")
@@ -124,8 +124,8 @@ class LandingPair(_MaterialPair):
 
     restitution: Annotated[float, within(0, HIGHEST_RESTITUTION)] | None = Field(
         None,
-        description="share of its speed with which a box of one material bounces off the other material; by default "
-        "the value of petmjx's table or of physics",
+        description="speed of a box of one material after it bounces off the other material, as a share of its speed "
+        "before; by default the value of petmjx's own table, else physics.restitution",
     )
     landing_s: Annotated[float, within(SHORTEST_LANDING_S, LONGEST_LANDING_S)] | None = Field(
         None,

@@ -90,15 +90,20 @@ class Physics(CheckedRecord):
     cone: Cone = Field(Cone.ELLIPTIC, description="friction cone")
     carrier_friction: Friction = Field(
         (0.5, 0.005, 0.0001),
-        description="the three coefficients of friction of the carrier",
+        description="coefficients of sliding, torsional and rolling friction of the carrier, as in MuJoCo",
     )
-    box_friction: Friction = Field((0.5, 0.005, 0.0001), description="the three coefficients of friction of boxes")
+    box_friction: Friction = Field(
+        (0.5, 0.005, 0.0001),
+        description="coefficients of sliding, torsional and rolling friction of boxes, as in MuJoCo",
+    )
     floor_friction: Friction = Field(
         (1.0, 0.005, 0.0001),
-        description="the three coefficients of friction of the floor",
+        description="coefficients of sliding, torsional and rolling friction of the floor, as in MuJoCo",
     )
     floor_z_m: Annotated[float, within(-20, 0)] = Field(
-        -0.144, lt=0, description="z of the floor, m: a pallet's height below the carrier's top, which is at 0"
+        -0.144,
+        lt=0,
+        description="z of the floor, m; the carrier's top is at z = 0, so the default is a pallet's height below it",
     )
     carrier_half_height_m: Annotated[float, within(0.001, 10)] = Field(
         0.072, gt=0, description="half the carrier's height, m"
@@ -113,12 +118,13 @@ class Physics(CheckedRecord):
     )
     solreffriction: Annotated[tuple[float, float], AfterValidator(_contact_times)] = Field(
         (0.004, 1.0),
-        description="MuJoCo's solreffriction: time constant, s, and damping ratio of friction, with elliptic cones; "
-        "0, 0: the values of solref",
+        description="MuJoCo's solreffriction: time constant of friction, s, and damping ratio of friction, with "
+        "elliptic cones; 0, 0: friction has the values of solref",
     )
     solimp: Annotated[Triple, AfterValidator(_impedances)] = Field(
         (0.1, 0.999, 0.0001),
-        description="MuJoCo's solimp of contacts: impedance at first touch, impedance at full depth, and this depth, m",
+        description="MuJoCo's solimp of contacts: impedance at first touch, impedance at full depth, and the full "
+        "depth, m",
     )
     impratio: Annotated[float, within(1, 10_000)] = Field(
         100.0,
@@ -127,27 +133,29 @@ class Physics(CheckedRecord):
     slip_correction: bool = Field(
         True,
         description="whether the normal force of a contact stays the same while the contact slides, with elliptic "
-        "cones (petmjx/world/contact_laws.py); if false, sliding increases the normal force, as in MuJoCo itself, and "
-        "sliding boxes hop",
+        "cones (petmjx/world/contact_laws.py); if false, sliding increases the normal force, as in MuJoCo itself, so "
+        "that sliding boxes hop",
     )
     kinetic_friction_share: Annotated[float, within(0.1, 1)] = Field(
         1.0,
-        description="coefficient of friction of a contact that slides faster than 2 cm/s, as a share of its "
-        "coefficient at rest, with elliptic cones; the CTU Code, Annex 7, has 0.75",
+        description="coefficient of friction of a contact that slides faster than 2 cm/s, as a share of the contact's "
+        "coefficient at rest, with elliptic cones; Annex 7 of the CTU Code sets 0.75",
     )
     landing_s: Annotated[float, within(0, LONGEST_LANDING_S)] = Field(
         LANDING_S,
-        description="time in which a landing box is stopped, s, with elliptic cones; 0: a landing box has the same "
-        "contact springs as a box at rest",
+        description="time in which a landing box is stopped, s, with elliptic cones; 0: the contacts of a landing box "
+        "have the same springs as the contacts of a box at rest",
     )
     restitution: Annotated[float, within(0, HIGHEST_RESTITUTION)] = Field(
-        RESTITUTION, description="share of its speed with which a landing box bounces, if landing_s is not 0"
+        RESTITUTION,
+        description="speed of a box after it bounces at a landing, as a share of its speed before; used only if "
+        "landing_s is not 0",
     )
     skin_m: Annotated[float, within(0, 0.001)] = Field(
         0.0001,
-        description="length by which boxes are enlarged on each side for collision detection, m, so that it prefers "
-        "contacts of faces to contacts of edges; the carrier is enlarged by twice this length; contacts of faces "
-        "still begin where the boxes themselves touch",
+        description="length by which collision detection enlarges boxes on each side, m; collision detection then "
+        "prefers contacts of faces to contacts of edges. The carrier is enlarged by twice this length. Contacts of "
+        "faces still begin where the boxes themselves touch",
     )
     falls_into_place: bool = Field(
         False,

@@ -41,7 +41,10 @@ class Quiet(CheckedRecord):
         0.001, ge=0, description="a box is slow if the speed of its fastest point is below this, m/s"
     )
     slowing: Annotated[float, within(0, 1000)] = Field(
-        0.7, ge=0, description="a box that is not slow creeps unless it slows to this share of its earlier speed"
+        0.7,
+        ge=0,
+        description="a quiet box creeps if it is not slow, and its speed is still at least this share of the speed "
+        "that it had when it became quiet",
     )
     steps: Annotated[int, within(1, MOST_STEPS)] = Field(
         15, ge=1, description="number of steps for which all boxes must have been quiet before the next box is placed"
@@ -49,7 +52,7 @@ class Quiet(CheckedRecord):
     landing_steps: Annotated[int, within(1, MOST_STEPS)] = Field(
         50,
         ge=1,
-        description="number of steps after its placement for which a box counts as landing; in these steps, no rest "
+        description="number of steps for which a box counts as landing after its placement; in these steps, no rest "
         "window begins, and no acceleration is a sign of an explosion",
     )
     poll_steps: Annotated[int, within(1, MOST_STEPS)] = Field(
@@ -67,14 +70,14 @@ class Quiet(CheckedRecord):
     tremble_steps: Annotated[int, within(1, MOST_STEPS)] = Field(
         250,
         ge=1,
-        description="length of the windows into which a wait is divided, in steps; at the end of each window, "
-        "trembling boxes are searched for",
+        description="length, in steps, of the windows into which a wait is divided; at the end of each window, petmjx "
+        "searches for trembling boxes",
     )
     tremble_share: Annotated[float, within(0, 1)] = Field(
         0.25,
         ge=0,
-        description="a box trembles if, within a window, it moves away by no more than this share of the path that it "
-        "travels",
+        description="a box trembles if, during a window of tremble_steps, its distance from its place at the beginning "
+        "of the window stays below this share of the path that it travels",
     )
 
     @property

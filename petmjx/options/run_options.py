@@ -61,7 +61,7 @@ def _address(text: str | None) -> str | None:
     client mode are refused, because results cannot be streamed in this mode."""
     if text not in (None, AUTO) and ("://" in text or not re.fullmatch(r"\S+:\d{1,5}", text)):
         raise ValueError(
-            f"must be HOST:PORT of a cluster's head, or auto for the one on this machine, {shown_value(text)}"
+            f"must be HOST:PORT of a cluster's head, or auto for the cluster on this machine, {shown_value(text)}"
         )
     return text
 
@@ -138,8 +138,8 @@ class RunOptions(CheckedRecord):
     threads: Annotated[int | None, within(1, 4096), CliFlag("--threads", "N")] = Field(
         None,
         ge=1,
-        description="CPU threads of the engines mujoco and mjx-warp-cpu (of each worker, if there are workers); by "
-        "default all",
+        description="number of CPU threads that the engines mujoco and mjx-warp-cpu use, or that each worker uses if "
+        "there are workers; by default all",
     )
     lanes: Annotated[int | None, within(1, 1 << 20), CliFlag("--lanes", "N")] = Field(
         None,
@@ -157,36 +157,39 @@ class RunOptions(CheckedRecord):
     )
     workers: Annotated[int | str | None, BeforeValidator(_workers), CliFlag("--workers", "N|auto")] = Field(
         None,
-        description="run in this many processes with Ray (extra ray): each worker has a share of the CPU threads, or "
-        "a GPU, which up to four workers can share; auto: one worker for each GPU or, with mujoco, for each machine",
+        description="run in this many worker processes with Ray (needs petmjx's extra ray): each worker has a share of "
+        "the CPU threads, or a GPU, which up to four workers can share; auto: one worker for each GPU or, with mujoco, "
+        "for each machine",
     )
     ray: Annotated[str | None, AfterValidator(_address), CliFlag("--ray", "ADDRESS")] = Field(
         None,
-        description="run on the Ray cluster whose head is at HOST:PORT (auto: the cluster on this machine); without a "
-        "number of workers, workers is auto; by default workers run on this machine",
+        description="run on the Ray cluster whose head is at HOST:PORT (auto: the cluster on this machine), with "
+        "workers=auto if the option workers is not given; by default, workers run on this machine",
     )
     limit: Annotated[int | None, within(1, 2**63 - 1), CliFlag("--limit", "N")] = Field(
-        None, ge=1, description="use only the first plans, up to this number"
+        None, ge=1, description="number of plans that are used, from the first plan on; by default all"
     )
     units: Annotated[
         str | None, AfterValidator(_units), CliFlag("--units", "LENGTH,MASS", default=f"{PLAN_UNITS}; {_OR_BY_FILE}")
     ] = Field(
         None,
         description="unit of the lengths (mm, cm, m, in or ft) and unit of the masses (kg, g, lb or t) in the plans; "
-        "one of them or both, as in cm,g; cm/mm: sizes in cm, coordinates in mm",
+        "one of the two or both, as in cm,g. cm/mm means sizes in cm and coordinates in mm",
     )
     anchor: Annotated[Anchor | None, CliFlag("--anchor", "POINT", default=f"corner; {_OR_BY_FILE}")] = Field(
         None,
-        description="point of a box that coordinates in the plans describe: corner, the one with the smallest x, y "
-        "and z; centre; base-centre, the centre of its base; far-corner, the one with the largest x, y and z; "
-        "top-centre, the centre of its top; or corner-x, corner-xy and the like, the one with the largest x, or x "
-        "and y, and else the smallest coordinates",
+        description="point of a box that coordinates in the plans describe: corner, the corner with the smallest x, y "
+        "and z; centre; base-centre, the centre of its base; far-corner, the corner with the largest x, y and z; "
+        "top-centre, the centre of its top; or corner-x, corner-xy and the like, the corner with the largest "
+        "coordinates along the named axes and the smallest coordinates along the others",
     )
     up: Annotated[Literal["x", "y", "z", "-y", "-z"] | None, CliFlag("--up", "x|y|z|-y|-z", default=_BY_FILE)] = Field(
         None, description="the vertical axis of files of other tools; -z: heights are counted downwards along z"
     )
     sizes: Annotated[Literal["placed", "item"] | None, CliFlag("--sizes", "placed|item", default=_BY_FILE)] = Field(
-        None, description="whether sizes in files of other tools describe the box as placed, or before it is turned"
+        None,
+        description="whether sizes in files of other tools describe a box as it is placed (placed), or before it is "
+        "turned (item)",
     )
     columns: Annotated[
         dict[str, str] | None, BeforeValidator(_columns), CliFlag("--columns", "ROLE=NAME,…", default=_BY_FILE)
@@ -220,7 +223,7 @@ class RunOptions(CheckedRecord):
         FRAME_INTERVAL_S, description="time between two frames of a history, s; each placement is a frame too"
     )
     record_details: Annotated[bool, CliFlag("--record-details")] = Field(
-        False, description="histories also have accelerations, penetrations and contacts; engine mujoco only"
+        False, description="record also accelerations, penetrations and contacts in histories; engine mujoco only"
     )
     force_intervals: Annotated[bool, CliFlag("--force-intervals")] = Field(
         False,
@@ -229,8 +232,8 @@ class RunOptions(CheckedRecord):
     )
     keep: Annotated[Literal["all", "worlds"], CliFlag("--keep", "all|worlds")] = Field(
         "all",
-        description="tables that are kept: all, or only worlds; in a large sweep, nearly all bytes are in the table "
-        "boxes; all other results stay the same",
+        description="tables that are kept: all tables, or only the table worlds; in a large sweep, nearly all bytes "
+        "are in the table boxes; the results that are kept stay the same",
     )
     orders: Annotated[File | None, CliFlag("--orders", "FILE")] = Field(
         None,
@@ -253,11 +256,13 @@ class RunOptions(CheckedRecord):
     )
     resume: Annotated[bool, CliFlag("--resume")] = Field(
         False,
-        description="continue the run in the folder: simulate only what is missing; begin a new run if there is none",
+        description="continue the run in the folder: simulate only the worlds that it lacks; begin a new run if the "
+        "folder has none",
     )
     shard: Annotated[str | None, AfterValidator(_share), CliFlag("--shard", "I/N")] = Field(
         None,
-        description="simulate only the I-th of N shares of the plans, counted from 1; petmjx merge joins the results",
+        description="simulate only share number I of N shares of the plans; I counts from 1; petmjx merge joins the "
+        "results of the shares",
     )
 
     @model_validator(mode="after")

@@ -86,28 +86,29 @@ class Simulation(CheckedRecord):
     )
     physics: Annotated[Physics, CliFlag("--physics")] = Field(
         PHYSICS["pallet"],
-        description="physics of contacts: pallet: pallets come to rest, and the carrier is of wood; reference: as in "
-        "PET-Physics",
+        description="physics of contacts: with pallet, stacks of boxes come to rest, and the carrier is of wood; "
+        "reference is as in PET-Physics",
     )
     carrier: Annotated[AnyCarrier, CliFlag("--carrier", "NAME|FILE")] = Field(
         Carrier.FOOTPRINT,
         description="what the boxes stand on: footprint: the plan's bounding box; euro-pallet: 1200×800 mm; "
-        "rollcontainer: 800×700 mm (x × y); made of boards with gaps: epal-1 (EN 13698-1), gma-48x40, pet-eur "
-        "(PET-Physics's), rollcontainer-grid, or your own, FILE.toml; with walls: rollcontainer-2, -3, -4, gitterbox, "
-        "container-20ft, trailer",
+        "rollcontainer: 800×700 mm (x × y); carriers of boards with gaps: epal-1 (EN 13698-1), gma-48x40, pet-eur "
+        "(PET-Physics's), rollcontainer-grid, or your own carrier, FILE.toml; carriers with walls: rollcontainer-2, "
+        "-3, -4, gitterbox, container-20ft, trailer",
     )
     walls: Walls = Field(Walls(), description="walls around the carrier's top")
     friction_pairs: tuple[FrictionPair, ...] = Field(
         (),
         max_length=100,
         description="coefficients of friction between materials of boxes and boards, in addition to petmjx's own "
-        "table: tables with between (a list of two materials) and friction",
+        "table: each entry is a table with the keys between (a list of two materials) and friction",
     )
     landing_pairs: tuple[LandingPair, ...] = Field(
         (),
         max_length=100,
         description="how boxes bounce and stop when they land, by pairs of materials, in addition to petmjx's own "
-        "table: tables with between (a list of two materials), and restitution, landing_s or both",
+        "table: each entry is a table with the key between (a list of two materials), and with restitution, landing_s "
+        "or both",
     )
     size_reduction_mm: Annotated[float, within(0, 1000), CliFlag("--size-reduction-mm", "MM")] = Field(
         0.1,
@@ -118,22 +119,25 @@ class Simulation(CheckedRecord):
     interval_s: Annotated[float, within(0, LONGEST_INTERVAL_S), CliFlag("--interval", "S")] = Field(
         0.7,
         gt=0,
-        description="time between two placements, s; with schedule adaptive: the longest wait once a box has failed",
+        description="time between two placements, s; with schedule adaptive: longest wait for the next placement once "
+        "a box has failed",
     )
     longest_wait_s: Annotated[float, within(0, LONGEST_INTERVAL_S), CliFlag("--longest-wait", "S")] = Field(
         10.0,
         ge=0,
-        description="longest wait for a pallet to come to rest before a world ends and, with schedule adaptive, "
-        "before the next box, s. A world that still moves then has the flag moving",
+        description="longest wait for a pallet to come to rest, s: before a world ends and, with schedule adaptive, "
+        "before the next box is placed. A world that still moves after this wait has the flag moving",
     )
     duration_s: Annotated[float, within(0, LONGEST_S), CliFlag("--duration", "S")] = Field(
-        10.0, gt=0, description="length of the static check, s; with schedule adaptive: its largest length"
+        10.0,
+        gt=0,
+        description="length of the static check, s; with schedule adaptive: largest length of the static check",
     )
     settle_s: Annotated[float, within(0, LONGEST_S), CliFlag("--settle", "S")] = Field(
         2.0,
         ge=0,
         description="pause between the last placement and a profile (a motion of the carrier), s; with schedule "
-        "adaptive: only for pallets that have failed",
+        "adaptive, only pallets that have failed make this pause",
     )
     rest_s: Annotated[float, within(0, LONGEST_S), CliFlag("--rest", "S")] = Field(
         1.0,
@@ -144,34 +148,37 @@ class Simulation(CheckedRecord):
     total_time_factor: Annotated[float | None, within(1, 10)] = Field(
         None,
         gt=1,
-        description="with schedule fixed and check one-by-one: length of the whole simulation as a multiple of the "
-        "time for placing; replaces rest_s",
+        description="only with schedule fixed and check one-by-one: length of the whole simulation, as a multiple of "
+        "the time in which boxes are placed; replaces rest_s",
     )
     sample_interval_s: Annotated[float, within(0, LONGEST_S), CliFlag("--sample-interval", "S")] = Field(
         0.2, gt=0, description="time between two samples of the metrics, s"
     )
     rest_window_s: Annotated[float, within(0, LONGEST_S)] = Field(
-        0.2, gt=0, description="length of the window at the end of a world over which rest_top_force_n is averaged, s"
+        0.2,
+        gt=0,
+        description="length of the window at the end of a world over which forces at rest (rest_top_force_n) are "
+        "averaged, s",
     )
     early_stop: Annotated[bool, CliFlag("--early-stop/--no-early-stop")] = Field(
         True,
-        description="end a world once a box has dropped or, in worlds with random errors and in drives, is lost "
-        "(tilted too far), instead of going on to the end of the schedule",
+        description="end a world as soon as a box has dropped, instead of simulating it to the end of the schedule; "
+        "worlds with random errors, and drives, also end as soon as a box is lost (tilted too far)",
     )
     check_timestep: Annotated[bool, CliFlag("--check-timestep")] = Field(
         False,
-        description="simulate worlds whose margin is between -0.5 and 0.5 a second time, at half the timestep, and "
-        "name the worlds whose verdict changes (flag timestep)",
+        description="simulate again, at half the timestep, the worlds whose margin is between -0.5 and 0.5, and report "
+        "the worlds whose verdict then changes (flag timestep)",
     )
     soft: Annotated[bool, CliFlag("--soft")] = Field(
         False,
-        description="simulate boxes that have a stiffness as flex bodies of MuJoCo, which bend and twist, instead of "
-        "using a contact law; engine mujoco only; up to a hundred times slower",
+        description="simulate boxes that have a stiffness as flex bodies of MuJoCo, which bend and twist; otherwise, a "
+        "contact law makes these boxes soft; engine mujoco only; up to a hundred times slower",
     )
     attempts: Annotated[Attempts, CliFlag("--attempts")] = Field(
         Attempts.RIGID,
-        description="soft: make one more attempt, with all boxes as flex bodies, at worlds that are invalid after all "
-        "other attempts, or whose verdict soft contacts may have decided; rigid: make no such attempt",
+        description="soft: a world that is invalid after all other attempts, or whose verdict soft contacts may have "
+        "decided, gets one more attempt, with all boxes as flex bodies; rigid: it does not",
     )
     placing: Placing = Field(Placing(), description="how a box is placed")
     wrap: Wrap = Field(Wrap(), description="stretch film around a pallet that is shaken")
@@ -186,8 +193,8 @@ class Simulation(CheckedRecord):
     iteration_limit: Annotated[int | None, within(1, MOST_ITERATIONS), CliFlag("--iteration-limit", "N")] = Field(
         None,
         gt=0,
-        description="largest number of solver iterations of a world; a drive has as many again; a world ends when it "
-        "has taken this number, and has no verdict then unless a box has dropped or tilted too far; none: no limit",
+        description="largest number of solver iterations of a world; a drive gets this number in addition. A world "
+        "that reaches this number ends, and has a verdict only if a box has dropped or tilted too far; none: no limit",
     )
     solver_tolerance: Annotated[float | None, within(0, 1)] = Field(
         None, gt=0, description="MuJoCo's opt.tolerance; none: the engine's own choice"

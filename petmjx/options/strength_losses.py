@@ -40,7 +40,7 @@ class Stacking(CheckedRecord):
     interlocked_loss: Annotated[float, within(0, 1), CliFlag("--interlocked-loss", "SHARE")] = Field(
         0.5,
         description="share of its strength that a box loses if no wall of the boxes above stands on the box's own "
-        "walls; if some of them do, the loss is smaller",
+        "walls; if only some walls of the boxes above do, the loss is smaller",
     )
     overhang_loss: Annotated[float, within(0, 1), CliFlag("--overhang-loss", "SHARE")] = Field(
         1.0,
@@ -61,16 +61,18 @@ class Stacking(CheckedRecord):
     )
     humidity_percent: Annotated[float, within(0, 100), CliFlag("--humidity", "PERCENT")] = Field(
         50.0,
-        description="relative humidity of the air, %; above 50 %, boxes lose strength, for the force at rest and for "
-        "the largest force",
+        description="relative humidity of the air, %; above 50 %, boxes lose strength against both the force at rest "
+        "and the largest force",
     )
     storage_days: Annotated[float, within(0, 180), CliFlag("--storage-days", "DAYS")] = Field(
-        0.0, description="days under load, which reduce strength at rest; 0: boxes are loaded as briefly as in a press"
+        0.0,
+        description="number of days for which boxes are loaded, which reduces their strength against forces at rest; "
+        "0: boxes are loaded as briefly as in a press",
     )
     loss_spread: Annotated[float, within(0, 1), CliFlag("--loss-spread", "SHARE")] = Field(
         0.2,
-        description="how far each loss may differ from its value, as a share of the value; used to tell surely from "
-        "possibly overloaded boxes",
+        description="how far the true value of each loss may differ from the given value, as a share of the given "
+        "value; it decides which boxes are surely overloaded, and which only possibly",
     )
 
     def with_losses(self, factor: float) -> Self:

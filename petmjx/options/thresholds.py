@@ -17,28 +17,32 @@ class Thresholds(CheckedRecord):
     IV-C)."""
 
     shift_m: Annotated[float, within(0, 100), CliFlag("--shift-limit-m", "M")] = Field(
-        0.02, gt=0, description="a plan is unstable if a box ends further than this from its place, along x, y or z, m"
+        0.02,
+        gt=0,
+        description="a plan is unstable if the final place of a box differs from its planned place by more than this "
+        "along x, y or z, m",
     )
     shift_floor_m: Annotated[float, within(0, 100)] = Field(
-        0.001, ge=0, description="components of a displacement below this count as 0, m"
+        0.001, ge=0, description="components of a shift that are smaller than this count as 0, m"
     )
     tilt_deg: Annotated[float, within(0, 360), CliFlag("--tilt-limit-deg", "DEG")] = Field(
         20.0,
         gt=0,
-        description="a plan is unstable if the angle between a box's z axis and the world's exceeds this, degrees",
+        description="a plan is unstable if the angle between a box's z axis and the world's z axis exceeds this, "
+        "degrees",
     )
     drop_hull_z_m: Annotated[float, within(-100, 100)] = Field(
-        -0.1, description="a box has dropped if a part of it is lower than this z, m"
+        -0.1, description="a box has dropped if a part of it is lower than this z, m; the carrier's top is at z = 0"
     )
     lin_acc_m_s2: Annotated[float, within(0, 1e9)] = Field(
         110.0,
         gt=0,
-        description="a box with a larger linear acceleration is a sign of an explosion of the simulation, unless a "
-        "box has failed before, m/s²",
+        description="linear acceleration of a box above which the simulation may have exploded, unless a box has "
+        "failed before, m/s²",
     )
     ang_acc_rad_s2: Annotated[float, within(0, 1e9)] = Field(
         110.0,
         gt=0,
-        description="a box with a larger angular acceleration is a sign of an explosion of the simulation, unless a "
-        "box has failed before, rad/s²",
+        description="angular acceleration of a box above which the simulation may have exploded, unless a box has "
+        "failed before, rad/s²",
     )

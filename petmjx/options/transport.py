@@ -18,5 +18,6 @@ class Transport(CheckedRecord):
         None,
         description="take each plan through a transport chain, from the robot to the dock, in worlds with random "
         "errors, and report how likely the pallet is to arrive: the name of a ready-made chain, such as "
-        "chain-film-truck, or a sweep file with legs; the chain, or confidence, gives the number of worlds",
+        "chain-film-truck, or a sweep file with legs; the option confidence, else the chain's file, sets the number of "
+        "worlds",
     )

@@ -49,7 +49,8 @@ class Walls(CheckedRecord):
     )
     open: Annotated[tuple[Side, ...], CliFlag("--open-walls", "SIDE,…")] = Field(
         (),
-        description="walls that are open, like a door: nothing can lean on an open wall, but the wall keeps its mass",
+        description="sides of the carrier whose wall is open, like a door: nothing can lean on an open wall, but the "
+        "wall keeps its mass",
     )
     height_mm: Annotated[float | None, within(1, 4000)] = Field(
         None,
@@ -65,12 +66,12 @@ class Walls(CheckedRecord):
         None, description="thickness of the walls, mm; by default as for the carrier's walls, else 30"
     )
     mass_kg_m2: Annotated[float | None, within(0, 1000)] = Field(
-        None, description="mass of the walls by area, kg/m²; by default as for the carrier's walls, else 6"
+        None, description="mass of the walls per area, kg/m²; by default as for the carrier's walls, else 6"
     )
     friction: Annotated[StrictFloat, Field(ge=0, le=100)] | None = Field(
         None,
-        description="coefficient of sliding friction between walls and boxes; by default the same as for boards that "
-        "have no coefficient: friction by materials, else physics.carrier_friction",
+        description="coefficient of sliding friction between walls and boxes; by default the friction between the "
+        "materials of walls and boxes, else physics.carrier_friction",
     )
     material: Annotated[str, Field(max_length=100)] | None = Field(
         None,

@@ -21,7 +21,9 @@ class Wrap(CheckedRecord):
     """
 
     turns: Annotated[float, within(0, 1000), CliFlag("--wrap-turns", "N")] = Field(
-        0.0, description="turns of stretch film around every part of a pallet when it is shaken; 0: it is not wrapped"
+        0.0,
+        description="number of turns of stretch film around each part of the pallet's height while the pallet is "
+        "shaken; 0: no film",
     )
     force_n: Annotated[float, within(0, 10_000), CliFlag("--wrap-force-n", "N")] = Field(
         50.0, description="tension of one turn of film over its whole width, N"

@@ -102,13 +102,14 @@ HANDMADE: tuple[HandmadePlan, ...] = (
     ),
     HandmadePlan(
         "hand-overhang-55",
-        "the upper box hangs over by 55 % of its length: its centre is 20 mm outside the lower box's edge, it tips",
+        "the upper box hangs over by 55 % of its length: its centre is 20 mm outside the lower box's edge, so it tips",
         _cartons((0, 0, 0), (220, 0, 200)),
         culprit=1,
     ),
     HandmadePlan(
         "hand-bridge",
-        "a beam rests with both ends on two equal supports, each bearing half its weight, and nothing in the middle",
+        "a beam rests with its two ends on two equal supports, each of which bears half of the beam's weight; nothing "
+        "supports the beam's middle",
         _plan(
             ((200, 300, 200), (0, 0, 0), 4.0), ((200, 300, 200), (400, 0, 0), 4.0), ((600, 300, 150), (0, 0, 200), 9)
         ),
@@ -122,40 +123,44 @@ HANDMADE: tuple[HandmadePlan, ...] = (
     ),
     HandmadePlan(
         "hand-harmonic-stack",
-        "overhangs of 0.45/3, 0.45/2 and 0.45/1 of the length: above each box the common centre of the boxes on it "
-        "is 45 % of the length from that box's centre, so still inside its edge (the book-stacking problem)",
+        "overhangs of 0.45/3, 0.45/2 and 0.45/1 of the length, as in the book-stacking problem: for each box, the "
+        "common centre of all boxes above it is 45 % of the length from the box's centre, so still inside the box's "
+        "edge",
         _cartons((0, 0, 0), (60, 0, 200), (150, 0, 400), (330, 0, 600)),
     ),
     HandmadePlan(
         "hand-staircase",
-        "each box hangs over by only 40 %, but two of them have their common centre at 60 %: the stair turns over "
-        "the lowest box's edge though every single step passes a support rule of 0.6",
+        "each box hangs over by only 40 % of its length, but the common centre of the upper two boxes is 60 % of the "
+        "length from the lowest box's centre: the stair tips over the lowest box's edge, although every single box "
+        "passes a support rule of 0.6",
         _cartons((0, 0, 0), (160, 0, 200), (320, 0, 400)),
         culprit=2,
     ),
     HandmadePlan(
         "hand-drop-of-5-mm",
-        "a box floats 5 mm above the other: it falls flat and ends 5 mm below its place, less than 20 mm",
+        "a box floats 5 mm above the other: it falls flat and ends 5 mm below its place, which is less than the "
+        "threshold of 20 mm",
         _cartons((0, 0, 0), (0, 0, 205)),
         rest_top_force_n=((0, CARTON_KG * GRAVITY),),
     ),
     HandmadePlan(
         "hand-floating",
-        "a box floats 400 mm high, its centre beyond the lower box's edge: it falls, strikes the edge and turns",
+        "a box floats 400 mm above the lower box, with its centre beyond the lower box's edge: it falls, strikes the "
+        "edge and turns",
         _cartons((0, 0, 0), (250, 0, 600)),
         culprit=1,
     ),
     HandmadePlan(
         "hand-falls-off",
-        "a box reaches 300 of its 400 mm over the lower box's edge: its centre is outside, it tips; 500 mm tall, it "
-        "falls off the carrier, too",
+        "a box of 400 mm length hangs over the lower box's edge by 300 mm: its centre is outside the edge, so it tips, "
+        "and because it is 500 mm tall, it also falls off the carrier",
         _plan((CARTON, (0, 0, 0), CARTON_KG), ((400, 300, 500), (300, 0, 200), CARTON_KG)),
         culprit=1,
     ),
     HandmadePlan(
         "hand-over-corner",
-        "the upper box hangs over a corner by 40 % of its length and of its width: its centre is 40 and 30 mm inside "
-        "the lower box's edges, though no more than 36 % of its base is supported",
+        "the upper box hangs over a corner by 40 % of its length and of its width: its centre is 40 mm and 30 mm "
+        "inside the lower box's edges, although only 36 % of its base is supported",
         _cartons((0, 0, 0), (160, 120, 200)),
         rest_top_force_n=((0, CARTON_KG * GRAVITY),),
     ),

@@ -64,10 +64,10 @@ class PhysicalOptions(CheckedRecord):
         "simulated, at least 4; 0: packings are simulated only with boxes placed exactly",
     )
     least_share: Annotated[float, within(0, 1), CliFlag("--least-share", "0…1")] = Field(
-        0.9, description="least share of the worlds with errors that must stand"
+        0.9, description="least share of the worlds with errors in which a packing must stand"
     )
     maximise: Annotated[Literal["utilisation", "share"], CliFlag("--maximise", "utilisation|share")] = Field(
         "utilisation",
-        description="what is maximised: utilisation (over the packings that stand in at least least_share of the "
-        "worlds), or share (the share of worlds in which a packing stands)",
+        description="what is maximised: utilisation (among the packings that stand in at least least_share of the "
+        "worlds with errors), or share (the share of worlds with errors in which a packing stands)",
     )

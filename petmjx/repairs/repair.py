@@ -144,7 +144,7 @@ class Repaired:
         fails = f"{name}: {trial.verdict} ({trial.reason}{first})"
         spent = "" if self.complete else f", then {self._limit} for the search were spent"
         if self.built_falls:
-            return f"{fails}; no repair was sought: the boxes that are built already fall by themselves"
+            return f"{fails}; no repair was sought, because the boxes that are already built do not stand by themselves"
         if not self.stands:
             return f"{fails}; no repair is known ({count_text(self.n_trials, 'plan')} simulated{spent})"
         text = f"{fails}; stands after {count_text(len(self.changes), 'change')}"

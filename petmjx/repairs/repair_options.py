@@ -46,27 +46,31 @@ class RepairOptions(CheckedRecord):
         tuple[str, ...], BeforeValidator(_split), AfterValidator(_kinds), CliFlag("--without", "KIND,…")
     ] = Field((), description=f"changes that must not be made: {KINDS}")
     built: Annotated[int, within(0, 100_000), CliFlag("--built", "N")] = Field(
-        0, description="boxes that stand already: the first N of each plan are not changed"
+        0,
+        description="number of boxes at the beginning of each plan that already stand, so that the repair does not "
+        "change them",
     )
     most_move_mm: Annotated[float, within(1, 10_000), CliFlag("--most-move-mm", "MM")] = Field(
         150.0, description="largest distance by which a box is moved along x or y, mm"
     )
     max_height_mm: Annotated[float, within(0, 100_000), CliFlag("--max-height-mm", "MM")] = Field(
-        2000.0, description="highest top of a box that is placed elsewhere, mm; at least the plan's own height"
+        2000.0,
+        description="largest height, mm, that the top of a box may have after it is placed elsewhere; if the plan is "
+        "higher, the plan's height",
     )
     most_changes: Annotated[int, within(1, 100), CliFlag("--most-changes", "N")] = Field(
         60, description="largest number of changes; boxes that are left out do not count"
     )
     trials: Annotated[int, within(1, 1_000_000), CliFlag("--trials", "N")] = Field(
         600,
-        description="largest number of simulations of changed plans, for each plan; with a profile, a sixth of this "
-        "number, but at least one; if boxes must be left out, half of this number is added",
+        description="largest number of simulations of changed plans, for each plan. With a profile, a sixth of this "
+        "number is allowed, but at least one simulation. If boxes must be left out, half of this number is added",
     )
     seconds: Annotated[float | None, within(0.1, 10_000_000), CliFlag("--seconds", "S", default="no limit")] = Field(
         None,
-        description="time for all plans, s, without the start of the engine; if there are worlds with errors, the "
-        "search has 70 % of it; when the time is up, the best repairs so far are the results, and the results say so; "
-        "without a limit, results depend only on plans and options",
+        description="time for the repairs of all plans, s, without the start of the engine; with worlds with errors, "
+        "the search gets 70 % of this time. When the time is up, the results are the best repairs so far, and the "
+        "results say so. Without a limit, results depend only on plans and options",
     )
     worlds: Annotated[int, AfterValidator(_worlds), CliFlag("--worlds", "N")] = Field(
         8,
@@ -75,14 +79,14 @@ class RepairOptions(CheckedRecord):
     )
     share: Annotated[float, within(0, 1), CliFlag("--share", "SHARE")] = Field(
         0.75,
-        description="share of worlds with errors in which a repair shall stand; without a profile, further changes "
-        "are made to reach this share; 0: no further changes",
+        description="share of worlds with errors in which a repaired plan shall stand; without a profile, the repair "
+        "makes further changes to reach this share; 0: no further changes",
     )
     sheet_mm: Annotated[float, within(0.1, 100), CliFlag("--sheet-mm", "MM")] = Field(
         3.0, description="thickness of a tie sheet, mm"
     )
     sheet_kg_m2: Annotated[float, within(0.01, 100)] = Field(
-        0.5, description="mass of a tie sheet by its area, kg/m²: single-wall board has about 0.5"
+        0.5, description="mass of a tie sheet per area, kg/m²; single-wall board has about 0.5"
     )
     profile: Annotated[str | None, CliFlag("--profile", "NAME", default="at rest")] = Field(
         None,
@@ -93,7 +97,7 @@ class RepairOptions(CheckedRecord):
         1.0, gt=0, description="strength of the profile: a level in g, or a scale"
     )
     direction_deg: Annotated[float, within(-360, 360), CliFlag("--direction", "DEG")] = Field(
-        0.0, description="direction of the profile, from +x to +y, degrees"
+        0.0, description="angle by which the profile is turned from +x towards +y, degrees"
     )
     most_turns: Annotated[int, within(1, 1000), CliFlag("--most-turns", "N")] = Field(
         12, description="largest number of turns of film, if the pallet must survive a profile"

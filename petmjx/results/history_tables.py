@@ -121,7 +121,9 @@ def read_history(run: RunResults, plan_id: str, variant: int, n_boxes: int) -> H
     f, (frame, box) = len(frames["frame"]), (boxes["frame"], boxes["box"])
     exists = (frame >= 0) & (frame < f) & (box >= 0) & (box < n_boxes)
     if not np.array_equal(frames["frame"], np.arange(f)) or not exists.all():
-        raise InputError(f"{run.path}: histories and frames of plan {printable_name(plan_id)} do not fit together")
+        raise InputError(
+            f"{run.path}: the tables histories and frames do not fit together for plan {printable_name(plan_id)}"
+        )
 
     def spread(values: FloatArray) -> FloatArray:
         wide = np.full((f, n_boxes, *values.shape[1:]), np.nan)

@@ -38,7 +38,7 @@ class CompletedWorlds:
     def __init__(self, parts: Parts | None = None, columns: Sequence[str] = ()) -> None:
         for boxes in parts.files("boxes") if parts is not None else ():
             if not boxes.is_file():
-                raise InputError(f"{boxes}: missing, although the table worlds has this part")
+                raise InputError(f"{boxes}: missing, although the table worlds has a part of this number")
         tables = parts.table("worlds", [*_COLUMNS, *columns]) if parts is not None else []
         self._table = pa.concat_tables(tables) if tables else None
         self._spans: dict[str, tuple[int, int]] = {}
@@ -59,7 +59,7 @@ class CompletedWorlds:
         twice = np.flatnonzero((plan[1:] == plan[:-1]) & (self._variants[1:] == self._variants[:-1]))
         if len(twice):
             plan_id, number = ids[plan[twice[0]]], self._variants[twice[0]]
-            raise InputError(f"{parts and parts.folder}: has plan {plan_id}, variant {number} more than once")
+            raise InputError(f"{parts and parts.folder}: has variant {number} of plan {plan_id} more than once")
         ends = np.searchsorted(plan, np.arange(len(ids) + 1)).tolist()
         self._spans = dict(zip(ids, itertools.pairwise(ends), strict=True))
 
@@ -126,7 +126,7 @@ def resume_state(
     parts = Parts.of(folder, info)
     differs = manifest.difference_from(Manifest.read(parts, info))
     if differs:
-        raise InputError(f"{folder}: cannot be resumed, it is another run ({differs})")
+        raise InputError(f"{folder}: cannot be resumed, because the folder has another run ({differs})")
     warnings = list(split_warnings(info)[0])
     for name, version in versions.items():
         before = info["versions"].get(name)
@@ -137,8 +137,8 @@ def resume_state(
     if lacking:  # an interrupted merge of petmjx before 0.3 left a folder in which parts of the table boxes are missing
         if parts.files("frames"):
             raise InputError(
-                f"{folder / 'boxes' / part_name(lacking[0])}: missing, although the table worlds has this part; "
-                f"simulate the run again, with {option('--overwrite', 'True')}"
+                f"{folder / 'boxes' / part_name(lacking[0])}: missing, although the table worlds has a part of this "
+                f"number; simulate the run again, with {option('--overwrite', 'True')}"
             )
         before = sum(len(table) for table in parts.table("worlds", ("variant",)))
         parts = parts.without_numbers(lacking)

@@ -386,7 +386,9 @@ def read_info(folder: Path) -> dict[str, Any]:
         raise InputError(f"{file}: not written by petmjx (it names no schema_version)")
     check_version(file, info["schema_version"])
     if LISTED not in info:
-        raise InputError(f"{file}: written by petmjx before 0.2, which did not list a run's files: simulate it again")
+        raise InputError(
+            f"{file}: written by petmjx before 0.2, which did not list a run's files: simulate the plans again"
+        )
     check_run_file(info, file)
     return info
 

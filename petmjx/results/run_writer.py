@@ -459,7 +459,9 @@ class RunWriter(RunInfo):
         try:
             self.out_dir.mkdir(parents=True, exist_ok=True)
             if not self._until_end.enter_context(held_folder_lock(self.out_dir)):
-                self.warn("the file system has no locks: petmjx cannot notice another run in the same folder")
+                self.warn(
+                    "the file system has no locks, so petmjx cannot notice if another run writes to the same folder"
+                )
             check_run_folder(self.out_dir, self._overwrite, self._resume)
             tidy(self.out_dir)
             if self._resume and (self.out_dir / RUN_FILE).exists():

@@ -87,7 +87,8 @@ RANK_COLUMN: Final = _column(
     RANK,
     pa.int64(),
     DIMENSIONLESS,
-    "position of the world in the run: plans in the order in which they were given, then variants",
+    "position of the world in the run: worlds have the order in which their plans were given; worlds of one plan have "
+    "the order of their variants",
 )
 
 _KEY = (
@@ -95,7 +96,7 @@ _KEY = (
     *_counts(variant="number of the variant (set of changes to the nominal world); 0: the nominal world"),
     RANK_COLUMN,
 )
-_FLAGS = _counts(flags=f"bit mask of what happened: {_FLAG_BITS}")
+_FLAGS = _counts(flags=f"bit mask of events and properties of the world: {_FLAG_BITS}")
 
 _WORLD_COLUMNS = (
     *_KEY,
@@ -107,7 +108,10 @@ _WORLD_COLUMNS = (
     *_texts(schedule=f"when the next box was placed: {_one_of(Schedule)}"),
     *_counts(n_boxes="number of boxes of the plan", n_placed="number of boxes placed before the world ended"),
     *_texts(verdict=_one_of(Verdict), reason="reason why the world is not stable; empty if it is stable"),
-    *_counts(culprit="box that first crossed a threshold (packing order from 0); null if no box crossed one"),
+    *_counts(
+        culprit="number of the box that first crossed a threshold (in packing order, from 0); null if no box crossed "
+        "one"
+    ),
 )
 """The first columns of the table ``worlds``. The columns with metrics and the column ``flags`` follow."""
 
@@ -122,10 +126,13 @@ _BOX_COLUMNS = (
 
 _ATTEMPT_COLUMNS = (
     *_KEY,
-    *_counts(attempt="number of the attempt, from 1; the last one gave the verdict"),
+    *_counts(attempt="number of the attempt at the world, from 1; the last attempt gave the verdict"),
     *_texts(engine="engine that simulated the world", solver="constraint solver"),
     _column("timestep_s", pa.float64(), "s", "timestep of the simulation"),
-    *_texts(verdict="verdict of this attempt", reason="reason why the world was not stable; empty if it was stable"),
+    *_texts(
+        verdict="verdict of this attempt",
+        reason="reason why the world was not stable in this attempt; empty if it was stable",
+    ),
     *_FLAGS,
     *_metrics(column for column in metrics.world_columns() if column.name == "n_steps"),
 )
@@ -134,7 +141,7 @@ _ATTEMPT_COLUMNS = (
 _FRAME_KEY = (
     *_KEY,
     *_counts(frame="number of the frame in its world, from 0"),
-    _column("time_s", pa.float64(), "s", "simulated time after the soft start"),
+    _column("time_s", pa.float64(), "s", "simulated time of the frame, counted from the end of the soft start"),
 )
 
 
@@ -147,11 +154,19 @@ def _vector(name: str, unit: str, text: str, parts: str = "xyz", end: str = "") 
 _HISTORY_COLUMNS = (
     *_FRAME_KEY,
     *_counts(box="index of the box in packing order, from 0; boxes that are not placed yet have no row"),
-    *_vector("pos", "m", "centre; z = 0 is the carrier's top before the soft start", end="_m"),
+    *_vector("pos", "m", "centre of the box (z = 0 is the carrier's top before the soft start)", end="_m"),
     *_vector("quat", DIMENSIONLESS, "orientation, unit quaternion", "wxyz"),
     _column("top_force_n", pa.float64(), "N", "force on the box's top during the step before the frame"),
-    *_vector("lin_acc", "m/s^2", "linear acceleration in the step before the frame; null without recorded details"),
-    *_vector("ang_acc", "rad/s^2", "angular acceleration in the step before the frame, world axes"),
+    *_vector(
+        "lin_acc",
+        "m/s^2",
+        "linear acceleration of the box in the step before the frame (null without recorded details)",
+    ),
+    *_vector(
+        "ang_acc",
+        "rad/s^2",
+        "angular acceleration of the box in the step before the frame, in world axes (null without recorded details)",
+    ),
     _column(
         "penetration_m",
         pa.float64(),
@@ -168,22 +183,25 @@ _FRAME_COLUMNS = (
     *_vector(
         "drive_force",
         "N",
-        "force on the carrier in the step before the frame; null without a profile of forces",
+        "force on the carrier in the step before the frame (null without a profile of forces)",
         end="_n",
     ),
     *_vector(
         "drive_acc",
         "m/s^2",
-        "acceleration of the carrier in the step before the frame; null without a profile of accelerations",
+        "acceleration of the carrier in the step before the frame (null without a profile of accelerations)",
     ),
 )
 
 _CONTACT_COLUMNS = (
     *_FRAME_KEY,
-    *_counts(body_1="first body: index of a box, -1 carrier, -2 floor", body_2="second body"),
-    *_vector("point", "m", "point at which the two bodies touch, world axes", end="_m"),
-    *_vector("normal", DIMENSIONLESS, "unit vector from the first body to the second"),
-    *_vector("force", "N", "force of the first body on the second, world axes", end="_n"),
+    *_counts(
+        body_1="first body of the contact: index of a box, -1: carrier, -2: floor",
+        body_2="second body of the contact: index of a box, -1: carrier, -2: floor",
+    ),
+    *_vector("point", "m", "point at which the two bodies touch, in world axes", end="_m"),
+    *_vector("normal", DIMENSIONLESS, "unit vector of the contact's normal, from the first body to the second body"),
+    *_vector("force", "N", "force of the first body on the second body, in world axes", end="_n"),
     _column("distance_m", pa.float64(), "m", "distance between the two bodies; negative if they penetrate"),
 )
 
@@ -206,7 +224,12 @@ _PLACEMENT_COLUMNS = (
     *_texts(kind="kind of the item: box, sheet, or the name of a pallet; null if all items are boxes"),
     *_vector("size", "mm", "extent of the box as it stands", end="_mm"),
     *_vector("corner", "mm", "front-left-bottom corner", end="_mm"),
-    *_vector("mass_center", "mm", "centre of mass from the middle of the box; null if the plan gives none", end="_mm"),
+    *_vector(
+        "mass_center",
+        "mm",
+        "centre of mass, measured from the middle of the box (null if the plan gives none)",
+        end="_mm",
+    ),
     _column("mass_kg", pa.float64(), "kg", "mass"),
     _column("sequence", pa.int64(), DIMENSIONLESS, "number of the item in the order"),
     _column(
@@ -217,7 +240,7 @@ _PLACEMENT_COLUMNS = (
             name,
             pa.float64(),
             field.unit,
-            f"{name} of the plan; NaN: not given for this box; null: not given for any box",
+            f"value of {name} in the plan; NaN: not given for this box; null: not given for any box",
         )
         for name, field in SPARSE.items()
     ),
@@ -228,7 +251,7 @@ _ORDER_COLUMNS = _counts(
     ordered_boxes="number of boxes of the plan's order; null if the plan has no order",
     left_out="number of boxes that were ordered, but are not in the plan",
     not_ordered="number of boxes in the plan that were not ordered",
-    resized="number of boxes that were ordered with another size, mass, centre of mass, stiffness or kind",
+    resized="number of boxes in the plan that were ordered with another size, mass, centre of mass, stiffness or kind",
 )
 """Columns of the table ``plans`` with the comparison of a plan and its order."""
 
@@ -257,7 +280,10 @@ def schemas(
     names = [column.name for column in worlds]
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
-        raise ValueError(f"a variant's parameter cannot be called {repeated[0]!r}: worlds has such a column")
+        raise ValueError(
+            f"a variant's parameter cannot be called {repeated[0]!r}: the table worlds already has a column of this "
+            "name"
+        )
     intervals = metrics.FORCE_INTERVAL if force_intervals else ()
     boxes = (*_BOX_COLUMNS, *_metrics((*metrics.box_columns(driven=dynamic, legs=legs), *intervals)))
     tables = {"worlds": worlds, "boxes": boxes, "attempts": _ATTEMPT_COLUMNS}

@@ -48,9 +48,13 @@ class Event(CheckedRecord):
     """One profile (motion of the carrier) that shakes the pallet during a leg."""
 
     profile: Name = Field(description="name of a profile of accelerations, or of a family of such profiles")
-    direction: Direction = Field(0.0, description="angle by which the profile is turned from +x to +y")
-    level: Strengths | None = Field(None, description="level of the profile, g, or {from, to}, drawn for each world")
-    scale: Strengths | None = Field(None, description="factor on the profile, or {from, to}, drawn for each world")
+    direction: Direction = Field(0.0, description="angle by which the profile is turned from +x towards +y, degrees")
+    level: Strengths | None = Field(
+        None, description="level of the profile, g; or {from, to}: a level between the two is drawn for each world"
+    )
+    scale: Strengths | None = Field(
+        None, description="factor on the profile; or {from, to}: a factor between the two is drawn for each world"
+    )
 
     @property
     def drawn(self) -> bool:
@@ -63,13 +67,17 @@ class Leg(CheckedRecord):
     carrier."""
 
     name: Name = Field(description="name of the leg in the results")
-    events: tuple[Event, ...] = Field((), max_length=MOST_LEGS, description="profiles, one after the other")
+    events: tuple[Event, ...] = Field(
+        (), max_length=MOST_LEGS, description="profiles that shake the pallet during the leg, one after the other"
+    )
     pause_s: Annotated[StrictFloat, Field(ge=0), within(0, 60)] = Field(
         1.0, description="time between the end of an event and the beginning of the next one, s"
     )
-    wrap_turns: Turn | None = Field(None, description="turns of film around the pallet from this leg on")
+    wrap_turns: Turn | None = Field(None, description="number of turns of film around the pallet from this leg on")
     open_walls: tuple[Side, ...] = Field(
-        (), description="walls of the carrier that are opened, as doors, and stay open: left, right, front, back"
+        (),
+        description="walls of the carrier that are opened like doors at this leg and stay open: left, right, front, "
+        "back",
     )
 
 
@@ -79,7 +87,9 @@ class Remedy(CheckedRecord):
 
     name: Name = Field(description="name of the remedy in the results")
     leg: Name = Field(description="name of the leg that is changed")
-    wrap_turns: Turn | None = Field(None, description="turns of film from this leg on, instead of the leg's turns")
+    wrap_turns: Turn | None = Field(
+        None, description="number of turns of film from this leg on, instead of the leg's own number"
+    )
     factor: Factor | None = Field(None, description="factor on the levels and scales of the leg's events")
 
     @model_validator(mode="after")
@@ -109,15 +119,15 @@ def check_chain(legs: Sequence[Leg], remedies: Sequence[Remedy], defined: Mappin
     for number, name in enumerate(names):
         check_name(name, "legs", number)
         if name == PLACING or name in names[:number]:
-            conflict = "the part before the first leg" if name == PLACING else "another leg"
+            conflict = "the name of the part before the first leg" if name == PLACING else "another leg"
             raise complaint(f": {name!r} is already {conflict}", "legs", number, "name")
     if legs and not any(leg.events or leg.open_walls for leg in legs):
-        raise complaint("have no events: nothing shakes the pallet", "legs")
+        raise complaint("have no events and open no walls: nothing happens to the pallet", "legs")
     for number, leg in enumerate(legs):
         for place, event in enumerate(leg.events):
             _check_event(event, defined, ("legs", number, "events", place))
     if remedies and not legs:
-        raise complaint("need [[legs]], because a remedy changes a leg", "remedies")
+        raise complaint("need [[legs]], because each remedy changes a leg", "remedies")
     for number, remedy in enumerate(remedies):
         check_name(remedy.name, "remedies", number)
         if remedy.name in [other.name for other in remedies[:number]]:
@@ -126,7 +136,7 @@ def check_chain(legs: Sequence[Leg], remedies: Sequence[Remedy], defined: Mappin
             raise complaint(f": no leg {remedy.leg!r}{similar(remedy.leg, names)}", "remedies", number, "leg")
         leg = legs[names.index(remedy.leg)]
         if remedy.factor is not None and not any(_has_strength(event, defined) for event in leg.events):
-            text = f": no event of leg {remedy.leg!r} has a level or scale"
+            text = f": no event of leg {remedy.leg!r} has a level or scale to change"
             raise complaint(text, "remedies", number, "factor")
 
 
@@ -150,7 +160,7 @@ def _check_event(event: Event, defined: Mapping[str, Profile], path: tuple[str |
             if isinstance(drawn := getattr(event, name), Range) and not drawn.continuous:
                 raise complaint("is drawn at random between from and to: leave out step and count", *path, name)
         if profile.strength is Strength.LEVEL and event.level is None:
-            raise complaint(f"is missing: profile {profile.name!r} has a level in g", *path, "level")
+            raise complaint(f"is missing: profile {profile.name!r} needs a level in g", *path, "level")
 
 
 def profiles_of_legs(legs: Sequence[Leg], defined: Mapping[str, Profile]) -> dict[str, Profile]:

@@ -43,24 +43,27 @@ _COUNTS: Final = ["n_worlds", "n_standing", "n_invalid"]
 _DESCRIPTIONS: Final = {
     "scope": "all: the row is about all plans together; plan: the row is about one plan",
     "plan_id": "id of the packing plan; null if the row is about all plans",
-    "remedy": "name of the remedy, which changes one leg; empty: the unchanged chain",
-    "leg": "leg of the chain; empty: the whole journey",
-    "n_worlds": "number of worlds that reached the leg; for the whole journey: number of all worlds",
-    "n_standing": "number of worlds that stand after the leg; for the whole journey: number of worlds that arrive",
-    "n_invalid": "number of worlds without a verdict, which do not count in the share",
+    "remedy": "name of the remedy, which changes one leg; empty: the row is about the unchanged chain",
+    "leg": "name of the leg of the chain; empty: the row is about the whole journey",
+    "n_worlds": "number of worlds that reached the leg; in rows about the whole journey: number of all worlds",
+    "n_standing": "number of worlds that stand after the leg; in rows about the whole journey: number of worlds that "
+    "arrive",
+    "n_invalid": "number of worlds without a verdict, which the column share does not count",
     "share": "n_standing / (n_worlds - n_invalid); null if no world has a verdict",
-    "low": "lower end of the share's Wilson 95 % interval; null if nothing is drawn at random",
-    "high": "upper end of the share's Wilson 95 % interval; null if nothing is drawn at random",
-    "weakest_leg": "for the whole journey: the leg in which most worlds failed; empty if no world failed",
-    "box": "number of the box that most often failed first in the weakest leg; null if the row is about all plans",
-    "only_with": "for the whole journey with a remedy: number of draws of random numbers with which the pallet arrives "
-    "only with the remedy",
-    "only_without": "for the whole journey with a remedy: number of draws with which the pallet arrives only without "
-    "the remedy",
-    "gain": "share of arriving worlds with the remedy minus share without the remedy, over the draws that have a "
-    "verdict both with and without the remedy",
-    "gain_low": "lower end of Newcombe's 95 % interval of the gain, for pairs; null if nothing is drawn at random",
-    "gain_high": "upper end of Newcombe's 95 % interval of the gain, for pairs; null if nothing is drawn at random",
+    "low": "lower end of the Wilson 95 % interval of the column share; null if nothing is drawn at random",
+    "high": "upper end of the Wilson 95 % interval of the column share; null if nothing is drawn at random",
+    "weakest_leg": "in rows about the whole journey: leg in which most worlds failed; empty if no world failed",
+    "box": "number of the box that most often failed first in the leg weakest_leg; null if the row is about all plans",
+    "only_with": "in rows about the whole journey with a remedy: number of draws of random numbers with which the "
+    "pallet arrives with the remedy, but not without it",
+    "only_without": "in rows about the whole journey with a remedy: number of draws of random numbers with which the "
+    "pallet arrives without the remedy, but not with it",
+    "gain": "share of worlds that arrive with the remedy, minus the share that arrive without it; both over the draws "
+    "of random numbers that have a verdict with and without the remedy",
+    "gain_low": "lower end of the 95 % interval of the column gain (Newcombe's interval for paired shares); null if "
+    "nothing is drawn at random",
+    "gain_high": "upper end of the 95 % interval of the column gain (Newcombe's interval for paired shares); null if "
+    "nothing is drawn at random",
 }
 
 _TEXTS: Final = frozenset({"scope", "plan_id", "remedy", "leg", "weakest_leg"})

@@ -46,29 +46,29 @@ PLACING: Final = "placing"
 _DESCRIPTIONS: Final = {
     "plan_id": "id of the packing plan",
     "verdict": "verdict of the nominal world, which has no errors",
-    "reason": "reason why the nominal world is not stable; empty if it is stable",
-    "margin": "margin of the nominal world; null if it is invalid",
+    "reason": "reason why the nominal world, which has no errors, is not stable; empty if it is stable",
+    "margin": "margin of the nominal world, which has no errors; null if this world is invalid",
     "n_worlds": "number of worlds with errors",
     "n_standing": "number of stable worlds with errors",
     "n_not_placed": "number of unstable worlds with errors in which the hand found no room for a box before any box "
     "failed",
-    "n_fell": "number of all other unstable worlds with errors",
-    "n_invalid": "number of worlds with errors without a verdict, which do not count in the share",
-    "share": "stable worlds / worlds with a verdict, among the worlds with errors; null if no world has a verdict",
-    "low": "lower end of the share's Wilson 95 % interval",
-    "high": "upper end of the share's Wilson 95 % interval",
-    "coin_toss": "whether the interval contains one half, so that the worlds do not show whether the pallet stands "
-    "more often than it falls",
+    "n_fell": "number of the unstable worlds with errors that n_not_placed does not count",
+    "n_invalid": "number of worlds with errors that have no verdict; the column share does not count them",
+    "share": "share of stable worlds among the worlds with errors that have a verdict; null if no world has a verdict",
+    "low": "lower end of the Wilson 95 % interval of the column share",
+    "high": "upper end of the Wilson 95 % interval of the column share",
+    "coin_toss": "whether the interval from low to high contains one half, so that the worlds do not show whether the "
+    "pallet stands more often than it falls",
 }
 
 _OF_BOTH: Final = {
     "n_standing_exact": "number of stable worlds with errors in which boxes appear at their places",
-    "share_exact": "stable worlds / worlds with a verdict, among the worlds with errors in which boxes appear at their "
-    "places; null if none of these worlds has a verdict",
+    "share_exact": "share of stable worlds among the worlds with errors that have a verdict and in which boxes appear "
+    "at their places; null if no such world has a verdict",
     "only_carried": "number of draws of errors with which the pallet stands only if boxes are carried",
     "only_exact": "number of draws of errors with which the pallet stands only if boxes appear at their places",
-    "p_value": "p-value of McNemar's exact test (two-sided) on only_carried and only_exact, corrected for the number "
-    "of plans by Holm's method",
+    "p_value": "p-value of McNemar's exact two-sided test of whether carrying the boxes changes how often the pallet "
+    "stands (only_carried against only_exact); Holm's method corrects it for the number of plans",
     "placing_matters": f"whether p_value is below {SIGNIFICANCE:g}, so that share and share_exact differ beyond chance",
 }
 """Additional columns of a run in which each world with errors was simulated twice: once with boxes that are carried to
@@ -102,7 +102,8 @@ def confidence_sweep(
         carried = error_sweep.simulation.placing.for_errors
         if not (error_sweep.simulation.may_carry and carried.carries):
             raise InputError(
-                "exact_too needs placing auto, hand or tines, to compare carried boxes with boxes placed exactly"
+                "exact_too compares carried boxes with boxes that are placed exactly, so it needs placing auto, hand "
+                "or tines"
             )
         axes = {**axes, PLACING: Axis(PLACING, (carried.name.value, Way.EXACT.value))}
     return error_sweep.model_copy(update={"nominal": True, "replicates": n_worlds, "axes": axes})
@@ -111,7 +112,7 @@ def confidence_sweep(
 def _error_sweep_fault(sweep: Sweep) -> str:
     """An error text about the first entry that a sweep file of errors must not have; "" if all entries are allowed."""
     if sweep.search is not None:
-        return "[search] contradicts confidence, which asks for a share: use petmjx sweep"
+        return "[search] contradicts confidence, which computes a share of worlds: use petmjx sweep"
     if sweep.legs:
         return f"legs contradict {option('--errors')}, which is about pallets at rest: use petmjx score with --chain"
     if sweep.has_drives:
@@ -120,11 +121,11 @@ def _error_sweep_fault(sweep: Sweep) -> str:
         return 'mode = "sample" contradicts confidence, which draws every world from the same errors'
     for name, axis in sweep.axes.items():
         if not isinstance(axis.values[0], Distribution):
-            return f"axes.{name} contradicts confidence: it is not an error, but the same in every world"
+            return f"axes.{name} contradicts confidence: its value is not random, so it is no error"
         if len(axis.values) > 1:
             return f"axes.{name}: confidence needs one error, got {len(axis.values)}"
     if not any(axis.random for axis in sweep.axes.values()):
-        return "axes have nothing random: every world would be the same"
+        return "no axis is random, so every world would be the same"
     return ""
 
 

@@ -22,17 +22,26 @@ EUMOS_FOOT_PERMANENT_M = 0.04
 """Largest allowed displacement that remains after the test in the lowest 20 cm of the load, m."""
 
 EUMOS_COLUMNS = (
-    Param("eumos_elastic_share", DIMENSIONLESS, "largest horizontal displacement during the test / load height"),
-    Param("eumos_permanent_share", DIMENSIONLESS, "largest horizontal displacement after the test / load height"),
+    Param(
+        "eumos_elastic_share",
+        DIMENSIONLESS,
+        "largest horizontal displacement of a box during the test / height of the load",
+    ),
+    Param(
+        "eumos_permanent_share",
+        DIMENSIONLESS,
+        "largest horizontal displacement of a box that remains after the test / height of the load",
+    ),
     Param(
         "eumos_foot_permanent_m",
         "m",
-        "largest horizontal displacement, after the test, of a box that reaches into the lowest 20 cm",
+        "largest horizontal displacement that remains after the test, of the boxes that reach into the lowest 20 cm of "
+        "the load",
     ),
     Param(
         "eumos_passed",
         TEXT,
-        "whether the pallet stood before the test, kept all limits of EUMOS 40509, and no box fell",
+        "whether the pallet stood before the test, kept all limits of EUMOS 40509, and lost no box",
         bool,
     ),
 )

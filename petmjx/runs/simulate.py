@@ -258,7 +258,8 @@ class _Run:
         if len(writer.recorded) and (missing := self.recording.missing(writer.parts)):
             of = count_text(missing, "world")
             writer.warn(
-                f"{of} of an earlier run have no history and are not simulated again: name another folder to record"
+                f"{of} of an earlier run have no history and are not simulated again; to record them, name another "
+                "folder"
             )
 
     def _start(self, recorded: int) -> RunStart:

@@ -114,9 +114,11 @@ class Range(CheckedRecord, Generic[Number]):
     then, every number between its ends is allowed."""
 
     low: Number = Field(alias="from", description="the first value")
-    high: Number = Field(alias="to", description="upper end of the range, and the last value if a step ends there")
+    high: Number = Field(
+        alias="to", description="upper end of the range; the last value, if the steps reach it exactly"
+    )
     step: Annotated[StrictFloat, Field(gt=0)] | None = Field(
-        None, description="difference between a value and the next"
+        None, description="difference between two successive values"
     )
     count: Annotated[StrictInt, Field(ge=2, le=MAX_AXIS_VALUES)] | None = Field(None, description="number of values")
 
@@ -148,8 +150,8 @@ class Range(CheckedRecord, Generic[Number]):
 class DrawnRange(Range[Positive]):
     """A range of levels or scales in a chain. For each world, one value is drawn from the range."""
 
-    low: Positive = Field(alias="from", description="the least value that is drawn")
-    high: Positive = Field(alias="to", description="the largest value that is drawn")
+    low: Positive = Field(alias="from", description="lower end of the range from which values are drawn")
+    high: Positive = Field(alias="to", description="upper end of the range from which values are drawn")
 
 
 Positives = Annotated[
@@ -313,7 +315,9 @@ AXIS_KINDS: Final = {
     kind.name: kind
     for kind in (
         AxisKind("profile", "", Names, "names of profiles"),
-        AxisKind("direction", "deg", Directions, "angle by which the profile is turned from +x to +y", suffix="_deg"),
+        AxisKind(
+            "direction", "deg", Directions, "angle by which the profile is turned from +x towards +y", suffix="_deg"
+        ),
         AxisKind("scale", "1", Positives, "factor on the profile"),
         AxisKind("level", "g", Positives, "level of the profile", suffix="_g"),
         AxisKind("friction_factor", "1", Frictions, "factor on the friction of boxes and carrier", (_BOX, _CARRIER)),
@@ -323,7 +327,8 @@ AXIS_KINDS: Final = {
             "friction_tolerance_rel",
             "1",
             RelativeErrors,
-            "error of the friction of boxes and carrier, as a share of the friction; one error for a whole world",
+            "error of the friction of boxes and carrier, as a share of the friction; all boxes and the carrier of a "
+            "world have the same error",
             ("friction_rel",),
         ),
         AxisKind("mass_factor", "1", Masses, "factor on the mass of boxes", ("mass_factor",)),
@@ -332,7 +337,11 @@ AXIS_KINDS: Final = {
         ),
         AxisKind("size_tolerance_mm", "mm", SizeErrors, "error of each dimension of each box", ("size_mm",)),
         AxisKind(
-            "size_tolerance_rel", "1", RelativeErrors, "error of each dimension of each box, as a share", ("size_rel",)
+            "size_tolerance_rel",
+            "1",
+            RelativeErrors,
+            "error of each dimension of each box, as a share of the dimension",
+            ("size_rel",),
         ),
         AxisKind("placement_error_mm", "mm", Errors, "error of each box's place in x and in y", ("x_mm", "y_mm")),
         AxisKind("placement_error_x_mm", "mm", Errors, "error of each box's place in x alone", ("x_mm",)),
@@ -348,13 +357,31 @@ AXIS_KINDS: Final = {
         ),
         AxisKind("placing", "", Ways, "how boxes are placed", ("placing_name",)),
         AxisKind(
-            "placing_height_mm", "mm", Positives, "height above its place at which a box begins", ("placing_height_mm",)
+            "placing_height_mm",
+            "mm",
+            Positives,
+            "height above its place at which the carrying of a box begins",
+            ("placing_height_mm",),
         ),
-        AxisKind("placing_side_mm", "mm", Positives, "how far beside its place a box begins", ("placing_side_mm",)),
+        AxisKind(
+            "placing_side_mm",
+            "mm",
+            Positives,
+            "level distance from its place at which the carrying of a box begins",
+            ("placing_side_mm",),
+        ),
         AxisKind("placing_speed_m_s", "m/s", Positives, "largest speed of a carried box", ("placing_speed_m_s",)),
-        AxisKind("placing_force_n", "N", Positives, "largest force of a hand", ("placing_force_n",)),
+        AxisKind(
+            "placing_force_n", "N", Positives, "largest force with which the hand presses a box", ("placing_force_n",)
+        ),
         AxisKind("wrap_turns", "1", Turns, "turns of stretch film around the pallet", ("wrap_turns",)),
-        AxisKind("tines_height_mm", "mm", Positives, "height of the edge that comes down last", ("tines_height_mm",)),
+        AxisKind(
+            "tines_height_mm",
+            "mm",
+            Positives,
+            "height of the edge that comes down last when tines release a box",
+            ("tines_height_mm",),
+        ),
     )
 }
 """All axes of sweep files, in the order in which the loops over their values are nested, the outermost loop first.
@@ -439,5 +466,5 @@ def _axis(name: str, setting: Any, sampled: bool) -> Axis:
     if not setting.continuous:
         return Axis(name, setting.values())
     if not sampled:
-        raise complaint("needs step or count: a grid has no continuous axes", name)
+        raise complaint('needs step or count: mode = "grid" needs single values, not a continuous range', name)
     return Axis(name, (), setting.low, setting.high)

@@ -59,14 +59,17 @@ class Search(CheckedRecord):
     """The table ``[search]`` of a sweep file, which requests a search for the largest level or scale that pallets
     survive. A sweep with the table ``[search]`` has no axis ``level`` or ``scale``."""
 
-    lower: StrictFloat = Field(0.0, ge=0, le=MAX_STRENGTH, description="lowest level (g) or scale")
-    upper: StrictFloat = Field(2.0, gt=0, le=MAX_STRENGTH, description="highest level (g) or scale")
+    lower: StrictFloat = Field(0.0, ge=0, le=MAX_STRENGTH, description="lowest level (g) or scale of the search")
+    upper: StrictFloat = Field(2.0, gt=0, le=MAX_STRENGTH, description="highest level (g) or scale of the search")
     tolerance: StrictFloat | None = Field(
         None,
         ge=MIN_TOLERANCE,
-        description="accuracy of the largest level survived; by default 0.01 g, or a scale of 0.02",
+        description="accuracy with which the largest survived level or scale is found; by default 0.01 g for levels "
+        "and 0.02 for scales",
     )
-    sections: StrictInt = Field(3, ge=1, le=1000, description="number of levels tested at a time, per direction")
+    sections: StrictInt = Field(
+        3, ge=1, le=1000, description="number of levels that are tested at the same time in each direction"
+    )
 
     @model_validator(mode="after")
     def _upper_above_lower(self) -> Self:
@@ -130,29 +133,55 @@ class Sweep(CheckedRecord):
             Discriminator(shape),
         ]
         | None
-    ) = Field(None, description='a path, a list of paths (from the file\'s folder), or "samples"')
+    ) = Field(
+        None,
+        description="plans to simulate: a path or a list of paths, relative to the folder of the sweep file, or "
+        '"samples"',
+    )
     mode: Literal["grid", "sample"] = Field(
-        "grid", description="grid: every combination of values; sample: random combinations"
+        "grid",
+        description="grid: every combination of the values of the axes is simulated; sample: random combinations are "
+        "drawn",
     )
-    sample: StrictInt | None = Field(None, ge=1, le=MAX_REPEATS, description="number of random combinations")
+    sample: StrictInt | None = Field(
+        None, ge=1, le=MAX_REPEATS, description="number of random combinations, if mode is sample"
+    )
     seed: StrictInt = Field(
-        0, ge=0, lt=2**63, description="determines all random numbers, together with plan id and replicate"
+        0,
+        ge=0,
+        lt=2**63,
+        description="seed that determines all random numbers, together with the plan's id and the number of the "
+        "replicate",
     )
-    replicates: StrictInt = Field(1, ge=1, le=MAX_REPEATS, description="repetitions with other random numbers")
+    replicates: StrictInt = Field(
+        1,
+        ge=1,
+        le=MAX_REPEATS,
+        description="number of times that each variant is simulated, each time with other random numbers",
+    )
     nominal: StrictBool = Field(
-        False, description="whether variant 0, the unchanged world without a drive, is simulated too"
+        False, description="whether variant 0, the world without changes and without a drive, is simulated too"
     )
-    shifts_from: Literal["plan", "release"] = Field("plan", description="place from which shifts are measured")
+    shifts_from: Literal["plan", "release"] = Field(
+        "plan",
+        description="place from which shifts of boxes are measured: the planned place (plan), or the place of release, "
+        "with its error (release)",
+    )
     simulation: Simulation = Field(Simulation(), description="how worlds are simulated")
-    search: Search | None = Field(None, description="what to search for instead of an axis level or scale")
+    search: Search | None = Field(
+        None,
+        description="search for the largest level or scale that pallets survive; it replaces the axis level or scale",
+    )
     own_profiles: Annotated[dict[str, Any], PlainValidator(_own_profiles)] = Field(
         {}, alias="profiles", description="the file's own profiles, by name"
     )
     axes: Annotated[dict[str, Axis], PlainValidator(_named_axes)] = Field(
-        {}, description="what is varied: axes by name, in the order of the file"
+        {}, description="parameters that are varied: axes by name, in the order of the file"
     )
     legs: tuple[Leg, ...] = Field(
-        (), max_length=MOST_LEGS, description="legs of a chain: what shakes the pallet on its way"
+        (),
+        max_length=MOST_LEGS,
+        description="legs of a chain: parts of the journey, with the profiles that shake the pallet",
     )
     remedies: tuple[Remedy, ...] = Field(
         (), max_length=MOST_LEGS, description="changes of the chain, to be compared with the unchanged chain"
@@ -261,10 +290,13 @@ class Sweep(CheckedRecord):
         for name, profile in self.profiles.items():
             if profile.strength is Strength.ANGLE:
                 raise ValueError(
-                    f"[search] cannot be used with profile {name!r}, which passes through all its angles itself"
+                    f"[search] cannot be used with profile {name!r}, which tilts the carrier through all angles by "
+                    "itself"
                 )
             if profile.strength is not self.strength:
-                raise ValueError("[search] needs profiles of one kind: some of these have a level in g, others a scale")
+                raise ValueError(
+                    "[search] needs profiles of one kind: some profiles here have a level in g, others a scale"
+                )
         if (self.search.upper - self.search.lower) / self._tolerance > MAX_SEARCH_LEVELS:
             raise complaint(f"{self._tolerance:g} makes more than {MAX_SEARCH_LEVELS:,} levels", "search", "tolerance")
         return self
@@ -275,10 +307,12 @@ class Sweep(CheckedRecord):
         if not self.legs:
             return self
         if self.search is not None:
-            raise ValueError("[search] contradicts legs: a chain is the same journey for every pallet")
+            raise ValueError(
+                "[search] contradicts legs: a search varies a level, but a chain is the same journey for every pallet"
+            )
         if self.sample is not None:
             raise complaint(
-                'contradicts legs: set replicates, the number of worlds, instead of mode = "sample"', "sample"
+                'contradicts legs: instead of mode = "sample", set replicates to the number of worlds', "sample"
             )
         for name, axis in self.axes.items():
             if not axis.kind.placement:
@@ -297,7 +331,7 @@ class Sweep(CheckedRecord):
         axes = self.axes
         for name in ("scale", "level", "direction"):
             if name in axes and not self.profiles:
-                raise complaint("needs axes.profile: without a profile there is nothing to apply it to", "axes", name)
+                raise complaint("needs axes.profile: it changes a profile, and no profile is given", "axes", name)
         if "scale" in axes and "level" in axes:
             raise _contradiction("scale", "axes.level: both set how strong the profile is; drop one of them")
         for name, profile in self.profiles.items():
@@ -346,7 +380,7 @@ class Sweep(CheckedRecord):
             raise complaint(text, "axes")
         if self.replicates > 1 and not self.is_random:
             raise ValueError(
-                f"replicates = {self.replicates} needs something random, but no axis and no profile is random"
+                f"replicates = {self.replicates} needs a random axis or profile: otherwise all replicates are the same"
             )
         return self
 
@@ -406,8 +440,8 @@ def _existing_files(plans: str | tuple[Path, ...] | None, folder: Path) -> str |
     """The paths of the plan files that a sweep file names. In the sweep file, these paths are relative to the folder of
     the sweep file. Raises InputError if a plan file does not exist."""
     if plans is None:
-        raise InputError("plans is missing: name plan files here or on the command line "
-                         f'(plans = "{SAMPLES}" takes the bundled ones)')  # fmt: skip
+        raise InputError("plans is missing: name plan files in the sweep file or on the command line (plans = "
+        f'"{SAMPLES}" takes the bundled samples)')  # fmt: skip
     if isinstance(plans, str):
         return plans
     if not plans:
@@ -447,6 +481,6 @@ def chain_sweep(file: str | Path, n_worlds: int | None, simulation: Mapping[str,
     sweep = sweep_of_tables(tables, path, plans_given=True, simulation=simulation)
     if (n_worlds or 1) > 1 and not sweep.is_random:
         raise InputError(
-            f"{sweep.file}: confidence = {n_worlds} needs something random, but no axis and no profile is random"
+            f"{sweep.file}: confidence = {n_worlds} needs a random axis or profile: otherwise all worlds are the same"
         )
     return sweep.model_copy(update={"nominal": True, "replicates": n_worlds or sweep.replicates})

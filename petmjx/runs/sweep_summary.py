@@ -32,14 +32,19 @@ RANGE_BINS = 8
 
 MODE = Param("mode", TEXT, "how the first box failed: slide, tilt or drop; empty for a stable world", str)
 SIGN = Param(
-    "sign_in_profile_s", "s", "time from the beginning of the profile at which the culprit crossed a threshold"
+    "sign_in_profile_s",
+    "s",
+    "time at which the culprit (first box that failed) crossed a threshold, counted from the beginning of the profile",
 )
 LEG = Param("leg", TEXT, "leg of the chain after which the pallet did not stand; empty: the pallet arrived", str)
 EUMOS_WORST = tuple(column.name for column in EUMOS_COLUMNS if column.unit)
 """Columns of the table ``worlds`` with the deformations that a laboratory measures. Each row of the summary of a grid
 has the largest values over the worlds that the row is about."""
 FAIL_ANGLE = Param(
-    "fail_angle_deg", "deg", "angle of a tilting carrier when the culprit crossed a threshold, else null"
+    "fail_angle_deg",
+    "deg",
+    "angle of the carrier when the culprit (first box that failed) crossed a threshold; null if the carrier does not "
+    "tilt or no box failed",
 )
 
 
@@ -291,29 +296,32 @@ def summary_units(frame: pd.DataFrame, plan: SweepPlan) -> tuple[dict[str, str],
 _DESCRIPTIONS = {
     "scope": "all: the row is about all plans together; plan: the row is about one plan",
     "plan_id": "id of the packing plan; null if the row is about all plans",
-    "axis": "the varied parameter; empty: the row is about all worlds",
-    "value": "value of the parameter in the worlds of the row",
+    "axis": "name of the varied parameter; empty: the row is about all worlds",
+    "value": "value that the parameter axis has in the worlds of the row",
     "n_standing": "number of stable worlds",
-    "n_invalid": "number of worlds without a verdict, which do not count in the share",
-    "share": "stable worlds / worlds with a verdict",
-    "n_draws": "number of independent random draws in the row; 0 if any world of the row is not drawn at random",
-    "low": "lower end of the share's Wilson 95 % interval for n_draws draws; null without draws",
-    "high": "upper end of the share's Wilson 95 % interval for n_draws draws; null without draws",
+    "n_invalid": "number of worlds without a verdict, which the column share does not count",
+    "share": "share of stable worlds among the worlds with a verdict",
+    "n_draws": "number of independent random draws in the worlds of the row; 0 if any of these worlds is not drawn at "
+    "random",
+    "low": "lower end of the Wilson 95 % interval of the column share, for n_draws draws; null without draws",
+    "high": "upper end of the Wilson 95 % interval of the column share, for n_draws draws; null without draws",
     "n_eumos": "number of worlds that were checked against the limits of EUMOS 40509",
     "n_eumos_passed": "number of worlds that keep the limits of EUMOS 40509",
-    "eumos_share": "n_eumos_passed / n_eumos; its interval is in eumos_low and eumos_high",
-    "smallest_fail_angle_deg": "smallest angle at which a world failed; null if no world failed",
-    "placement": "number of the plan's placement, from 0",
-    "stands_at_rest": "whether the pallet stands without a profile; if it does not, no level is tested",
-    "largest_level_g": "largest level survived that is below all failed levels; null if there is none",
-    "largest_scale": "largest scale survived that is below all failed scales; null if there is none",
+    "eumos_share": "n_eumos_passed / n_eumos: share of the checked worlds that keep the limits of EUMOS 40509",
+    "smallest_fail_angle_deg": "smallest angle of the tilting carrier at which a world failed; null if no world failed",
+    "placement": "number of the plan's placement (the part of a variant that changes how boxes are placed), from 0",
+    "stands_at_rest": "whether the pallet stands without a profile; if it does not, the search tests no level",
+    "largest_level_g": "largest survived level that is below all failed levels; null if there is no such level",
+    "largest_scale": "largest survived scale that is below all failed scales; null if there is no such scale",
     "first_failed_level_g": "smallest level that failed; null if no level failed",
     "first_failed_scale": "smallest scale that failed; null if no scale failed",
-    "box": "number of the box that failed first at the smallest level that failed, or at rest",
-    "mode": "how this box failed: slide, tilt or drop; for an invalid world, the reason why it is invalid",
-    "monotone": "whether the pallet failed at every tested level above the smallest level that failed, too",
+    "box": "number of the box that failed first, at the smallest level that failed or, if the pallet does not stand "
+    "without a profile, at rest",
+    "mode": "how the first box failed, at the smallest level that failed or at rest: slide, tilt or drop; for an "
+    "invalid world, the reason why the world is invalid",
+    "monotone": "whether the pallet also failed at every tested level above the smallest failed level",
     "n_tests": "number of levels tested",
-    "n_moving": "number of levels at which boxes still moved when the world's time was up (longest_wait_s)",
-    "moving": "whether boxes still moved at the largest level survived or at the smallest level that failed; if so, a "
-    "longer wait may change the answer",
+    "n_moving": "number of tested levels at which boxes still moved after the longest wait (longest_wait_s)",
+    "moving": "whether boxes still moved after the longest wait, at the largest survived level or at the smallest "
+    "failed level; if so, a longer wait may change the answer",
 }

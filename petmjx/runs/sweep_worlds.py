@@ -92,7 +92,7 @@ class SweepPlan(Design):
         file = self.sweep.file
         self.plans = [plan for plan in self.plans if self._has_time(plan)]
         if not self.plans:
-            first = f"; the first: {self.skipped[0].message}" if self.skipped else ""
+            first = f"; the first skipped plan: {self.skipped[0].message}" if self.skipped else ""
             raise InputError(f"{file}: plans: no usable plan to sweep over{first}")
         if self.n_worlds > MAX_WORLDS and not self.allow_large:
             raise InputError(
@@ -108,7 +108,7 @@ class SweepPlan(Design):
                 raise InputError(f"{file}: legs contradict total_time_factor, which would end a world before its legs")
             if sim.has_soft:
                 raise InputError(
-                    f"{file}: legs contradict soft boxes: the state of soft boxes cannot be kept for the next leg"
+                    f"{file}: legs contradict soft boxes: petmjx cannot keep the state of soft boxes for the next leg"
                 )
             sides = walls_of(sim.carrier, sim.walls).sides or ()
             for place, leg in enumerate(self.sweep.legs):

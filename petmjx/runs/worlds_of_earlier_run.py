@@ -57,7 +57,10 @@ def _file(run: RunResults, plan_id: str, source: str) -> Path:
     file = plan_file(source)
     if file is None:
         name = printable_name(plan_id)
-        missing_text = f"plan {name} came from {printable(source)}, which no longer exists: give its file, or the plan"
+        missing_text = (
+            f"plan {name} came from {printable(source)}, which no longer exists: give the file that now has the plan, "
+            "or the plan itself"
+        )
         raise InputError(f"{run.path}: {missing_text}")
     return file
 
@@ -74,7 +77,8 @@ def worlds_of_run(
     sweep, plan = sweep_of_run(run), plan_of_run(run, plan_id, plans)
     if variant is None and not sweep.nominal:
         raise InputError(
-            f"{run.path}: plan {printable_name(plan_id)} has many worlds: name a variant, as in the table worlds"
+            f"{run.path}: plan {printable_name(plan_id)} has several worlds: name a variant (column variant of the "
+            "table worlds)"
         )
     worlds = SweepPlan(sweep, [plan])
     if variant is not None:
@@ -127,7 +131,7 @@ def sweep_of_run(run: RunResults) -> Sweep:
         else load_sweep(sweep_file, True, changes)
     )
     if sweep_identity(sweep) != _identity(run.info):
-        raise InputError(f"{sweep_file}: has changed since the run {run.path}")
+        raise InputError(f"{sweep_file}: the sweep file has changed since the run {run.path} was made")
     return sweep
 
 

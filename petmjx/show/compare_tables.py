@@ -29,7 +29,7 @@ def comparison_tables(comparison: Comparison, max_rows: int = 40) -> Iterator[Re
     yield ""
     yield _confusion_table(comparison)
     if comparison.n_not_stable:
-        of = f"of {count_text(comparison.n_not_stable, 'world')} that neither run calls stable"
+        of = f"of {count_text(comparison.n_not_stable, 'world')} that are stable in neither run"
         yield line(f"{of}: same reason {comparison.same_reason:,}, same first box {comparison.same_culprit:,}")
     if len(comparison.flips):
         yield ""
@@ -64,7 +64,7 @@ def _count_of_second(name: Any) -> Cell:
 def _flips_table(flips: pd.DataFrame, max_rows: int) -> FittedTable:
     """A table of worlds with different verdicts. Each world has two rows, first for run a and then for run b, since a
     single row would need more than 80 characters."""
-    title = f"flipped verdicts ({len(flips):,}), with margins to the thresholds: + is over"
+    title = f"flipped verdicts ({len(flips):,}), and how far each run is over (+) or under (-) the thresholds"
     if len(flips) > max_rows:
         title += f"; the first {max_rows}"
     margins = [("shift_margin_m", "shift\nmm", 1000.0), ("tilt_margin_deg", "tilt\n°", 1.0)]

@@ -139,7 +139,9 @@ def _why_worse(reading: Reading, other: Reading) -> str:
     """Why another reading is less plausible than the chosen reading: because of the boxes' places, or because of names,
     units and usual values."""
     extra_cost, of_layout = other.cost - reading.cost, other.layout_cost - reading.layout_cost
-    cause = "by its boxes" if of_layout > extra_cost / 2 else "by names, units and usual values"
+    cause = (
+        "because of the boxes' places" if of_layout > extra_cost / 2 else ("because of names, units and usual values")
+    )
     return (
         f"less plausible {cause} (cost {reading.cost:.1f} against {other.cost:.1f})"
         if extra_cost > 0

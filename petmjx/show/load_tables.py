@@ -44,7 +44,10 @@ def load_tables(loads: Loads, out: Path | None = None) -> Iterator[RenderableTyp
         yield line(f"{peak:,} of {world_count} overloaded at the peak ({boxes})")
     if "surely_overloaded" in loads.plans:
         surely, possibly = (int(loads.plans[name].sum()) for name in ("surely_overloaded", "possibly_overloaded"))
-        yield line(f"{surely:,} surely, {possibly:,} possibly: by the least and the most force that statics allows")
+        yield line(
+            f"{surely:,} surely, {possibly:,} possibly overloaded, by the smallest and the largest force that statics "
+            "allows"
+        )
     counts = {name: int((loads.plans["crushed"] == name).sum()) for name in (SURELY, POSSIBLY, NOT)}
     unsure = len(loads.plans) - sum(counts.values())
     count_words = ", ".join(f"{count:,} {name}" for name, count in counts.items())
@@ -69,7 +72,7 @@ def _ways_table(ways: pd.DataFrame) -> FittedTable:
         TableColumn("arrive", percent_of("share")),
         TableColumn("possibly\nwhole", percent_of("share_possibly_whole")),
         TableColumn("surely\nwhole", percent_of("share_whole")),
-        title="worlds that arrive, and in which no box is surely, or even possibly, overloaded",
+        title="share of worlds that arrive; whole: that arrive without a crushed box",
         caption=f"{len(ways) - FEW_ROWS:,} more in way_loads" if len(ways) > FEW_ROWS else "",
     )
 

@@ -172,7 +172,7 @@ def _reasons_table(reasons: pd.DataFrame) -> FittedTable:
         name_column("won by", "won_by", least=8),
         TableColumn("reason", text_of("reason"), "left"),
         TableColumn("orders", count_of("n")),
-        title="orders that stand with only one packer" + (", for each pair" if several else ""),
+        title="orders of which only one packer's plan stands" + (", for each pair" if several else ""),
     )
 
 

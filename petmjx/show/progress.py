@@ -169,7 +169,8 @@ class BarWatcher(AbstractContextManager["BarWatcher"]):
             with suppress(OSError):
                 are = "is" if start.recorded == 1 else "are"
                 print(
-                    f"{count_text(start.recorded, start.what)} of an earlier run {are} there already", file=sys.stderr
+                    f"{count_text(start.recorded, start.what)} of an earlier run {are} already in the folder",
+                    file=sys.stderr,
                 )
         left = None if start.total is None else start.total - start.recorded
         shown = self._until_exit.enter_context(progress(left, start.what))

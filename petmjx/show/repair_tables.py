@@ -60,7 +60,7 @@ def _shares(repaired: Repaired) -> str:
     if not repaired.share_after.n_worlds:
         return "; no world with errors had a verdict"
     before, after = share_text(repaired.share_before), share_text(repaired.share_after)
-    return f"; with errors {before} worlds stand before, {after} after"
+    return f"; of the worlds with errors, {before} stand before the repair, {after} after it"
 
 
 def share_text(share: Share) -> str:

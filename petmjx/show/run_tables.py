@@ -107,7 +107,9 @@ def _why_they_fail(summary: pd.DataFrame) -> Iterator[RenderableType]:
     missed = summary["n_not_placed"] > summary["n_fell"]
     if missed.any():
         plan_names = _plan_id_list(summary.loc[missed, "plan_id"].tolist())
-        yield line(f"in most worlds that do not stand, a box could not be placed: {plan_names}", style="yellow")
+        yield line(
+            f"plans whose worlds with errors mostly fail because a box cannot be placed: {plan_names}", style="yellow"
+        )
     if "placing_matters" not in summary:
         return
     for placing, way in (("carried", ">"), ("exact", "<")):
@@ -115,7 +117,9 @@ def _why_they_fail(summary: pd.DataFrame) -> Iterator[RenderableType]:
         if is_significant.any():
             placing_text = "carried to their places" if placing == "carried" else "placed exactly"
             plan_names = _plan_id_list(summary.loc[is_significant, "plan_id"].tolist())
-            yield line(f"stands more often, beyond chance, if boxes are {placing_text}: {plan_names}", style="yellow")
+            yield line(
+                f"plans that stand more often, beyond chance, if boxes are {placing_text}: {plan_names}", style="yellow"
+            )
 
 
 def _plan_id_list(plan_ids: list[str]) -> str:
@@ -134,7 +138,7 @@ def notes(info: Mapping[str, Any]) -> Iterator[RenderableType]:
         yield line(f"skipped: {len(skipped) - SHOWN_SKIPPED:,} more, in run.json", style="yellow")
     if odd:
         plans = count_text(len(odd), "plan")
-        yield line(f"{plans} with overlapping, floating or outside boxes, in run.json", style="yellow")
+        yield line(f"{plans} with overlapping, floating or outside boxes, listed in run.json", style="yellow")
     for warning in warnings:
         yield line(f"note: {warning}", style="yellow")
     if info.get("orders"):

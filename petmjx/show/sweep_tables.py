@@ -172,7 +172,7 @@ def confidence_table(summary: pd.DataFrame) -> FittedTable:
         *([TableColumn("share,\nexact", share_exact)] if has_exact else []),
         *([TableColumn("", lambda row: "coin toss" if row["coin_toss"] else "", "left")] if tosses else []),
         title="worlds with errors",
-        caption="* differs beyond chance from boxes that are carried"
+        caption="* beyond chance, this share differs from the share with carried boxes"
         if has_exact and summary["placing_matters"].any()
         else "",
     )
@@ -210,7 +210,7 @@ def arrivals_table(summary: pd.DataFrame, of_plans: pd.DataFrame) -> FittedTable
         *(TableColumn(leg, share_after(leg), spare=2) for leg in shares),
         TableColumn("weakest", text_of("weakest_leg"), "left", least=8),
         TableColumn("box", lambda row: "" if pd.isna(row["box"]) else str(int(row["box"])), spare=1),
-        title="worlds that arrive; by leg: worlds that stand after it, of the worlds that reached it",
+        title="P: worlds that arrive; by leg: of the worlds that reached the leg, those that stand after it",
     )
 
 
@@ -246,7 +246,7 @@ def remedies_table(remedies: pd.DataFrame) -> FittedTable:
         TableColumn("95 %", span, spare=1),
         TableColumn("arrive only\nwith it", count_of("only_with"), spare=2),
         TableColumn("only\nwithout", count_of("only_without"), spare=2),
-        title="what would help: the same worlds with a remedy",
+        title="what would help: the same worlds, simulated with a remedy",
     )
 
 
@@ -385,7 +385,7 @@ def turns_table(summary: pd.DataFrame) -> FittedTable:
         survived.head(MAX_VALUES).reset_index().to_dict("records"),
         _PLAN,
         *(TableColumn(f"{level:g} g", enough(level)) for level in levels),
-        title="turns of film with which plans survive a level in every direction tried",
+        title="turns of film with which plans survive a level in all tried directions",
         caption=_more(len(survived)),
     )
 

@@ -121,7 +121,7 @@ def find_surfaces(plan: Plan, sim: Simulation) -> Surfaces | None:
     if 1 + len(of_boxes) + len(of_boards) > MOST_SURFACES:
         raise InputError(
             f"plan {printable_name(plan.plan_id)}: boxes and boards may have at most {MOST_SURFACES - 1} different "
-            f"surfaces, got {len(of_boxes) + len(of_boards)}"
+            f"surfaces (combinations of material and friction), got {len(of_boxes) + len(of_boards)}"
         )
     n = 1 + len(of_boxes) + len(of_boards)
     table, landing, kinetic = np.full((n, n), LARGER), np.full((n, n, 2), FROM_PHYSICS), np.full((n, n), FROM_PHYSICS)

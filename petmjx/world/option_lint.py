@@ -134,7 +134,7 @@ def _gap_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
     if names:
         count, first = _count_and_first(names)
         verb = "stands" if len(names) == 1 else "stand"
-        yield f"{count} on the carrier {verb} with the middle over a gap ({first})"
+        yield f"{count} on the carrier {verb} with the middle over a gap between boards ({first})"
 
 
 def _wall_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:

@@ -74,7 +74,7 @@ def test_export_writes_the_model_of_a_plan(plans: Path, tmp_path: Path, capsys: 
     assert (tmp_path / "of-run.xml").read_text() != (tmp_path / "tower.xml").read_text()
     capsys.readouterr()
     assert run("export", "tower", tmp_path / "run", "--carrier", "euro-pallet") == 2
-    assert "a world of a run has the run's options; drop this one" in only_line(capsys.readouterr().err)
+    assert "a world of a run has the run's options; drop this option" in only_line(capsys.readouterr().err)
     assert run("export", "castle", plans) == 2
     assert "plan castle is not among the 2 plans read" in only_line(capsys.readouterr().err)
 
@@ -115,7 +115,7 @@ def test_every_command_explains_itself(
         for flag in (entry for record in (Simulation, Thresholds, *more) for entry in flags_of(record)):
             assert re.search(rf"^  {flag}\b", printed, flags=re.MULTILINE), flag
         text = " ".join(printed.split())
-        assert "s; with schedule adaptive: the longest wait once a box has failed" in text
+        assert "s; with schedule adaptive: longest wait for the next placement once a box has failed" in text
         assert "[default: 0.7]" in text
         assert "petmjx-results/DATE-TIME" in text.replace("- ", "-").replace("/ ", "/")  # lines may end at a hyphen
 
@@ -171,7 +171,7 @@ def test_every_command_says_that_it_was_interrupted(
         ("--explore", "2", "must be at most 1"),
         ("--worlds-with-errors", "0", "must be at least 1"),
         ("--max-height-mm", "0", "must be at least 1"),
-        ("--carrier", "footprint", ": footprint depends on the whole plan"),
+        ("--carrier", "footprint", ": the size of footprint depends on the whole plan"),
         ("--units", "foot", "must be one of mm"),
         ("-n", "0", "must be at least 1"),
     ],

@@ -69,7 +69,7 @@ def test_an_interrupted_run_goes_on(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert run_interrupted("score", path, "--engine", "mujoco", "--out", out, "--resume").returncode == 130
     assert run("score", path, "--engine", "mujoco", "--out", out, "--resume") == 0
     stderr = capsys.readouterr().err
-    assert f"{INTERRUPT_AFTER} plans of an earlier run are there already" in stderr
+    assert f"{INTERRUPT_AFTER} plans of an earlier run are already in the folder" in stderr
     assert "10 of 10 plans" in stderr
     assert run("score", path, "--engine", "mujoco", "--out", tmp_path / "whole") == 0
     left, right = (
@@ -84,7 +84,7 @@ def test_another_run_is_not_gone_on_with(plans: Path, tmp_path: Path, capsys: py
     capsys.readouterr()
     assert run(*arguments, "--resume", "--rest", "2") == 2
     line = only_line(capsys.readouterr().err)
-    assert line.endswith("cannot be resumed, it is another run (simulation.rest_s is 2.0, was 1.0)")
+    assert line.endswith("cannot be resumed, because the folder has another run (simulation.rest_s is 2.0, was 1.0)")
     assert run("score", plans, "--engine", "mujoco", "--resume") == 2
     assert "--resume needs out" in only_line(capsys.readouterr().err)
     assert run("score", plans, "--engine", "mujoco", "--shard", "4/3") == 2

@@ -45,7 +45,7 @@ def test_it_goes_on_where_it_was_and_tells_who_won(results: Path, capsys: pytest
     plans = [f"good={folder / 'good.json'}", f"bad,one={folder / 'bad.json'}"]
     assert run("score", "--name", plans[0], "--name", plans[1], *FAST, "-o", results, "--resume") == 0
     out = capsys.readouterr()
-    assert out.err.count("2 plans of an earlier run are there already") == 2
+    assert out.err.count("2 plans of an earlier run are already in the folder") == 2
     lines = words(out.out)
     assert lines.index("packer good") < lines.index("packer bad,one")
     assert "good stands, bad,one does not: y" in lines
@@ -128,7 +128,7 @@ def runs_of(results: Path) -> dict[str, Path]:
 def test_compare_of_simulators_points_to_packers(results: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("compare", results / "good", results / "bad,one") == 0
     text = " ".join(capsys.readouterr().out.split())
-    assert "1 of 2 plans is not the same in b" in text
+    assert "1 of 2 plans is not the same in a and b" in text
     assert "petmjx compare --packers" in text
 
 

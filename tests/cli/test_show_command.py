@@ -100,7 +100,7 @@ def test_the_page_of_a_run(capsys: pytest.CaptureFixture[str]) -> None:
     assert "x.html" in printed
     assert "hand-overhang-55" in Path("x.html").read_text(encoding="utf-8")
     refused = lines_of(capsys, "hand-overhang-55", "run", "--check", "static", code=2)
-    assert "--check: a story of a run uses the run's options; drop this one" in refused
+    assert "--check: a story of a run uses the run's options; drop this option" in refused
 
 
 @pytest.mark.parametrize(

@@ -130,7 +130,9 @@ def test_a_bad_sweep_file_takes_one_line(
 def test_missing_plans_take_one_line(plans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = write(tmp_path / "x.toml", GRID)
     assert run("sweep", file) == 2
-    assert "plans is missing: name plan files here or on the command line" in only_line(capsys.readouterr().err)
+    assert "plans is missing: name plan files in the sweep file or on the command line" in only_line(
+        capsys.readouterr().err
+    )
     assert run("sweep", file, tmp_path / "nowhere.json") == 2
     assert "nowhere.json" in only_line(capsys.readouterr().err)
     named = write(tmp_path / "y.toml", 'plans = "gone.json"\n' + GRID)

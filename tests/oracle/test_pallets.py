@@ -282,7 +282,7 @@ def test_what_is_wrong_is_one_line_that_names_the_argument(engine: Engine) -> No
         (lambda: pallets.try_all(**good, pallet=0, drive="eumos"), "unknown profile 'eumos'"),
         (lambda: pallets.try_all(**good, pallet=0, drive="en-12195-1"), "drive: en-12195-1 stands for several"),
         (lambda: Pallets(0), "n must be at least 1"),
-        (lambda: Pallets(carrier="footprint"), "carrier: footprint depends on the whole plan"),
+        (lambda: Pallets(carrier="footprint"), "carrier: the size of footprint depends on the whole plan"),
         (lambda: Pallets(schedule="fixed"), "schedule must be adaptive if boxes are added one by one"),
         (lambda: Pallets(check="static"), "check must be one-by-one"),
         (lambda: Pallets(engine="mjx"), "engine must be one of mujoco"),

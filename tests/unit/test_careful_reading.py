@@ -261,7 +261,9 @@ def test_info_names_unused_columns_and_why_the_next_best_lost(tmp_path: Path) ->
     assert "not used colour, shelf" in lines
     (other,) = (line for line in lines if line.startswith("next best"))
     assert re.search(
-        r"less plausible by (its boxes|names, units and usual values) \(cost -?[\d.]+ against [\d.]+\)$", other
+        r"less plausible because of (the boxes' places|names, units and usual values) "
+        r"\(cost -?[\d.]+ against [\d.]+\)$",
+        other,
     )
 
 

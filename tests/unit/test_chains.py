@@ -303,7 +303,7 @@ def test_worlds_arrive_while_others_have_not_begun_and_an_interrupted_run_keeps_
             legs(a='{ profile = "eumos-40509", level = { from = 0.1, to = 0.3, step = 0.1 } }'),
             "legs[0].events[0].level is drawn at random between from and to: leave out step and count",
         ),
-        (legs(a=PUSH, placing=PUSH), "legs[1].name: 'placing' is already the part before the first leg"),
+        (legs(a=PUSH, placing=PUSH), "legs[1].name: 'placing' is already the name of the part before the first leg"),
         ('[[legs]]\nname = "film"\nwrap_turns = 3', "legs have no events"),
         ('[[legs]]\nname = "a\\u001b[31m"', "legs[0].name: 'a\\u001b[31m' must have visible characters"),
         (legs(a=PUSH) + '\n[[remedies]]\nname = " "\nleg = "a"\nfactor = 0.5', "remedies[0].name: ' ' must have"),
@@ -338,7 +338,7 @@ def test_a_chain_needs_legs_and_time_and_rigid_boxes(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="a…: no such sweep file"):
         petmjx.score([make_plan()], chain="a" * 5000)
     file = write_sweep(tmp_path, legs(a=PUSH))
-    with pytest.raises(InputError, match="confidence = 8 needs something random"):
+    with pytest.raises(InputError, match="confidence = 8 needs a random axis"):
         petmjx.score([make_plan()], chain=file, confidence=8)
     with pytest.raises(InputError, match="legs contradict total_time_factor"):
         petmjx.sweep(file, [make_plan()], schedule="fixed", total_time_factor=2.0)

@@ -172,14 +172,16 @@ def test_notes_on_what_does_not_fit(tmp_path: Path) -> None:
     b = write(tmp_path / "b", {"w": make_outcome(n=2)}, {"sim": {"thresholds": {"shift_m": 0.1}}})
     notes = compare_runs(a, b).notes
     assert any("different thresholds" in note for note in notes)
-    assert any("1 of 1 plan is not the same in b" in note for note in notes)
+    assert any("1 of 1 plan is not the same in a and b" in note for note in notes)
 
 
 def test_notes_on_variants_that_mean_something_else(tmp_path: Path) -> None:
     for folder, level in (("a", 0.4), ("b", 0.5)):
         with RunWriter(tmp_path / folder, CONFIG, params=[Param("level_g", "g")]) as run:
             run.add(make_plan(), 1, "fixed", make_outcome(), params={"level_g": level})
-    assert compare_runs(tmp_path / "a", tmp_path / "b").notes == ("variants with the same number differ in level_g",)
+    assert compare_runs(tmp_path / "a", tmp_path / "b").notes == (
+        "variants with the same number have different values of level_g in a and b",
+    )
 
 
 def test_a_world_twice_in_one_run_is_refused(tmp_path: Path) -> None:

@@ -158,7 +158,7 @@ def test_a_box_could_not_be_placed_where_its_gap_is_too_narrow_and_stands_there_
     print_renderables(run_tables(results), console)
     printed = console.file.getvalue()  # type: ignore[attr-defined]  # it is a StringIO
     assert re.search(rf"could not be placed │ +{n} ", printed)
-    assert "stands more often, beyond chance, if boxes are placed exactly: gap" in printed
+    assert "plans that stand more often, beyond chance, if boxes are placed exactly: gap" in printed
     alone = summary_of(score(**options)).loc["gap"]
     pd.testing.assert_series_equal(alone, summary_of(results).loc["gap", alone.index], check_exact=True)
     assert petmjx.load_run(tmp_path / "both").summary.equals(results.summary)  # type: ignore[union-attr]
@@ -178,7 +178,7 @@ def test_how_boxes_are_placed_is_an_axis_of_sweeps(tmp_path: Path) -> None:
 def test_exact_too_is_about_boxes_that_are_carried() -> None:
     with pytest.raises(InputError, match="exact_too needs confidence"):
         score(exact_too=True)
-    with pytest.raises(InputError, match="exact_too needs placing auto, hand or tines"):
+    with pytest.raises(InputError, match="so it needs placing auto, hand or tines"):
         score(confidence=4, exact_too=True, placing="exact")
 
 
@@ -190,9 +190,12 @@ REFUSED = {
         "[axes]\nplacement_error_mm = [2, 3]",
         "axes.placement_error_mm: confidence needs one error, got 2",
     ),
-    "factor": (SLOPPY + "friction_factor = 0.8", "axes.friction_factor contradicts confidence: it is not an error"),
-    "calm": ("[axes]\ndrop_height_mm = 5", "axes have nothing random: every world would be the same"),
-    "nothing": ("nominal = true", "axes have nothing random"),
+    "factor": (
+        SLOPPY + "friction_factor = 0.8",
+        "axes.friction_factor contradicts confidence: its value is not random",
+    ),
+    "calm": ("[axes]\ndrop_height_mm = 5", "no axis is random, so every world would be the same"),
+    "nothing": ("nominal = true", "no axis is random"),
 }
 
 

@@ -258,7 +258,7 @@ def test_a_run_of_other_plans_is_refused(tmp_path: Path) -> None:
     run = petmjx.score(PLANS[:1], engine="mujoco", check="static", duration_s=0.05, out=tmp_path / "run")
     with pytest.raises(InputError, match="simulated none of the 1 plan"):
         petmjx.criteria(PLANS[1], run=run)
-    with pytest.raises(InputError, match="plan stands has 3 boxes in the run, but 2 here: the plans differ"):
+    with pytest.raises(InputError, match="plan stands has 3 boxes in the run, but 2 in the given plans: these are"):
         petmjx.criteria(make_plan("stands", stack(2)), run=run)
     with pytest.raises(InputError, match="no such folder"):
         petmjx.criteria(PLANS, run=tmp_path / "nowhere")

@@ -92,5 +92,7 @@ def test_a_folder_that_is_gone_is_called_so(run: Path) -> None:
 
 def test_runs_of_before_digests_are_refused(run: Path) -> None:
     edit_info(run, lambda info: info.pop("parts"))
-    with pytest.raises(petmjx.InputError, match=r"run.json: written by petmjx before 0.2, .*: simulate it again"):
+    with pytest.raises(
+        petmjx.InputError, match=r"run.json: written by petmjx before 0.2, .*: simulate the plans again"
+    ):
         petmjx.load_run(run)

@@ -122,7 +122,7 @@ def test_worlds_near_a_threshold_are_checked_at_half_the_timestep(
     assert [a.attempt for a in results[0].attempts] == ([1, 8] if checked else [1])
     changed = [result.world.plan.plan_id for result in results if result.outcome.flags & Flag.TIMESTEP]
     assert changed == (["p1"] if checked else [])
-    assert ("p1: stable, but unstable at half the timestep" in notes) is checked
+    assert ("p1: the verdict is stable, but unstable at half the timestep" in notes) is checked
     assert [sim.physics.timestep_s for sim in engine.sims] == ([0.002, 0.001] if checked else [0.002])
 
 
@@ -247,7 +247,10 @@ def test_a_counterweight_that_comes_too_late_is_named() -> None:
     assert worlds.build_edge_m[0] == pytest.approx((199.9 - (2 * 179.95 + 6 * 284.95) / 8) * MM, abs=1e-9)
     assert worlds.build_edge_m[1] == pytest.approx(19.95 * MM, abs=1e-9)
     (note,) = notes_in_words(petmjx.tell("late", plans, engine="mujoco"))
-    assert "box 1 hangs over from step 2 on; its counterweight, box 3, comes too late" in note
+    assert (
+        "box 1 hangs too far over the edge of its support from step 2 on; its counterweight, box 3, comes too late"
+        in note
+    )
     assert notes_in_words(petmjx.tell("first", plans, engine="mujoco")) == []
     at_once = petmjx.score(plans, engine="mujoco", check="static", duration_s=0.1).worlds
     assert at_once.build_edge_m.isna().all()
@@ -316,7 +319,7 @@ def test_the_box_that_sets_the_flag_is_named_and_not_the_one_that_is_furthest_be
     row = console.export_text().strip().splitlines()[-1].split()
     assert row[-3:-1] == ["0.3", "1"]
     note = notes_in_words(petmjx.tell("two", results))[0]
-    assert "within 0.25 mm, by the plan" in note
+    assert "within 0.25 mm of the edge of its support (by the plan)" in note
     assert "(the load of box 1 (" in note
 
 
@@ -326,7 +329,7 @@ def test_a_box_is_named_whose_own_weight_sets_the_flag() -> None:
     results = petmjx.score([make_plan("held", HELD)], engine="mujoco")
     assert results.worlds["flags"][0] & Flag.KNIFE_EDGE
     note = notes_in_words(petmjx.tell("held", results))[0]
-    assert "within 0.05 mm, by the plan" in note
+    assert "within 0.05 mm of the edge of its support (by the plan)" in note
     assert "(the own weight of box 2 (" in note
     console = Console(width=140, record=True, file=StringIO())
     console.print(worlds_table(results.worlds, results.boxes))

@@ -127,7 +127,7 @@ def test_what_has_no_figure_is_one_line(tmp_path: Path, packers: list[Path]) -> 
             file,
             "not compared with a run",
         ),
-        ("packers", file, "results must be of"),
+        ("packers", file, "results must come from"),
         (petmjx.compare_packers(packers), tmp_path / "x.gif", "unknown ending; there are .pdf, .svg, .png"),
     ]
     for results, path, message in refused:

@@ -299,7 +299,8 @@ def test_worlds_of_before_are_not_simulated_again_to_be_recorded(tmp_path: Path)
     assert run.histories.empty
     (line,) = run.info["warnings"]
     assert (
-        line == "2 worlds of an earlier run have no history and are not simulated again: name another folder to record"
+        line
+        == "2 worlds of an earlier run have no history and are not simulated again; to record them, name another folder"
     )
 
 

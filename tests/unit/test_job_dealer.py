@@ -335,7 +335,9 @@ def test_what_workers_take(
 def test_workers_that_share_a_gpu_have_a_cpu_each() -> None:
     nodes = [Node(4, 1), Node(5, 2)]  # four workers would have room on any two of the three GPUs
     assert worker_resources("mjx-jax", nodes, 3) == [WorkerResources(1, 1)] * 3
-    with pytest.raises(InputError, match="workers: no room for 9 workers of 1 CPU beside the GPUs; there are 9 CPUs"):
+    with pytest.raises(
+        InputError, match="workers: the machines with GPUs have too few CPUs for 9 workers with 1 CPU each; "
+    ):
         worker_resources("mjx-jax", nodes, 9)
 
 

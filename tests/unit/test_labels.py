@@ -195,7 +195,9 @@ def test_what_is_wrong_with_labels_is_one_line(tmp_path: Path) -> None:
 
     sizes = {"length_mm": 2000, "width_mm": 2000, "height_mm": 100, "weight_kg": 1}
     too_long = pd.DataFrame([{"order_id": order, **sizes} for order in "abb"])
-    with pytest.raises(InputError, match=r"orders: no box has a place on the empty carrier \(max_height_mm 1800, car"):
+    with pytest.raises(
+        InputError, match=r"orders: no box has a place on the empty carrier; check max_height_mm \(1800\)"
+    ):
         write_labels(Labeller(Orders(too_long), pallets=4, **MUJOCO), 5, tmp_path / "none", source="endless")
     assert not (tmp_path / "none").exists()
     thin = pd.DataFrame([{"order_id": order, **sizes, "length_mm": side} for order, side in (("A7", 90), ("B8", 4))])
@@ -271,7 +273,10 @@ def test_labels_that_were_interrupted_go_on_as_if_they_had_not_been(
     assert main([*command, "8", "-n", "60"]) == 2
     assert f"set: holds {n_kept} labels of an unfinished set; continue with --resume, or" in capsys.readouterr().err
     assert main([*command, "8", "-n", "60", "--resume", "--seed", "1"]) == 2
-    assert "cannot be resumed: its labels differ from these (options.seed was 0, is 1)" in capsys.readouterr().err
+    assert (
+        "cannot be resumed, because its labels were made in another way (options.seed was 0, is 1)"
+        in capsys.readouterr().err
+    )
     monkeypatch.setattr(Labeller, "episodes", whole)
     assert main([*command, "3", "-n", "60", "--resume"]) == 0
     for split, file in label_files(folder / "set").items():
@@ -409,7 +414,7 @@ def test_labels_of_another_reading_or_number_are_not_resumed(begun: Path) -> Non
         ({"units": "mm,kg"}, r'orders.units was null, is "mm,kg"'),
         ({"columns": {"length": "length_mm"}}, r'orders.columns was null, is {"length": "length_mm"}'),
     ):
-        with pytest.raises(InputError, match=r"its labels differ from these \(" + re.escape(line)):
+        with pytest.raises(InputError, match=r"its labels were made in another way \(" + re.escape(line)):
             write_labels(labeller_of(renamed, **reading), 60, begun, source=renamed, resume=True)
     with pytest.raises(InputError, match=rf"set: holds {n_kept} labels; pass count {n_kept} or more"):
         write_labels(labeller_of(renamed), n_kept - 1, begun, source=renamed, resume=True)

@@ -164,7 +164,7 @@ def test_a_folder_that_holds_something_else_is_left_alone(tmp_path: Path, board:
     (tmp_path / "stories" / "mine.html").write_text("mine")
     (tmp_path / "mine.txt").write_text("mine")
     packers = [board / "plans" / "careful.json", board / "plans" / "<b>eager&'.json"]
-    with pytest.raises(InputError, match=r"has mine\.txt in it; name a new folder"):
+    with pytest.raises(InputError, match=r"already contains mine\.txt; name a new folder"):
         petmjx.leaderboard(packers, tmp_path)
     with pytest.raises(InputError, match=r"mine\.txt: is a file; name a folder"):
         petmjx.leaderboard(packers, tmp_path / "mine.txt")

@@ -228,7 +228,7 @@ def test_plans_that_are_not_those_of_the_run(results: petmjx.RunResults) -> None
     assert len(petmjx.loads("run", articles).plans) == 3, "the run has kept them"
     keep_nothing(Path("run"))
     with pytest.raises(
-        petmjx.InputError, match=r"run: needs the plans of the run, but plans\.json does not exist: name"
+        petmjx.InputError, match=r"run: needs the plans of the run, but their file plans\.json does not exist"
     ):
         petmjx.loads("run", articles)
     assert len(petmjx.loads("run", articles, "moved.json").plans) == 3

@@ -58,7 +58,7 @@ def test_a_box_over_a_gap_of_the_carrier_is_told() -> None:
     """A deck board of epal-1 ends at y = 145 mm, and the next one begins at 185.5 mm."""
     over, inside = (((400.0, 60.0, 200.0), (0.0, y, 0.0), 5.0) for y in (120.0, 90.0))
     (line,) = notes_about(Simulation(carrier="epal-1"), [make_plan("a", boxes=[inside]), make_plan("b", boxes=[over])])
-    assert line == "1 box on the carrier stands with the middle over a gap (box 0 of b)"
+    assert line == "1 box on the carrier stands with the middle over a gap between boards (box 0 of b)"
     assert not notes_about(Simulation(carrier="euro-pallet"), [make_plan(boxes=[over])])
 
 

@@ -114,7 +114,7 @@ def test_a_file_may_have_walls_and_options_change_them() -> None:
         (changed("mass_kg = 1.3", "mass_kg = true"), "boards[0].mass_kg must be a finite number, got True"),
         (
             changed("mass_kg = 1.3\n", ""),
-            "boards[0].mass_kg is missing: give the mass of each board, or the carrier's mass_kg",
+            "boards[0].mass_kg is missing: give a mass to each board, or give the carrier's mass_kg",
         ),
         (
             changed("friction = 0.4", "mass_kg = 12"),
@@ -125,7 +125,7 @@ def test_a_file_may_have_walls_and_options_change_them() -> None:
         (changed("[[boards]]", "[[board]]", 9), "board: unknown field; did you mean boards?"),
         (
             lambda text: text.partition("[[boards]]")[0],
-            "boards is missing: [[boards]] tables with corner_mm, size_mm and mass_kg",
+            "boards is missing: one table [[boards]] for each board, with corner_mm, size_mm and mass_kg",
         ),
         (
             lambda text: text + text[text.rindex("[[boards]]") :] * MOST_BOARDS,
@@ -168,7 +168,7 @@ def test_a_file_may_have_walls_and_options_change_them() -> None:
         ),
         (
             lambda text: text + LOW_BOARD,
-            "boards[5] ends 9 mm below the top: a carrier's top is level, at 144 mm here",
+            "boards[5] ends 9 mm below the top: a carrier's top must be level, and the highest board ends at 144 mm",
         ),
         (
             lambda text: text.partition('[[boards]]\nname = "back"')[0],

@@ -262,7 +262,7 @@ def test_metrics_of_other_plans_are_not_compared(tmp_path: Path) -> None:
     b = write(tmp_path / "b", {"x": stands(), "y": stands()}, {"y": heavier})
     comparison = compare_runs(a, b)
     assert comparison.other_plans == ("y",)
-    assert any("1 of 2 plans is not the same in b" in note and "--packers" in note for note in comparison.notes)
+    assert any("1 of 2 plans is not the same in a and b" in note and "--packers" in note for note in comparison.notes)
     assert comparison.n_common == 2
     assert only(comparison.worlds, metric="max_shift_m", group="both stable")["n"] == 1
     assert only(comparison.boxes, metric="max_tilt_deg", group="both stable")["n"] == 3

@@ -233,7 +233,7 @@ def test_a_run_with_forged_verdicts_is_not_rated_and_an_honest_one_does_not_move
     assert {sample["packer"]: sample["differ"] for sample in alone["simulated_again"]} == {"honest": [], "falling": []}
     assert {len(sample["plans"]) for sample in alone["simulated_again"]} == {4}
     packers = {"honest": made / "honest", "forger": forger}
-    with pytest.warns(PlanWarning, match=r"forger is not rated: 3 of 4 plans .* stable in the run and unstable by"):
+    with pytest.warns(PlanWarning, match=r"forger is not rated: 3 of 4 plans .* stable in the run, but unstable by"):
         data = board(made, tmp_path / "board", packers)
     (row,) = data["rating"]
     same = next(rating_row for rating_row in alone["rating"] if rating_row["packer"] == "honest")
@@ -291,10 +291,10 @@ def test_a_run_whose_plans_are_gone_is_not_rated(made: Path, tmp_path: Path, mon
         return PlanLookup({}, tuple(plan_ids), (), ()) if gone else find(info, records, plan_ids, *more)
 
     monkeypatch.setattr(entries, "find_plans", of_honest)
-    with pytest.warns(PlanWarning, match="falling is not rated: its plans were not found again"):
+    with pytest.warns(PlanWarning, match="falling is not rated: the files of its plans were not found"):
         data = board(made, tmp_path / "board", {name: made / name for name in ("honest", "falling")})
     assert rating_of(data) == {"honest": 1.0}
-    with pytest.raises(InputError, match="no packer is left to rate: x is not rated: its plans"):
+    with pytest.raises(InputError, match="no packer is left to rate: x is not rated: the files of its plans"):
         board(made, tmp_path / "other", {"x": made / "falling", "y": made / "falling"})
 
 
@@ -347,7 +347,7 @@ def test_strangers_of_all_kinds_on_one_board_and_by_kpis(made: Path, tmp_path: P
         "8 boxes of heavy have other sizes or masses than ordered",
         "8 boxes of weighted have other centres of mass, stiffnesses or kinds than ordered; the first: plan o0, ",
         "4 boxes of spread are not on their orders' targets",
-        "no KPIs of 1 plan of elsewhere: without an order (p)",
+        "no KPIs of 1 plan of elsewhere: no order was given for these ids (p)",
     ):
         assert line in notes
 

@@ -224,7 +224,7 @@ def test_flags_that_make_a_verdict_doubtful_are_told() -> None:
     assert headline(aside).startswith("unstable by shift, still moving: first box 0")
     edge = told(Flag.KNIFE_EDGE, plan_edge_m=0.041, rest_edge_m=-0.00031)
     (note,) = notes_in_words(edge)
-    assert note.startswith("A load acts at the edge of its support, within 0.31 mm, at rest:")
+    assert note.startswith("A load acts within 0.31 mm of the edge of its support (at rest):")
     all_of_them = replace(told(Flag.MOVING | Flag.KNIFE_EDGE | Flag.TIMESTEP, plan_edge_m=0.0), note="another engine")
     notes = notes_in_words(all_of_them)
     assert len(notes) == 4

@@ -269,7 +269,7 @@ def test_no_opengl_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         petmjx.draw(STORY, tmp_path / "x.png")
     monkeypatch.setenv("MUJOCO_GL", "osmesa")
     monkeypatch.setattr("petmjx.show.pictures.offscreen.importlib.import_module", lambda name: 1 / 0)
-    with pytest.raises(InputError, match=r"no OpenGL that draws without a display \(osmesa: ZeroDivisionError"):
+    with pytest.raises(InputError, match=r"OpenGL cannot draw without a display here \(osmesa: ZeroDivisionError"):
         petmjx.draw(STORY, tmp_path / "x.png")
 
 

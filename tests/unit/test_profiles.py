@@ -270,7 +270,7 @@ def test_windows_from_parquet_and_toml_agree(tmp_path: Path) -> None:
             "window[0].x must be a finite number, got 'a'",
         ),
         ("[[window]]\nstart_s = 1\nduration_s = 1\nx = 1\ny = 0\nz = 0\nw = 0\n", "window[0].w: unknown field"),
-        ("", "window is missing: [[window]] tables"),
+        ("", "window is missing: one table [[window]] for each push"),
         ("window = []", "window must have at least 1 entry, got 0"),
         ("window = 3", "window must be a list, got 3"),
         ("[[window", "not valid TOML"),

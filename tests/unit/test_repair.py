@@ -177,7 +177,9 @@ STAIR: Sequence[Box] = tuple(((400, 300, 200), (300 * k, 0, 200 * k), 5) for k i
 
 def test_built_boxes_that_fall_are_told_without_a_search() -> None:
     result = repaired(STAIR, built=2)
-    assert result.headline.endswith("no repair was sought: the boxes that are built already fall by themselves")
+    assert result.headline.endswith(
+        "no repair was sought, because the boxes that are already built do not stand by themselves"
+    )
     assert (result.built_falls, result.complete, result.n_trials) == (True, True, 1)
     assert result.plan is result.before
 

@@ -412,11 +412,11 @@ def test_a_page_to_send_is_about_each_plan_of_a_chain(tmp_path: Path) -> None:
     # film presses on each of the four sides with 2·T, where T = 50 N · 8 · height / 0.5 m; it sticks with 0.3 times
     # this force
     held_n = 0.3 * 4 * 2 * 50 * 8 * height_m / 0.5
-    assert "Film of 50 N a turn across 500 mm: 8 turns from film on." in facts
+    assert "Film of 500 mm width, with a tension of 50 N in each turn: 8 turns from film on." in facts
     slides_g = 0.5 + held_n / (mass_kg * 9.81)
     assert f"Held to its carrier by 8 turns, the load slides from {slides_g:.2f} g." in facts
     assert "Walls stand on the front, back; there are no straps" in _assumed(run)[-1]
-    assert "more than 20 mm from its planned place, or tilted by more than 20°" in _assumed(run)[-1]
+    assert "more than 20 mm from its planned place, or is tilted by more than 20°" in _assumed(run)[-1]
     counts = {**run.info["counts"], "worlds": 1}
     partial = replace(run, info={**run.info, "status": "interrupted", "counts": counts})
     with pytest.raises(InputError, match=r"is not complete \(1 of 6 worlds\): continue with resume=True"):

@@ -193,7 +193,7 @@ def test_boxes_that_are_missing_are_named(tmp_path: Path) -> None:
 def test_another_run_is_not_gone_on_with(changes: dict[str, Any], message: str, tmp_path: Path) -> None:
     simulate("score", tmp_path / "run")
     before = {file: file.read_bytes() for file in (tmp_path / "run").rglob("*") if file.is_file()}
-    with pytest.raises(petmjx.InputError, match="cannot be resumed, it is another run") as caught:
+    with pytest.raises(petmjx.InputError, match="cannot be resumed, because the folder has another run") as caught:
         simulate("score", tmp_path / "run", resume=True, **changes)
     assert message in str(caught.value)
     assert {file: file.read_bytes() for file in (tmp_path / "run").rglob("*") if file.is_file()} == before

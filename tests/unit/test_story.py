@@ -142,7 +142,7 @@ def test_what_a_story_needs_and_is_not_there_is_said_in_a_line(plan_file: Path, 
     assert petmjx.tell("tower", run, plans=moved).outcome.verdict is Verdict.STABLE
     refused("swept: plan tower has no variant 7", "tower", swept, plans=moved, variant=7)
     refused("run: plan tower has no variant 1", "tower", run, plans=moved, variant=1)
-    refused("schedule: a story of a run uses the run's options; drop this one", "tower", run, schedule="fixed")
+    refused("schedule: a story of a run uses the run's options; drop this option", "tower", run, schedule="fixed")
     refused("variant and plans select a world of a run", "tower", moved, variant=1)
     refused("plan none is not among the 2 plans read", "none", moved)
     refused("no such file", "tower", tmp_path / "nowhere")
@@ -150,7 +150,7 @@ def test_what_a_story_needs_and_is_not_there_is_said_in_a_line(plan_file: Path, 
     with pytest.raises(PetmjxError, match="plan tower: there are no frames: engine forgetful records no histories"):
         petmjx.tell("tower", moved, engine=Forgetful(1))
     file.write_text(SWEEP.replace("1.5", "1.4"))
-    refused("x.toml: has changed since the run .*swept", "tower", swept, plans=moved)
+    refused("x.toml: the sweep file has changed since the run .*swept", "tower", swept, plans=moved)
     file.unlink()
     refused("swept: the sweep file from which the run was made no longer exists", "tower", swept, plans=moved)
     plan_file.write_text(json.dumps({"tower": tower(3)}))

@@ -63,7 +63,7 @@ FILES = {
     "no axes": ("seed = 1", "axes is empty: nothing is varied"),
     "random without psd": (
         "[axes]\nprofile = 'truck'\n[profiles.truck]\nkind = 'random'",
-        "profiles.truck.psd is missing: random vibration needs a PSD table",
+        "profiles.truck.psd is missing: PSD table of the vibration",
     ),
     "psd file missing": (
         "[axes]\nprofile = 'truck'\n[profiles.truck]\nkind = 'random'\npsd = 'gone.csv'",
@@ -103,7 +103,7 @@ FILES = {
         "mode = 'sample'\nsample = 3\n[axes]\nprofile = 'radial'\n[search]",
         '[search] contradicts mode = "sample"',
     ),
-    "replicates of nothing": ("replicates = 5\n[axes]\nmass_factor = 1", "replicates = 5 needs something random"),
+    "replicates of nothing": ("replicates = 5\n[axes]\nmass_factor = 1", "replicates = 5 needs a random axis"),
     "unknown table": ("[simulations]\ninterval_s = 1\n[axes]\nmass_factor = 1", "simulations: unknown field"),
     "unknown option": ("[simulation]\nspeed = 1\n[axes]\nmass_factor = 1", "simulation.speed: unknown field"),
     "bad interval": (

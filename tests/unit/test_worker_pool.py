@@ -251,7 +251,7 @@ def test_only_the_world_that_kills_its_workers_is_invalid(pool: WorkerPool, caps
     outcomes = sorted(pool.run(jobs, SHORT, progress), key=lambda outcome: outcome.job)
     assert [outcome.job for outcome in outcomes] == list(range(12))
     assert [outcome.job for outcome in outcomes if outcome.reason is Reason.FAILED] == [5]
-    assert outcomes[5].message == "the worker died while it simulated only this world, as did earlier workers"
+    assert outcomes[5].message == "this worker and earlier workers died, each while it simulated only this world"
     assert progress.worlds_done == 12
     # in its next attempt, the world is alone from the beginning: it kills one more worker, not two
     deaths = pool._deaths

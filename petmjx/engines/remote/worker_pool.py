@@ -342,7 +342,7 @@ class WorkerPool(Engine):
             self._deadly[id(job.scene)] = job.scene
             run.progress.worlds_done += 1
             yield failed_outcome(
-                number, job, run.sim, "the worker died while it simulated only this world, as did earlier workers"
+                number, job, run.sim, "this worker and earlier workers died, each while it simulated only this world"
             )
 
     # Jobs.

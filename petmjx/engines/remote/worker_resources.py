@@ -99,7 +99,10 @@ def why_no_gpus(nodes: Sequence[Node], workers: int | str) -> str | None:
     if number > gpus and number % gpus:
         return f"{number} workers cannot share {gpus} GPUs evenly, {number - number % gpus} can; {_has(nodes)}"
     if sum(min(node.cpus, per_gpu * node.gpus) for node in nodes) < number:
-        return f"no room for {count_text(number, 'worker')} of 1 CPU beside the GPUs; {_has(nodes)}"
+        return (
+            f"the machines with GPUs have too few CPUs for {count_text(number, 'worker')} with 1 CPU each; "
+            f"{_has(nodes)}"
+        )
     return None
 
 

@@ -68,7 +68,7 @@ class KeptRollouts:
                         return None
                 self.drop()  # rollouts of other sizes may hold the memory: try again without them
                 lanes = sum(pool.lanes for pool in pools)
-                run.progress.message = f"out of device memory: trying again with {lanes} lanes"
+                run.progress.message = f"out of device memory: trying again with {lanes} worlds at once"
             else:
                 self._kept[launches] = (key, rollout)
                 return rollout

@@ -246,7 +246,7 @@ class TableSlices:
                 table.give_up(some, Flag.NONE)
                 continue
             table.run.progress.message = (
-                f"{len(some)} worlds overflowed their buffers: continuing with {growth}× the buffers"
+                f"{len(some)} worlds overflowed their buffers: continuing with buffers that are {growth} times as large"
             )
             table.retry(some)
             table.table = table.table._replace(status=table.table.status.at[some].set(Status.RUNNING))

@@ -80,4 +80,4 @@ def _drawn_figure(results: Any) -> Any:
         return draw_criteria(results)
     if isinstance(results, RunResults):
         return draw_answers(results)
-    raise InputError(f"results must be of compare_packers, criteria, sweep or score, {shown_value(results)}")
+    raise InputError(f"results must come from compare_packers, criteria, sweep or score, {shown_value(results)}")

@@ -74,9 +74,11 @@ def write_load_unit_pages(run: RunResults, plans: Mapping[str, Plan], path: Path
         )
     rows = [row for row in arrivals(run.summary).to_dict("records") if row["plan_id"] in plans]
     if not rows:
-        raise InputError(f"{run.path}: none of its plans was found: name their files")
+        raise InputError(
+            f"{run.path}: the files of its plans were not found: name the files or folders that have the plans"
+        )
     if len(rows) > MOST_PAGES:
-        raise InputError(f"{run.path}: has {len(rows):,} plans, more than the {MOST_PAGES} pages of a file")
+        raise InputError(f"{run.path}: has {len(rows):,} plans, but a file can have at most {MOST_PAGES} pages")
     from matplotlib.backends.backend_pdf import PdfPages
 
     with paper_style(), atomic_write(path) as file, PdfPages(file, metadata={"CreationDate": None}) as pages:
@@ -165,7 +167,7 @@ def _draw_legs(axes: Any, run: RunResults, plan: Plan) -> None:
     names = ["whole way" if leg == WHOLE_WAY else printable_name(str(leg)) for leg in rows["leg"]]
     draw_intervals(axes, names, *(100 * rows[name] for name in ("share", "low", "high")))
     axes.set_xlim(-2, 102)
-    axes.set_title("worlds that stand after a leg, of the worlds that reached it, %; lines: 95 % intervals", loc="left")
+    axes.set_title("share of the worlds that reached a leg and stand after it, %; lines: 95 % intervals", loc="left")
 
 
 def _facts(run: RunResults, plan: Plan) -> Iterator[str]:
@@ -200,7 +202,10 @@ def _film(run: RunResults, plan: Plan, slides_g: float) -> str:
     turns = [f"{leg['wrap_turns']:g} turns from {printable_name(leg['name'])} on" for leg in legs]
     most = max([leg["wrap_turns"] for leg in legs], default=sim.wrap.turns)
     wrap = sim.wrap.changed(turns=most)
-    text = f"Film of {wrap.force_n:g} N a turn across {wrap.film_mm:g} mm: {', '.join(turns) or f'{most:g} turns'}."
+    text = (
+        f"Film of {wrap.film_mm:g} mm width, with a tension of {wrap.force_n:g} N in each turn: "
+        f"{', '.join(turns) or f'{most:g} turns'}."
+    )
     if not wrap.holds:
         return text
     film = film_of(build_scene(plan, sim.changed(wrap=wrap)))
@@ -225,7 +230,7 @@ def _most_loaded(run: RunResults, plan: Plan) -> Iterator[str]:
     label = box_label(box, plan.articles[box])
     of = "medians of worlds that arrive"
     strength = float("nan") if plan.strength_n is None else float(plan.strength_n[box])
-    bears = "" if np.isnan(strength) else f"; between plates it bears {strength:,.0f} N"
+    bears = "" if np.isnan(strength) else f"; in a press it bears {strength:,.0f} N"
     yield f"Most loaded: box {label}, {rest_n:,.0f} N at rest, {peak_n:,.0f} N at the peak ({of}){bears}."
 
 
@@ -252,8 +257,9 @@ def _assumed(run: RunResults) -> list[str]:
     )
     limits = sim.thresholds
     lines.append(
-        f"{alone} straps or neighbours. Boxes are rigid. A world arrives if after each leg no box has fallen, is more "
-        f"than {MM_PER_M * limits.shift_m:g} mm from its planned place, or tilted by more than {limits.tilt_deg:g}°."
+        f"{alone} straps or neighbours. Boxes are rigid. A world arrives if after each leg no box has fallen, lies "
+        f"more than {MM_PER_M * limits.shift_m:g} mm from its planned place, or is tilted by more than "
+        f"{limits.tilt_deg:g}°."
     )
     return [printable(line) for line in lines]
 

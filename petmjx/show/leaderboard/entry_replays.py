@@ -111,12 +111,13 @@ class Sample:
         first = (firm or differing)[0]
         by = f" by {first.reason}" if first.reason else ""
         many = (
-            f"{len(differing):,} of {count_text(len(self.replays), 'plan')} that the board simulated again contradict"
+            f"{len(differing):,} of {count_text(len(self.replays), 'plan')} that the leaderboard simulated again "
+            "contradict"
         )
         return (
-            f"{printable_name(self.packer)} is not rated: {many} its run; the first: plan "
-            f"{printable_name(first.plan_id)}, "
-            f"{first.claimed} in the run and {first.verdict}{by} here"
+            f"{printable_name(self.packer)} is not rated: {many} its run; the first is plan "
+            f"{printable_name(first.plan_id)}, {first.claimed} in the run, but {first.verdict}{by} when simulated "
+            "again"
         )
 
     @property
@@ -127,7 +128,10 @@ class Sample:
             return ""
         verb = "has" if len(differing) == 1 else "have"
         many = f"{len(differing):,} of {count_text(len(self.replays), 'plan')} of {printable_name(self.packer)}"
-        return f"{many} that the board simulated again {verb} another verdict here: {first_names(differing)}"
+        return (
+            f"{many} that the leaderboard simulated again {verb} another verdict than in the run: "
+            f"{first_names(differing)}"
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """The sample as values for JSON."""
@@ -158,7 +162,9 @@ def sample_entry(
     worlds = worlds[worlds["variant"] == 0].set_index("plan_id")
     counted_ids = [name for name in worlds.index if wanted is None or name in wanted]
     if counted_ids and not (kept_ids := [name for name in counted_ids if name in entry.plans]):
-        return replace(sample, fault="its plans were not found again, so none can be simulated again")
+        return replace(
+            sample, fault="the files of its plans were not found, so none of its plans can be simulated again"
+        )
     if not counted_ids or not most:
         return sample
     if wrong := [name for name in kept_ids if worlds.at[name, "n_boxes"] != entry.plans[name].n_boxes]:

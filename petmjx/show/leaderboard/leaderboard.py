@@ -110,7 +110,7 @@ def leaderboard(
     paths = packer_sources(sources)
     source = None if orders is None else path_of(orders, "orders")
     if baselines and source is None:
-        raise InputError(f"{option('--baselines')} needs {option('--orders')}: petmjx's packers pack them")
+        raise InputError(f"{option('--baselines')} needs {option('--orders')}: petmjx's packers pack these orders")
     if baselines and (clash := next((name for name in paths if name in PACKERS), None)):
         raise InputError(f"{clash}: {option('--baselines')} has a packer of this name; rename yours, as NAME=PATH")
     keeps_orders = source is not None and not _is_same(source, folder / ORDERS)

@@ -85,7 +85,7 @@ class BoardFolder:
                 first = min((path.name for path in folder.iterdir()), default=None)
             if first is not None:
                 raise InputError(
-                    f"{printable(str(folder))}: has {printable_name(first)} in it; name a new folder for the "
+                    f"{printable(str(folder))}: already contains {printable_name(first)}; name a new folder for the "
                     "leaderboard"
                 )
         self.check()

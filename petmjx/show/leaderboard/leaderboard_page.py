@@ -32,9 +32,9 @@ MOST_SENTENCES: Final = 15
 
 RATING: Final = (
     "Rating: boxes on plans that stand in the simulation, as a share of all ordered boxes. A box does not count if its "
-    "plan falls or has no valid simulation, or if the box is not on the order's target. Nor does a box count if it "
-    "was not ordered, was ordered less often, or was ordered with another size, mass or property. Boxes that were left "
-    "out, and orders without a plan, lower the rating."
+    "plan falls or has no valid simulation, or if the box is not on the order's target. Nor does a box count if it was "
+    "not ordered, if the plan has it more often than ordered, or if it was ordered with another size, mass or "
+    "property. Boxes that were left out, and orders without a plan, lower the rating."
 )
 
 _MEANS: Final = {
@@ -123,7 +123,10 @@ class Board:
                 "the rating of a packer depends on the other packers"
             )
         if lost:
-            lines.append(f"the plans of {', '.join(lost)} were not found again: no stories, and no file of plans")
+            lines.append(
+                f"the files of the plans of {', '.join(lost)} were not found, so this page has no stories and no file "
+                "of these plans"
+            )
         return lines
 
     @property
@@ -237,7 +240,10 @@ def _story_list(board: Board) -> Content:
             joined_markup(_link(story, story.plan_id), " ") for story in board.story_entries if story.packer == name
         ]
         rows.append([name, joined_markup(*links)])
-    hint = "Each link opens a page that plays the simulation of one plan, which was repeated exactly as it was rated."
+    hint = (
+        "Each link opens a page that plays the simulation of one plan. The simulation was repeated exactly as it was "
+        "when the plan was rated."
+    )
     return joined_markup(element("p", hint, class_="hint"), table(["packer", "plans"], rows, texts=2, class_="stories"))
 
 

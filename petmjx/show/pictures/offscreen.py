@@ -150,7 +150,7 @@ def _gl_context(size: tuple[int, int]) -> Any:
             context = importlib.import_module(f"mujoco.{name}").GLContext(*size)
         context.make_current()
     except Exception as error:  # PyOpenGL and drivers may raise almost any exception
-        raise InputError(f"no OpenGL that draws without a display ({name}: {one_line(error)}): {_ADVICE}") from error
+        raise InputError(f"OpenGL cannot draw without a display here ({name}: {one_line(error)}): {_ADVICE}") from error
     return context
 
 

@@ -119,20 +119,20 @@ class PictureOptions(CheckedRecord):
     at: Annotated[
         str | None,
         _checked_by(_moments),
-        CliFlag("--at", "TIMES", default="before,first-sign,end where a box fails, else end"),
+        CliFlag("--at", "TIMES", default="before,first-sign,end if a box fails; else end"),
     ] = Field(
         None,
-        description="moments of a picture, with commas between: seconds, or start, before (the last placement before "
-        "the first sign), first-sign, end; several moments give a row of pictures",
+        description="moments that pictures show, separated by commas: times in seconds, or start, before (the last "
+        "placement before the first sign), first-sign, end; several moments give a row of pictures",
     )
     view: Annotated[str, _checked_by(view_of), CliFlag("--view")] = Field(
         "iso",
-        description=f"where the pallet is seen from: {', '.join(VIEWS)}, or AZIMUTH/ELEVATION, degrees, 0/0 in front, "
-        "90/0 on the right",
+        description=f"where the pallet is seen from: {', '.join(VIEWS)}, or AZIMUTH/ELEVATION in degrees: 0/0 is in "
+        "front, 90/0 is on the right",
     )
     size: Annotated[str | None, _checked_by(size_of), CliFlag("--size", "WxH", default=_USUAL_SIZES)] = Field(
         None,
-        description="width and height in pixels; of each picture, if several stand in a row",
+        description="width and height in pixels; if several pictures stand in a row, of each picture",
     )
     colour: Annotated[Colour, CliFlag("--colour")] = Field(
         Colour.ARTICLE,

@@ -64,10 +64,10 @@ def _rates(runs: Sequence[ReportRun], common: pd.DataFrame) -> Markup:
         text = f"{percent(share)} ({interval_text(low, high)})" if n else "none judged"
         rows.append((run.name, share, low, high, text))
     invalid = int((common == Verdict.INVALID.value).sum().sum())
-    note = "Share of worlds that stand, among the worlds of all runs, with Wilson’s 95 % interval."
+    note = "Share of worlds that stand, among the worlds that all runs have, with Wilson’s 95 % interval."
     note += f" {count_text(invalid, 'invalid world is', 'invalid worlds are')} not counted." if invalid else ""
     if any(run.kind.sweeps for run in runs):
-        note += " Worlds of one plan depend on each other: the intervals are too narrow."
+        note += " Worlds of one plan depend on each other, so the intervals are too narrow."
     return figure("Stable rates", intervals("Stable rates", rows), note)
 
 
@@ -127,7 +127,7 @@ def _two(runs: Sequence[ReportRun], pair: Comparison, n_plans: int) -> Markup:
     notes = [element("li", note) for note in pair.notes]
     text = ""
     if pair.n_not_stable:
-        text = f"Of {count_text(pair.n_not_stable, 'world')} that neither run calls stable, {pair.same_reason:,} have "
+        text = f"Of {count_text(pair.n_not_stable, 'world')} that are stable in neither run, {pair.same_reason:,} have "
         text += "the same reason"
         text += "." if pair.other_plans else f" and {pair.same_culprit:,} the same first box."
     differ = _how_plans_differ(len(pair.other_plans), n_plans)

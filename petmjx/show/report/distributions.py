@@ -163,7 +163,7 @@ def _share(size: Quantity, worlds: pd.DataFrame, one_each: bool) -> Markup:
     missing = np.full(len(groups), np.nan)
     share_curve(frame, middle, share, *((low, high) if one_each else (missing, missing)))
     return figure(
-        title, frame.svg(), ("Band: Wilson 95 %; " if one_each else "") + "points: groups of about equal size."
+        title, frame.svg(), ("Band: Wilson 95 %; " if one_each else "") + "points: groups of about equally many worlds."
     )
 
 
@@ -193,7 +193,7 @@ def first_boxes(run: ReportRun) -> Markup:
     histogram(along, place, falls["verdict"], ORDER)
     numbers = Scale(-0.5, float(falls["culprit"].max()) + 0.5, counts=True)
     title = "Number of the box that fails first"
-    number = Frame(title, numbers, Scale(0, 1), "number in the order, from 0", f"{run.what}s")
+    number = Frame(title, numbers, Scale(0, 1), "number in the packing order, from 0", f"{run.what}s")
     histogram(number, falls["culprit"].astype("float64"), falls["verdict"], ORDER)
     return joined_markup(
         element("p", f"In {count_text(len(falls), run.what)}, a box crossed a threshold."),
@@ -202,7 +202,7 @@ def first_boxes(run: ReportRun) -> Markup:
             figure(
                 "Articles that fail first",
                 _articles(run, falls),
-                "Of all boxes of that article: how many failed first.",
+                "For each article: how many of its boxes failed first, out of all its boxes.",
             ),
             figure(along.title, along.svg()),
             figure(number.title, number.svg()),

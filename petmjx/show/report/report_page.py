@@ -124,7 +124,9 @@ def _notes(runs: Sequence[ReportRun], left_out: int, without_boxes: int, not_pla
         f"{run.name} kept no boxes: its worlds have no 3D picture." for run in runs if not run.results.keeps_boxes
     ]
     if left_out:
-        notes.append(f"{count_text(left_out, 'world')} that stand are not in the table: it would be too large.")
+        notes.append(
+            f"{count_text(left_out, 'world')} that stand are not in the table, since the table would be too large."
+        )
     if without_boxes:
         notes.append(f"{count_text(without_boxes, 'world')} have no 3D picture: the page would be too large.")
     if not_played:

@@ -62,13 +62,32 @@ NUMBERS: Final = (
         "margin", "margin", "margin", digits=2, meaning="1: nothing moved; 0: on a threshold; below 0: beyond it"
     ),
     NumberColumn("share", "share", "stand", "%", 1, 100.0, meaning="share of worlds with errors that stand or arrive"),
-    NumberColumn("low", "low", "from", "%", 1, 100.0, meaning="lower end of the share's Wilson 95 % interval"),
-    NumberColumn("high", "high", "to", "%", 1, 100.0, meaning="upper end of the share's Wilson 95 % interval"),
+    NumberColumn(
+        "low",
+        "low",
+        "from",
+        "%",
+        1,
+        100.0,
+        meaning="lower end of the Wilson 95 % interval of the share of standing or arriving worlds",
+    ),
+    NumberColumn(
+        "high",
+        "high",
+        "to",
+        "%",
+        1,
+        100.0,
+        meaning="upper end of the Wilson 95 % interval of the share of standing or arriving worlds",
+    ),
     NumberColumn("n_boxes", "boxes", "boxes"),
     NumberColumn("n_placed", "placed", "placed", meaning="number of boxes placed before the world ended"),
     NumberColumn("n_dropped", "dropped", "dropped", meaning="number of boxes that fell"),
     NumberColumn(
-        "culprit", "first", "first box", meaning="box that first crossed a threshold, in packing order from 0"
+        "culprit",
+        "first",
+        "first box",
+        meaning="number of the box that first crossed a threshold (in packing order, from 0)",
     ),
     NumberColumn(
         "first_sign_s", "sign", "first sign", "s", 2, meaning="time at which the first box crossed a threshold"

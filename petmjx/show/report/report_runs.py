@@ -222,7 +222,9 @@ def open_runs(folders: Sequence[str | Path | RunResults], plans: Sequence[Path] 
             raise InputError(f"{results[at].path}: named twice")
     for run in results:
         if run.worlds.duplicated(KEY).any():
-            raise InputError(f"{run.path}: has the same plan and variant more than once; cannot be reported")
+            raise InputError(
+                f"{run.path}: the run has the same plan and variant more than once, so it cannot be reported"
+            )
     names = distinct_path_ends(paths)
     return [
         ReportRun(printable(name), run, find_report_plans(run, plans)) for name, run in zip(names, results, strict=True)

@@ -379,7 +379,7 @@ def _remedies(remedies: pd.DataFrame) -> Markup:
         paired = (str(count_of(name)(row)) for name in ("only_with", "only_without"))
         rows.append([str(row["remedy"]), percent(row["share"]), gain, span, *paired])
     head = ["remedy", "share that arrives", "gain, points", "95 %", "arrive only with it", "only without it"]
-    return table(head, rows, caption="What would help: the same worlds with a remedy")
+    return table(head, rows, caption="What would help: the same worlds, simulated with a remedy")
 
 
 def _plans_by_leg(summary: pd.DataFrame) -> Markup:

@@ -22,7 +22,8 @@ _NOTES: Final = {
     Kind.SCORE: _DRAWN,
     Kind.CONFIDENCE: _DRAWN + " Verdicts are from worlds without errors.",
     Kind.GRID: "Worlds of one plan depend on each other, so their shares have no interval.",
-    Kind.CHAIN: "Worlds with errors, without remedies. Worlds of one plan are alike, so these shares have no interval.",
+    Kind.CHAIN: "These are the worlds with errors and without remedies. Worlds of one plan are alike, so these shares "
+    "have no interval.",
     Kind.SEARCH: "These levels were tested: they show where the search looked, not how often pallets stand.",
 }
 

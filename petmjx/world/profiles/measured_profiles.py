@@ -48,11 +48,11 @@ Density = Annotated[StrictFloat, Field(gt=0), within(0, MAX_DENSITY)]
 class WindowRow(CheckedRecord):
     """One push. Sweep files may also give a push as a list of its five numbers: start_s, duration_s, x, y, z."""
 
-    start_s: Seconds = Field(description="when the push begins, s after the profile's beginning")
+    start_s: Seconds = Field(description="time at which the push begins, s after the beginning of the profile")
     duration_s: LongerThanNothing = Field(description="how long the push acts, s")
-    x: Component = Field(description="force along x in units of scale × total mass × 9.81 m/s²")
-    y: Component = Field(description="force along y in the same units")
-    z: Component = Field(description="force along z in the same units")
+    x: Component = Field(description="force along x in units of scale × mass of boxes and carrier × 9.81 m/s²")
+    y: Component = Field(description="force along y in units of scale × mass of boxes and carrier × 9.81 m/s²")
+    z: Component = Field(description="force along z in units of scale × mass of boxes and carrier × 9.81 m/s²")
 
     @model_validator(mode="before")
     @classmethod
@@ -79,7 +79,7 @@ Rows = Annotated[tuple[WindowRow, ...], Field(min_length=1, max_length=MAX_WINDO
 
 
 class _WindowFile(CheckedRecord):
-    window: Rows = Field(description="[[window]] tables with start_s, duration_s, x, y, z")
+    window: Rows = Field(description="one table [[window]] for each push, with start_s, duration_s, x, y, z")
 
 
 def read_windows(path: Path) -> tuple[WindowRow, ...]:

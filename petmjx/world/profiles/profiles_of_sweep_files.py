@@ -63,8 +63,10 @@ class WindowsTable(_Table):
     """Force windows, given in the table or in a file."""
 
     kind: Literal["windows"]
-    windows: Rows | None = Field(None, description="rows of [start_s, duration_s, x, y, z]")
-    file: FileName | None = Field(None, description="a Parquet or TOML file with these five columns")
+    windows: Rows | None = Field(None, description="one row [start_s, duration_s, x, y, z] for each push")
+    file: FileName | None = Field(
+        None, description="Parquet or TOML file of pushes with the columns start_s, duration_s, x, y, z"
+    )
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
@@ -82,8 +84,10 @@ class Link(CheckedRecord):
     """One profile as a link of a chain."""
 
     profile: Name = Field(description="name of a force profile")
-    offset_s: Seconds = Field(0.0, description="when the profile begins, s after the chain's beginning")
-    scale: Annotated[StrictFloat, Field(gt=0), within(0, MAX_FORCE)] = Field(1.0, description="factor on these forces")
+    offset_s: Seconds = Field(0.0, description="time at which the profile begins, s after the beginning of the chain")
+    scale: Annotated[StrictFloat, Field(gt=0), within(0, MAX_FORCE)] = Field(
+        1.0, description="factor on the forces of the profile"
+    )
 
 
 class ChainTable(_Table):
@@ -91,9 +95,9 @@ class ChainTable(_Table):
 
     kind: Literal["chain"]
     of: Annotated[tuple[Link, ...], Field(min_length=1, max_length=MAX_WINDOWS)] = Field(
-        description="a list of {profile, offset_s, scale}"
+        description="links of the chain: a list of {profile, offset_s, scale}"
     )
-    overlap: Literal["add", "replace"] = Field("add", description="how pushes at the same time combine")
+    overlap: Literal["add", "replace"] = Field("add", description="how pushes that act at the same time combine")
 
     def profile(self, name: str, folder: Path, known: Mapping[str, Profile]) -> WindowProfile:
         links: list[tuple[WindowProfile, float, float]] = []
@@ -151,7 +155,7 @@ class TiltTable(_Table):
         _TILT.rate_deg_s, gt=0, description="how fast the angle grows, degrees/s"
     )
     hold_s: Seconds = Field(_TILT.hold_s, description="time at the largest angle, s")
-    return_s: LongerThanNothing = Field(_TILT.return_s, description="time of the way back, s")
+    return_s: LongerThanNothing = Field(_TILT.return_s, description="time in which the carrier turns back, s")
 
     @model_validator(mode="after")
     def _not_too_slow(self) -> Self:
@@ -185,9 +189,11 @@ class RandomTable(_Table):
 
     kind: Literal["random"]
     psd: Annotated[Annotated[PsdRows, Tag(LIST)] | Annotated[FileName, Tag(VALUE)], Discriminator(shape)] = Field(
-        description="random vibration needs a PSD table, [[Hz, g²/Hz], …] or the name of a CSV file"
+        description="PSD table of the vibration: rows [[Hz, g²/Hz], …], or the name of a CSV file"
     )
-    axes: Annotated[str, AfterValidator(_some_axes)] = Field("z", description="which axes vibrate: x, y, z together")
+    axes: Annotated[str, AfterValidator(_some_axes)] = Field(
+        "z", description="axes that vibrate: one or more of the letters x, y and z"
+    )
     duration_s: LongerThanNothing = Field(10.0, description="length, s")
 
     def profile(self, name: str, folder: Path, known: Mapping[str, Profile]) -> RandomVibration:
