@@ -58,6 +58,10 @@ class Draft:
         order = tuple(range(n))
         return cls(plan, plan.size_mm, plan.corner_mm, np.zeros(n, bool), order, film_turns=film_turns)
 
+    def is_unchanged(self, film_turns: float) -> bool:
+        """Whether the draft is the plan without a change. ``film_turns``: turns of film around the unchanged plan."""
+        return self.key == Draft.of(self.plan, film_turns).key
+
     @cached_property
     def rows(self) -> IntArray:
         """(n,) ``order`` as an array."""

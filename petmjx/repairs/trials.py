@@ -6,9 +6,9 @@ import math
 import time
 import warnings
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import repeat
 from pathlib import Path
@@ -42,6 +42,7 @@ from petmjx.repairs.common_placements import CommonPlacements, Placement, World
 from petmjx.repairs.drafts import BoolArray, Draft
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.requests import ERROR_WORLDS, Asked, OutOfTime, Trial, TrialAnswer
+from petmjx.results.recording import Recording
 from petmjx.results.run_reader import RunResults
 from petmjx.runs.confidence import confidence_sweep
 from petmjx.runs.simulate import RunStart, Watcher, simulate
@@ -69,8 +70,13 @@ to 50 boxes, the plans that stand take up to 1,275 steps, and the plans that fal
 two to four iterations. A pile that rocks without end would keep its search waiting: of 12,749 drafts that a GPU judged,
 one took 13.5 s of the 40 s of all searches."""
 
+SCORED_ITERATIONS: Final = 25_000
+"""As ``JUDGED_ITERATIONS``, for each attempt of a world in which a changed plan is scored. All searches wait while
+scores are simulated. Of 400 generated plans, one changed plan that did not come to rest kept 145 searches waiting for
+14 s on a GPU. A changed plan whose attempt 1, 6 or 7 takes more iterations counts as one that falls."""
+
 SIZE: Final = 64
-"""Number of boxes for which drafts have ``JUDGED_ITERATIONS``."""
+"""Number of boxes for which drafts have ``JUDGED_ITERATIONS`` and ``SCORED_ITERATIONS``."""
 
 JUDGED_TILT_DEG: Final = 5.0
 """A box that tilts by more than this counts as fallen if a draft is only judged. A shift alone does not end the
@@ -230,12 +236,22 @@ class Question:
         if not numbers:
             return {}
         plans = [drafts[number].as_plan(str(number)) for number in numbers]
-        results = self._simulate(plans, drafts[numbers[0]].film_turns, run, watcher)
+        changed = {str(number) for number in numbers if not drafts[number].is_unchanged(self.film_turns)}
+        results = self._simulate(plans, drafts[numbers[0]].film_turns, run, watcher, changed)
         worlds, fallen = results.worlds.set_index("plan_id"), _fallen(results, self.sim)
-        return {
+        trials = {
             number: _trial(worlds.loc[str(number)], fallen.get(str(number), ()), drafts[number].order)
             for number in numbers
         }
+        # a further attempt that is spent leaves the world its verdict
+        simulations = pd.concat([results.worlds[["plan_id", "reason"]], results.attempts[["plan_id", "reason"]]])
+        spent = {*simulations.plan_id[simulations.reason == Reason.ITERATION_LIMIT.value]} & changed
+        for number in map(int, spent):
+            limit = limit_of(len(drafts[number].order), SCORED_ITERATIONS)
+            if self.sim.iteration_limit is None or limit < self.sim.iteration_limit:
+                # as for judged drafts: the search has set the limit, so the trial is valid
+                trials[number] = trials[number]._replace(verdict=Verdict.UNSTABLE.value)
+        return trials
 
     def jobs(self, asked: Sequence[Asked]) -> list[Job | None]:
         """For each draft, the job of the world in which the draft is judged; None if the draft is scored. If pallets
@@ -258,7 +274,7 @@ class Question:
                 worlds = [asked[number].world for number in numbers]
                 scenes = self._with_errors(draft.plan, scene, worlds) if has_errors else repeat(scene)
                 for number, its_scene in zip(numbers, scenes, strict=False):
-                    limit = JUDGED_ITERATIONS * math.ceil(its_scene.n_boxes / SIZE)
+                    limit = limit_of(its_scene.n_boxes, JUDGED_ITERATIONS)
                     jobs[number] = Job(its_scene, has_errors=True, iteration_limit=limit)
         return jobs
 
@@ -311,10 +327,12 @@ class Question:
             _simulated(study, sweep.simulation, list(plans), self._run, ends)
         return [ends.share_of(plan, self._options.worlds) for plan in plans]
 
-    def _simulate(self, plans: list[Plan], film_turns: float, run: RunOptions, watcher: Watcher | None) -> RunResults:
+    def _simulate(
+        self, plans: list[Plan], film_turns: float, run: RunOptions, watcher: Watcher | None, changed: Collection[str]
+    ) -> RunResults:
         sweep = self._drive_sweep(film_turns)
         if sweep is None:
-            return _simulated(partial(Nominal, self.sim), self.sim, plans, run, watcher)
+            return _simulated(partial(_Scores, changed, self.sim), self.sim, plans, run, watcher)
         return _simulated(partial(SweepStudy, sweep), sweep.simulation, plans, run, watcher)
 
     def _drive_sweep(self, film_turns: float) -> Sweep | None:
@@ -332,6 +350,30 @@ class Question:
             axes[str(profiles[0].strength)] = options.level
         simulation = {**self._of_simulation, "wrap": self.sim.wrap.changed(turns=film_turns)}
         return sweep_of_tables({"name": "repair", "axes": axes}, Path("repair"), True, simulation)
+
+
+class _Scores(Nominal):
+    """A plain score in which some worlds end early if they take many iterations (``SCORED_ITERATIONS``).
+
+    Args:
+        changed: ids of the plans whose worlds end early.
+    """
+
+    def __init__(self, changed: Collection[str], sim: Simulation, plans: Sequence[Plan], options: RunOptions) -> None:
+        super().__init__(sim, plans, options)
+        self._changed = changed
+
+    def job(self, plan: Plan, scene: Scene, recording: Recording) -> Job:
+        """See ``Nominal``."""
+        job = super().job(plan, scene, recording)
+        if plan.plan_id not in self._changed:
+            return job
+        return replace(job, iteration_limit=limit_of(scene.n_boxes, SCORED_ITERATIONS))
+
+
+def limit_of(n_boxes: int, of_size: int) -> int:
+    """The limit of iterations of a draft: ``of_size`` for every ``SIZE`` boxes or part of ``SIZE`` boxes."""
+    return of_size * math.ceil(n_boxes / SIZE)
 
 
 def _simulated(*arguments: Any) -> RunResults:
@@ -476,7 +518,7 @@ class TrialStream:
             return one.judged
         if one.is_judged or (score := self.scores.get(one.draft.plan.plan_id)) is None:
             return None
-        return score if one.draft.key == Draft.of(one.draft.plan, self._question.film_turns).key else None
+        return score if one.draft.is_unchanged(self._question.film_turns) else None
 
     def answers(self) -> Iterator[TrialAnswer | None]:
         """The answers, until no request is left. An answer None means that the engine pauses, so further requests can

@@ -212,11 +212,7 @@ class Nominal(Study):
     ) -> Iterator[FinishedWorld]:
         missing = [plan for plan in self._longest_first() if (plan.plan_id, NOMINAL.index) not in recorded]
         worlds = (
-            World(
-                plan,
-                NOMINAL.index,
-                Job(scene, record=recording.of(plan), edge_risk=self.edge_risks.get(plan.plan_id)),
-            )
+            World(plan, NOMINAL.index, self.job(plan, scene, recording))
             for plan, scene in zip(missing, build_scenes(missing, self.sim), strict=True)
         )
         expected_s = dict(
@@ -229,6 +225,10 @@ class Nominal(Study):
             done_s += expected_s[world.plan.plan_id]
             progress.work_share = done_s / total_s
             yield FinishedWorld(world.plan, NOMINAL, world.job.scene, scored_world.outcome, scored_world.attempts)
+
+    def job(self, plan: Plan, scene: Scene, recording: Recording) -> Job:
+        """The job of a plan's world. ``recording``: see ``worlds``."""
+        return Job(scene, record=recording.of(plan), edge_risk=self.edge_risks.get(plan.plan_id))
 
     def _longest_first(self) -> Iterator[Plan]:
         """The plans, sorted by their ``EdgeRisk`` and then by the number of boxes that are expected to be placed, the

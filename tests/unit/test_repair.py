@@ -1323,10 +1323,25 @@ def test_simulations_without_a_verdict_are_told(capsys: pytest.CaptureFixture[st
 
 def test_a_plan_that_is_judged_for_too_long_counts_as_one_that_falls(monkeypatch: pytest.MonkeyPatch) -> None:
     """The search has set the limit of iterations, so such simulations do have a verdict. Without the limit, no box need
-    be left out. Scores have no limit."""
+    be left out. Scores have a limit of their own."""
     monkeypatch.setattr("petmjx.repairs.trials.JUDGED_ITERATIONS", 300)
     result = repaired(COUNTERWEIGHT, trials=6)
     assert (result.stands, result.left_out, result.row()["invalid_trials"]) == (True, (2,), 0)
+
+
+def test_a_changed_plan_that_is_scored_for_too_long_counts_as_one_that_falls(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The score of the plan as it was given has no limit, since the user is told of it."""
+    draft = Draft.of(make_plan(boxes=stack(2)))
+    moved = Move(1, 1.0, 0.0).applied(draft)
+    assert moved is not None
+    asked = [Asked(draft, is_judged=False), Asked(moved, is_judged=False)]
+    question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=0))
+    assert [trial.verdict for trial in question.scores(asked)] == ["stable", "stable"]
+    monkeypatch.setattr("petmjx.repairs.trials.SCORED_ITERATIONS", 20)
+    assert [trial.verdict for trial in question.scores(asked)] == ["stable", "unstable"]
+    monkeypatch.setattr("petmjx.repairs.trials.SCORED_ITERATIONS", 20_000)
+    limited = Question({"engine": "mujoco", "threads": 1, "iteration_limit": 20}, RepairOptions(worlds=0))
+    assert [trial.verdict for trial in limited.scores(asked)] == ["invalid", "invalid"], "the user has set the limit"
 
 
 def test_a_repair_with_few_trials_is_told_as_such() -> None:
