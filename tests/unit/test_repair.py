@@ -1451,7 +1451,7 @@ def test_the_command_writes_plans_and_a_page(tmp_path: Path, capsys: pytest.Capt
     options = ["--engine", "mujoco", "--threads", "1", "--worlds", "0", "--without", "move,place,turn,exchange"]
     assert main(["repair", str(source), "-o", str(out), "--html", str(html), *options]) == 0
     printed = capsys.readouterr().out
-    assert "late: unstable (drop, first box 1); stands after 1 change\n  1. place box 2 before box 1" in printed
+    assert "late: unstable (tilt, first box 1); stands after 1 change\n  1. place box 2 before box 1" in printed
     assert verdict(petmjx.load_plans(out).plans[0]) == "stable"
     page = html.read_text(encoding="utf-8")
     assert page.count("<svg") == 2
