@@ -76,7 +76,7 @@ class Reduction(StrEnum):
 
     LARGEST = "largest magnitude"
     SMALLEST = "smallest"
-    COUNT = "number of boxes"
+    COUNT = "number of true values"
 
 
 @dataclass(frozen=True)
