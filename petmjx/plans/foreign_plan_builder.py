@@ -18,7 +18,7 @@ from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.cell_numbers import cell_number
 from petmjx.plans.column_extraction import HALF_EXTENTS, IGNORED, LAST_CELLS
 from petmjx.plans.known_forms import PACKINGSOLVER
-from petmjx.plans.masses_and_densities import assumed_density, density_lines, masses_kg
+from petmjx.plans.masses_and_densities import assumed_density, masses_kg
 from petmjx.plans.placed_boxes import (
     edge_faults,
     empty_rows,
@@ -82,16 +82,15 @@ class PlanBuilder:
                 "box (the box ends one cell further)"
             )
         self._note_quantities()
-        size, low = placed_boxes(self.columns, reading, candidate, plans, self.wishes, self.notes)
+        faults = range_faults(self.columns, reading, candidate)
+        if not self.wishes.exact:  # the user who has written a reading has checked it
+            faults = edge_faults(self.columns, reading, candidate, plans) | faults
+        self.faults = faults | self.faults
+        size, low = placed_boxes(self.columns, reading, candidate, plans, self.wishes, self.faults, self.notes)
         self._note_plans_apart(plans, size, low)
         for row in rows_below_deck(low, plans, size):
             self.faults.setdefault(row, height_fault(reading, candidate, row))
         self.decks = pallet_rows(self.columns, plans, size, low)
-        faults = range_faults(self.columns, reading, candidate)
-        if not self.wishes.exact:  # the user who has written a reading has checked it
-            faults = edge_faults(self.columns, reading, candidate, plans) | faults
-        for row, fault in faults.items():
-            self.faults.setdefault(row, fault)
         mass = masses_kg(
             *(self.columns, reading.masses, size, self.wishes, self.faults, self.notes),
             length_unit=reading.length_units[0],
@@ -123,7 +122,6 @@ class PlanBuilder:
             order=order_source,
             notes=tuple(dict.fromkeys((*reading.notes, *self.notes))),
             unused=self._unused(reading) if self.boxes.table.has_header else (),
-            odd=density_lines(self.columns, size, mass),
             density_kg_m3=assumed_density(self.columns, self.wishes),
         )
         good_rows = [plans[name] for name in sequences]
@@ -181,7 +179,7 @@ class PlanBuilder:
 
     def _float(self, reading: Reading, candidate: Candidate, plans: Mapping[str, NDArray[np.int64]]) -> bool:
         """Whether there is a plan in which no box stands on the deck."""
-        _, low = placed_boxes(self.columns, reading, candidate, plans, self.wishes, [])
+        _, low = placed_boxes(self.columns, reading, candidate, plans, self.wishes, self.columns.faults, [])
         return any(np.nanmin(low[rows, 2], initial=np.inf) > DEFAULT_TOLERANCE_MM for rows in plans.values())
 
     def _check_words(self, reading: Reading, candidate: Candidate) -> None:

@@ -183,8 +183,7 @@ def _judge(columns: BoxColumns, wishes: Wishes, candidate: Candidate, sample: _S
     is_positive = _are_positive(candidate.geometry)
     sample = [(rows[is_positive[rows]], container) for rows, container in sample if is_positive[rows].any()]
     for rows, container in sample:
-        whole_layout = layout_of(columns, candidate, container)
-        layouts.append(Layout(whole_layout.low[rows], whole_layout.size[rows], whole_layout.container))
+        layouts.append(layout_of(columns, candidate, rows, container))
         cost, origin, counts = layout_cost(layouts[-1])
         costs.append(cost * len(rows))
         origins.append(origin)

@@ -114,7 +114,6 @@ class Reading:
         density_kg_m3: density of boxes that have no weight; None: all boxes have weights.
         notes: lines about values that were added or left out.
         unused: names of the columns that are not used.
-        odd: lines about values that are improbable in every reading.
         cost: cost of the reading; an implausible reading has a high cost.
         layout_cost: the part of the cost that does not come from names and units.
         evidence: the numbers on which the cost is based.
@@ -135,7 +134,6 @@ class Reading:
     density_kg_m3: float | None = None
     notes: tuple[str, ...] = ()
     unused: tuple[str, ...] = ()
-    odd: tuple[str, ...] = ()
     cost: float = 0.0
     layout_cost: float = 0.0
     evidence: Evidence = Evidence()
@@ -181,7 +179,7 @@ class Reading:
             parts.append(
                 {"middle": "origin in the middle of the carrier", "floor": "heights from below the deck"}[self.origin]
             )
-        return f"read as {'; '.join([*filter(None, parts), *self.notes, *self.odd])}"
+        return f"read as {'; '.join([*filter(None, parts), *self.notes])}"
 
 
 def up_words(up: str) -> str:

@@ -125,18 +125,19 @@ def test_xml_in_utf_16_and_cut_off_xml(tmp_path: Path, encoding: str) -> None:
     assert "not XML at line 8" in skipped.message
 
 
-def test_poses_turn_boxes_about_the_point_of_their_coordinates(tmp_path: Path) -> None:
-    """The second box is turned by 180° about its corner, and the third one by 90°."""
-    turns = {1: [[-1, 0], [0, -1]], 2: [[0, -1], [1, 0]]}
+@pytest.mark.parametrize("up", ["z", "-z"])
+def test_poses_turn_boxes_about_the_point_of_their_coordinates(tmp_path: Path, up: str) -> None:
+    """A box is turned about its corner by 180°, one by 90°, and one is upside down."""
+    turns = {1: np.diag([-1, -1, 1]), 2: np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]), 4: np.diag([1, -1, -1])}
     boxes = []
     for number, box in enumerate(PILE):
-        turn = np.array(turns.get(number, [[1, 0], [0, 1]]))
-        size = np.abs(turn.T) @ box[3:5]
+        turn = turns.get(number, np.eye(3))
+        size = np.abs(turn.T) @ box[3:6]
+        low = np.array([*box[:2], box[2] if up == "z" else -box[2] - box[5]])
         pose = np.eye(4)
-        pose[:2, :2], pose[2, 3] = turn, box[2]
-        pose[:2, 3] = np.array(box[:2]) - np.minimum(turn @ size, 0)
-        boxes.append({"size": [*size.tolist(), box[5]], "pose": pose.tolist(), "mass": box[6]})
-    plan_set = load(tmp_path, "poses.json", json.dumps(boxes), units="mm")
+        pose[:3, :3], pose[:3, 3] = turn, low - np.minimum(turn @ size, 0)
+        boxes.append({"size": size.tolist(), "pose": pose.tolist(), "mass": box[6]})
+    plan_set = load(tmp_path, "poses.json", json.dumps(boxes), units="mm", up=up)
     check(plan_set)
     assert "turn boxes about these points" in plan_set.readings[str(tmp_path / "poses.json")].line()
 
@@ -149,14 +150,24 @@ def test_gravity_of_a_scene_shows_the_vertical(tmp_path: Path) -> None:
     assert plan.corner_mm[:, 2].tolist() == [0] * 4
 
 
-@pytest.mark.parametrize("from_top", [0, 600])
-def test_heights_may_be_counted_downwards(tmp_path: Path, from_top: float) -> None:
-    """From the deck, below which heights are negative; or from a level above the load."""
-    rows = [(*box[:2], from_top - box[2] - box[5], *box[3:]) for box in PILE]
-    content = table("x,y,z,length,width,height,kg", rows)
-    check(load(tmp_path, "down.csv", content, units="mm", up="-z", anchor="corner"))
-    if not from_top:
-        assert load(tmp_path, "down.csv", content, units="mm").readings.popitem()[1].up == "-z"
+@pytest.mark.parametrize("from_top", [0, 600, None])
+def test_heights_may_be_counted_downwards(tmp_path: Path, from_top: float | None) -> None:
+    """From the deck, below which heights are negative; from a level above the loads; or from the top of each load. A
+    bad height moves no other load."""
+    loads = {"A": PILE, "B": PILE[:3], "C": PILE}
+    rows = [
+        (name, *box[:2], (max(b[2] + b[5] for b in pile) if from_top is None else from_top) - box[2] - box[5], *box[3:])
+        for name, pile in loads.items()
+        for box in pile
+    ]
+    names = "plan,x,y,z,length,width,height,kg"
+    if from_top == 0:
+        assert load(tmp_path, "down.csv", table(names, rows), units="mm").readings.popitem()[1].up == "-z"
+    rows[-1] = (*rows[-1][:3], 9999, *rows[-1][4:])
+    plan_set = load(tmp_path, "down.csv", table(names, rows), units="mm", up="-z", anchor="corner")
+    for plan, name in zip(plan_set.plans, "AB", strict=True):
+        np.testing.assert_allclose(plan.corner_mm, np.array(loads[name])[:, :3])
+    assert plan_set.skipped[0].message.endswith("row 16: z is far from the other boxes, got 9999")
 
 
 def test_boxes_listed_from_the_top_may_be_counted_downwards(tmp_path: Path) -> None:
@@ -289,5 +300,6 @@ def test_what_a_box_bears_is_no_weight(tmp_path: Path, name: str) -> None:
     assert plan_set.plans[0].mass_kg.max() < 60
 
 
-def test_a_letter_without_a_lower_case_is_read(tmp_path: Path) -> None:
-    assert known_meanings(["\u1c80\u0435\u0441"]) is not None
+def test_words_in_other_scripts() -> None:
+    assert known_meanings(["\u1c80\u0435\u0441"]) is not None  # a letter without a lower case
+    assert known_meanings(["段ボール", "段"])["段ボール"].kind == "item_id"  # cardboard, not a layer
