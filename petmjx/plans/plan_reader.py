@@ -390,11 +390,11 @@ class _PlanLoader:
             path: the file; None: an object.
         """
         from petmjx.plans.foreign_plans import plans_of_sources
-        from petmjx.plans.readings import CHOOSER, AmbiguousFile, wishes_of, wishes_of_reading
+        from petmjx.plans.readings import CHOOSER, AmbiguousFile, wishes_of
 
         try:
             boxes = find_boxes()
-            wishes = wishes_of(self.options, self.carrier_extent_mm, self.reading)
+            wishes = wishes_of(self.options, self.carrier_extent_mm, self.reading, self.max_boxes)
             try:
                 plans = plans_of_sources(boxes, path, source, wishes, self.options.items)
             except AmbiguousFile as error:
@@ -402,7 +402,8 @@ class _PlanLoader:
                 chosen = None if chooser is None else chooser(source, error)
                 if chosen is None:
                     raise
-                plans = plans_of_sources(boxes, path, source, wishes_of_reading(chosen), self.options.items)
+                wishes = wishes_of(self.options, self.carrier_extent_mm, chosen, self.max_boxes)
+                plans = plans_of_sources(boxes, path, source, wishes, self.options.items)
             self.found.readings[source] = plans.reading
             for refused in plans.refused:
                 self._skip(source, refused.plan_id, refused.message)

@@ -213,6 +213,7 @@ class Wishes:
         rule: how boxes are turned.
         density_kg_m3: density of boxes that have no weight.
         deck_mm: extents of the carrier along x and y.
+        max_boxes: largest number of boxes of a plan; None: any number.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -227,6 +228,7 @@ class Wishes:
     rule: str = ""
     density_kg_m3: float | None = None
     deck_mm: tuple[float, float] | None = None
+    max_boxes: int | None = None
 
     @property
     def length_units(self) -> tuple[str, str]:
@@ -312,22 +314,22 @@ def tie_text(readings: Sequence[Reading], weak: bool) -> str:
     ways += "".join(f"; {up_words(up)} is possible, too" for up in further)
     is_piled = weak and 2 * one.evidence.n_overlapping > one.evidence.n_boxes
     advice = f"{options}, or with --as FILE.toml" if options else "--as FILE.toml"
-    return f"{reason} {ways}; {_SEVERAL if is_piled else ''}say which with {advice}"
+    return f"{reason} {ways}; {f'{SEVERAL}; ' if is_piled else ''}say which with {advice}"
 
 
 def implausible_text(reading: Reading) -> str:
     """The line about a file in whose most plausible reading most boxes overlap, or that contradicts names."""
     options = f"if that is right, say --up {reading.up} --anchor {reading.anchor}"
     if 2 * reading.evidence.n_overlapping > reading.evidence.n_boxes:
-        options = f"{_SEVERAL}if boxes really overlap, say --anchor {reading.anchor}"
+        options = f"{SEVERAL}; if boxes really overlap, say --anchor {reading.anchor}"
     return (
         f"no reading is plausible; the best has coordinates of {_ANCHOR_WORDS[reading.anchor]}, {up_words(reading.up)} "
         f"({reading.evidence}); {options}"
     )
 
 
-_SEVERAL: Final = "if the file has several pallets, name their column with --columns plan=NAME; "
-"""Advice about a file whose boxes overlap in every reading."""
+SEVERAL: Final = "if the file has several pallets, name their column with --columns plan=NAME"
+"""Advice about a file whose boxes overlap in every reading, or are too many for one plan."""
 
 
 CHOOSER: ContextVar[Callable[[str, AmbiguousFile], Reading | None] | None] = ContextVar("CHOOSER", default=None)
@@ -421,7 +423,10 @@ def _choosable(columns: Mapping[str, str]) -> dict[str, str]:
 
 
 def wishes_of(
-    options: RunOptions, deck_mm: tuple[float, float] | None = None, reading: Reading | None = None
+    options: RunOptions,
+    deck_mm: tuple[float, float] | None = None,
+    reading: Reading | None = None,
+    max_boxes: int | None = None,
 ) -> Wishes:
     """How to read files of other tools, according to the options. An option for one choice, such as ``units``, takes
     precedence over a reading.
@@ -430,6 +435,7 @@ def wishes_of(
         deck_mm: extents of the carrier along x and y; None: unknown.
         reading: how to read the numbers of a file (units, columns, axes …). If ``reading`` is None, the reading comes
             from the TOML file that the option ``--as`` names, if this option is set.
+        max_boxes: largest number of boxes of a plan; None: any number.
 
     Raises:
         InputError: the written reading cannot be read.
@@ -446,6 +452,7 @@ def wishes_of(
         "sizes": options.sizes,
         "density_kg_m3": options.density,
         "deck_mm": deck_mm,
+        "max_boxes": max_boxes,
     }
     if options.columns:
         changes["columns"] = {**wishes.columns, **options.columns}

@@ -303,3 +303,15 @@ def test_what_a_box_bears_is_no_weight(tmp_path: Path, name: str) -> None:
 def test_words_in_other_scripts() -> None:
     assert known_meanings(["\u1c80\u0435\u0441"]) is not None  # a letter without a lower case
     assert known_meanings(["段ボール", "段"])["段ボール"].kind == "item_id"  # cardboard, not a layer
+
+
+def test_a_plan_with_too_many_boxes_is_refused_before_readings_are_judged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    columns = f"LU,{NAMES}"
+    content = table(columns, [(name, *box) for name in "AB" for box in PILE])
+    assert len(load(tmp_path, "a.csv", content, units="mm", up="z", max_boxes=6).plans) == 2
+    monkeypatch.setattr("petmjx.plans.plan_rows.choose_reading", None)
+    monkeypatch.setattr("petmjx.plans.foreign_plan_builder.choose_reading", None)
+    (skipped,) = load(tmp_path, "a.csv", table(NAMES), max_boxes=5).skipped
+    assert "plan a: has 6 boxes, more than the largest capacity of 5; if the file has several" in skipped.message
