@@ -256,6 +256,9 @@ DAMAGED = {
     "row 2: seq is too large": table(f"{NAMES},seq", [(400 * k, 0, 0, *ROW, k or "9e99") for k in range(3)]),
     "row 8: is no box: b; truncated?": table(f"{NAMES},name", [(*box, "a") for box in PILE]) + "b",
     "row 8: y is far from the other boxes, got 9000": table(NAMES, [*PILE, (600, 9000, 300, *ROW)]),
+    "row 8 (Total fruit): height is missing": table(
+        f"box,{NAMES}", [*((k, *box) for k, box in enumerate(PILE)), ("Total fruit", 600, 300, 300, 400, 300, "", 6)]
+    ),
     "row 8: z is below the deck": table(NAMES, [*PILE, (0, 800, -198, 1200, 400, 270, 6)]),
 }
 
