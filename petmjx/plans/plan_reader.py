@@ -108,7 +108,7 @@ def load_plans(
         anchor: the point of a box that the plans' coordinates describe: ``corner`` (front-left-bottom), ``centre``,
             ``base-centre``, ``far-corner`` (with the largest x, y and z), ``top-centre``, ``corner-x`` (with the
             largest x only) and the like; None: the corner, or for files of other tools the most plausible point.
-        up: the vertical axis in files of other tools; "-z": heights are counted downwards along z; None: the most
+        up: the vertical axis in files of other tools; "-y" or "-z": heights are counted downwards; None: the most
             plausible axis. ``up`` and all arguments after it apply only to files of other tools.
         sizes: ``placed``: sizes of boxes as placed; ``item``: sizes before boxes are turned.
         columns: role (``length``, ``x``, ``weight`` …, see docs/plan-format.md) → name of its column, or "-".

@@ -103,7 +103,7 @@ class Reading:
         units: unit of lengths. If sizes and coordinates have different units, ``units`` is, for example, "cm/mm".
         masses: unit of masses.
         anchor: the point of a box that coordinates describe.
-        up: the file's vertical axis, "x", "y" or "z"; "-y" or "-z": heights are counted downwards.
+        up: the file's vertical axis, "x", "y" or "z"; "-y" or "-z": heights are counted downwards along y or z.
         along: names of the sizes that lie along the plan's x, y and z, before boxes are turned.
         sizes: "placed": sizes of boxes as placed; "item": sizes before boxes are turned.
         rule: how boxes are turned (``ROTATION_RULES``).
@@ -266,7 +266,7 @@ def _column_words(reading: Reading) -> str:
 _DIFFERENCES: Final = (
     (("units",), "--units", _length_words),
     (("masses",), "--units", lambda reading: f"weights in {UNIT_WORDS.get(reading.masses, reading.masses)}"),
-    (("up",), "--up (x, y or z)", lambda reading: up_words(reading.up)),
+    (("up",), "--up (x, y, z, -y or -z)", lambda reading: up_words(reading.up)),
     (("anchor",), "--anchor", lambda reading: f"coordinates of {_ANCHOR_WORDS[reading.anchor]}"),
     (("size_words",), "--sizes", lambda reading: reading.size_words),
     (("pose_words",), "", lambda reading: reading.pose_words),
@@ -292,11 +292,7 @@ def differences(one: Reading, two: Reading) -> list[tuple[str, str, str]]:
             if any(getattr(one, name) != getattr(two, name) for name in names)
         ]
 
-    parts = parts_of(_DIFFERENCES) or parts_of(_OF_COLUMNS)
-    if "-" in one.up + two.up:
-        replaced = "x, y or z", "x, y, z; -z: z downwards"
-        parts = [(option.replace(*replaced), first, second) for option, first, second in parts]
-    return parts
+    return parts_of(_DIFFERENCES) or parts_of(_OF_COLUMNS)
 
 
 def tie_text(readings: Sequence[Reading], weak: bool) -> str:
