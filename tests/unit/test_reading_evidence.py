@@ -211,6 +211,21 @@ def test_sizes_of_items_are_those_before_turning(tmp_path: Path) -> None:
     assert [plan.size_mm[:, 0].tolist() for plan in (*joined, *by_yaw)] == [sizes] * 2
 
 
+@pytest.mark.parametrize(
+    ("names", "x", "z"),
+    [("x_center,y_center,z_bottom", 0.5, 0), ("cx,cy,z_top", 0.5, 1), ("x_min,y_min,z_top", 0, 1)],
+)
+def test_names_of_single_coordinates_show_the_point(tmp_path: Path, names: str, x: float, z: float) -> None:
+    rows = [(box[0] + x * box[3], box[1] + x * box[4], box[2] + z * box[5], *box[3:]) for box in PILE]
+    check(load(tmp_path, "plan.csv", table(f"{names},length,width,height,kg", rows), units="mm"))
+
+
+def test_a_leaning_tower_is_no_wall(tmp_path: Path) -> None:
+    rows = [(250 + 70 * k, 200, 400 * (k + 1), 90, 200, 300, 400, 9) for k in range(6)]
+    content = table("gripper_x,gripper_y,gripper_z,rz_deg,length_mm,width_mm,height_mm,kg", rows)
+    assert load(tmp_path, "tower.csv", content).plans[0].size_mm[0].tolist() == [300, 200, 400]
+
+
 def test_an_angle_about_an_axis_turns_items(tmp_path: Path) -> None:
     """Sizes as placed would lie as well. Five turned boxes of one kind are no evidence that turned boxes are wider than
     long. A gripper holds the middle of the top."""
@@ -286,6 +301,21 @@ def test_a_repeated_id_of_plans_is_noted(tmp_path: Path) -> None:
     content = table("plan,x,y,z,length,width,height,kg", rows)
     reading = load(tmp_path, "a.csv", content, units="mm", up="z").readings[str(tmp_path / "a.csv")]
     assert "rows of A stand apart, and boxes overlap: two plans with one name?" in reading.notes
+
+
+@pytest.mark.parametrize("unit", ["cm", "mm"])
+def test_answers_of_graphql(tmp_path: Path, unit: str) -> None:
+    """Plans have the ids of their objects. A deck without a height shows where loads begin whose origin is its
+    middle."""
+    factor = 0.1 if unit == "cm" else 1
+    size = [300 * factor, 200 * factor, 200 * factor]
+    places = [(x * factor, y * factor, z * factor) for z in (0, 200, 400) for x in (-300, 0) for y in (-200, 0)]
+    boxes = [{"node": {f"position_{unit}": place, f"size_{unit}": size, "kg": 6}} for place in places]
+    deck = {"lengthCm": 120, "widthCm": 80}
+    loads = [{"node": {"id": name, "carrier": deck, "placements": {"edges": boxes}}} for name in ("P7", "P8")]
+    plans = load(tmp_path, "a.json", json.dumps({"data": {"loads": {"edges": loads}}}), up="z", anchor="corner").plans
+    assert [plan.plan_id for plan in plans] == ["P7", "P8"]
+    assert plans[0].corner_mm.min(axis=0).tolist() == [300, 200, 0]
 
 
 def test_numbers_of_sap_are_a_packing_order(tmp_path: Path) -> None:
