@@ -7,6 +7,7 @@ Units, axes and anchors (the points of the boxes that coordinates describe) are 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -215,13 +216,18 @@ def _geometry_of(sizes: Sizes, places: Places) -> Geometry:
 
 def distinct_names_in(extraction: ColumnExtraction) -> tuple[list[str] | None, str]:
     """(n,) names of boxes, and the name of their column: the first column whose name is unknown and whose cells are all
-    different texts. None and "" if there is no such column."""
+    different texts, which are no dates and times. None and "" if there is no such column."""
     for index, meaning in enumerate(extraction.meanings):
         cells = extraction.cells(index)
         texts = {cell for cell in cells if isinstance(cell, str) and cell_number(cell) is None}
+        texts = {text for text in texts if not _MOMENT.match(text)}
         if meaning is None and len(cells) > 1 and len(texts) == len(cells):
             return [cell_text(cell) for cell in cells], extraction.table.header[index]
     return None, ""
+
+
+_MOMENT: Final = re.compile(r"\s*((19|20)\d\d[-./]?[01]\d[-./]?[0-3]\d|\d\d?[./]\d\d?[./]\d\d(\d\d)?|\d\d?:\d\d)(?!\d)")
+"""The beginning of a date or a time: "2025-03-14", "20250314", "14.03.25", "3/14/2025", "8:02"."""
 
 
 def weight_column(extraction: ColumnExtraction) -> int | None:

@@ -318,6 +318,14 @@ def test_answers_of_graphql(tmp_path: Path, unit: str) -> None:
     assert plans[0].corner_mm.min(axis=0).tolist() == [300, 200, 0]
 
 
+@pytest.mark.parametrize("moment", ["2025-03-14T08:02:2{}.120Z", "14.03.2025 08:0{}", "08:02:2{}"])
+def test_times_are_no_ids(tmp_path: Path, moment: str) -> None:
+    rows = [(moment.format(number), *box) for number, box in enumerate(PILE)]
+    plan_set = load(tmp_path, "a.csv", table(f"scan,{NAMES}", rows), units="mm", up="z")
+    check(plan_set)
+    assert not any(plan_set.plans[0].item_ids)
+
+
 def test_numbers_of_sap_are_a_packing_order(tmp_path: Path) -> None:
     header = "LfdNr,X,Y,Z,Länge mm,Breite mm,Höhe mm,Bruttogew"
     rows = [(f"{10 * k:05}", *box) for k, box in enumerate(PILE, start=1)]
