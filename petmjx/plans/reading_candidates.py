@@ -268,12 +268,13 @@ def candidates_on_side(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidat
 
 
 def candidates_downwards(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
-    """Yield all readings in which heights are counted downwards along z or y, unless names, the form or the caller give
-    the vertical."""
+    """Yield all readings in which heights are counted downwards along z or y, unless names or the caller give the
+    vertical, or the form gives the vertical and the point of a box."""
     form = columns.source.form
     free = [geometry for geometry in columns.geometries if not geometry.named_up]
-    for geometry in () if wishes.up or form.up else free:
-        for up, axis, up_cost in (("-z", 2, 0.0), ("-y", 1, 1.0)):
+    ups = [way for way in (("-z", 2, 0.0), ("-y", 1, 1.0)) if form.up in ("", way[0][1])]
+    for geometry in () if wishes.up or (form.up and form.anchor) else free:
+        for up, axis, up_cost in ups:
             tops = geometry.place[:, axis]
             if geometry.anchor == "corner" and geometry.axes == XYZ:
                 tops = tops + geometry.size[:, axis]

@@ -140,6 +140,8 @@ def test_poses_turn_boxes_about_the_point_of_their_coordinates(tmp_path: Path, u
     plan_set = load(tmp_path, "poses.json", json.dumps(boxes), units="mm", up=up)
     check(plan_set)
     assert "turn boxes about these points" in plan_set.readings[str(tmp_path / "poses.json")].line()
+    (reading,) = load(tmp_path, "poses.json", json.dumps(boxes), units="mm").readings.values()
+    assert reading.up == up
 
 
 def test_gravity_of_a_scene_shows_the_vertical(tmp_path: Path) -> None:
