@@ -472,7 +472,8 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
                 other = _judge(columns, wishes, scaled, sample)
                 if _unit_of_sizes(other, other.units[0].length) is not None and _within_reach(other):
                     judged.append(other)
-    return sorted(judged, key=lambda one: one.cost)
+    # of equally plausible readings, which may be the same but for a shift, the more usual one comes first
+    return sorted(judged, key=lambda one: (round(one.cost, 9), one.candidate.prior))
 
 
 def _within_reach(judged: _Judged) -> bool:

@@ -222,6 +222,15 @@ def test_names_of_single_coordinates_show_the_point(tmp_path: Path, names: str, 
     check(load(tmp_path, "plan.csv", table(f"{names},length,width,height,kg", rows), units="mm"))
 
 
+def test_widths_that_would_lie_along_x_are_doubtful(tmp_path: Path) -> None:
+    """Either x is that of right corners, or lengths lie along y."""
+    sizes = [(460, 390, 250), (430, 290, 200), (370, 230, 270), (420, 190, 240), (420, 190, 240), (270, 230, 240)]
+    bottoms = np.cumsum([0, *(height for _, _, height in sizes[:-1])]).tolist()
+    rows = [(length, 0, z, length, *others, 6) for z, (length, *others) in zip(bottoms, sizes, strict=True)]
+    (refused,) = load(tmp_path, "tower.csv", table(NAMES, rows), units="mm").skipped
+    assert "coordinates of corners with the largest x" in refused.message
+
+
 def test_a_leaning_tower_is_no_wall(tmp_path: Path) -> None:
     rows = [(250 + 70 * k, 200, 400 * (k + 1), 90, 200, 300, 400, 9) for k in range(6)]
     content = table("gripper_x,gripper_y,gripper_z,rz_deg,length_mm,width_mm,height_mm,kg", rows)
@@ -311,11 +320,11 @@ def test_answers_of_graphql(tmp_path: Path, unit: str) -> None:
     middle."""
     factor = 0.1 if unit == "cm" else 1
     size = [300 * factor, 200 * factor, 200 * factor]
-    places = [(x * factor, y * factor, z * factor) for z in (0, 200, 400) for x in (-300, 0) for y in (-200, 0)]
+    places = [(x * factor, y * factor, z * factor) for z in (0, 200) for x in (-300, 0) for y in (-200, 0)]
     boxes = [{"node": {f"position_{unit}": place, f"size_{unit}": size, "kg": 6}} for place in places]
     deck = {"lengthCm": 120, "widthCm": 80}
     loads = [{"node": {"id": name, "carrier": deck, "placements": {"edges": boxes}}} for name in ("P7", "P8")]
-    plans = load(tmp_path, "a.json", json.dumps({"data": {"loads": {"edges": loads}}}), up="z", anchor="corner").plans
+    plans = load(tmp_path, "a.json", json.dumps({"data": {"loads": {"edges": loads}}}), up="z").plans
     assert [plan.plan_id for plan in plans] == ["P7", "P8"]
     assert plans[0].corner_mm.min(axis=0).tolist() == [300, 200, 0]
 
