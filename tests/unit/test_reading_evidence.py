@@ -172,6 +172,19 @@ def test_heights_may_be_counted_downwards(tmp_path: Path, from_top: float | None
     assert plan_set.skipped[0].message.endswith("row 16: z is far from the other boxes, got 9999")
 
 
+def test_a_rare_reading_in_which_boxes_lie_better_is_asked_about(tmp_path: Path) -> None:
+    """Heights are counted downwards along y. With z upwards, one box floats."""
+    rows = (
+        (0, 340, 0, 390, 340, 310), (0, 340, 310, 390, 340, 310), (390, 460, 0, 410, 220, 180),
+        (390, 450, 180, 540, 230, 200), (390, 340, 380, 390, 340, 310), (780, 460, 380, 400, 220, 220),
+        (0, 560, 620, 340, 120, 170), (0, 0, 0, 390, 340, 310), (800, 560, 0, 340, 120, 170),
+        (780, 240, 380, 400, 220, 220), (0, 120, 310, 400, 220, 220), (780, 20, 380, 400, 220, 220),
+    )  # fmt: skip
+    content = table("x,y,z,dx,dy,dz,kg", [(*row, 6) for row in rows])
+    (refused,) = load(tmp_path, "down.csv", content, units="mm").skipped
+    assert "z upwards (1 box floats of 12), or y downwards (no box overlaps" in refused.message
+
+
 def test_boxes_listed_from_the_top_may_be_counted_downwards(tmp_path: Path) -> None:
     """The largest box is listed first: it is the lowest one if heights are counted downwards."""
     rows = [(0, 0, 400 - z, 400 - z / 4, 300, 200, 6) for z in (0, 200, 400)]
