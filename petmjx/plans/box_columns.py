@@ -36,7 +36,7 @@ from petmjx.plans.size_and_place_columns import (
     with_half_extents,
     with_last_cells,
 )
-from petmjx.plans.turn_columns import Turns, are_yes_or_no, turns_of
+from petmjx.plans.turn_columns import Turns, may_be_turns, turns_of
 
 GROSS: Final = word_set("gross brutto bruttogewicht bruttogew bruto brut lordo")
 """Words for gross weights, which are preferred to net weights."""
@@ -255,14 +255,14 @@ def counting_columns(extraction: ColumnExtraction, used: Collection[str]) -> dic
 
 def rotations_in(extraction: ColumnExtraction) -> Turns | None:
     """The column of rotations. If no column is known to have rotations, and exactly one column of unknown meaning has
-    cells of only yes and no, that column may have the rotations."""
+    cells of only yes and no, or of quarter turns in degrees, that column may have the rotations."""
     index = extraction.first("rotation", "rotation")
     if index is not None:
         return _rotations_of(extraction, index)
     answers = [
         index
         for index, meaning in enumerate(extraction.meanings)
-        if meaning is None and are_yes_or_no(extraction.cells(index)) and index not in extraction.fixed.values()
+        if meaning is None and may_be_turns(extraction.cells(index)) and index not in extraction.fixed.values()
     ]
     turns = _rotations_of(extraction, answers[0]) if len(answers) == 1 else None
     return None if turns is None else replace(turns, is_guess=True)

@@ -160,7 +160,8 @@ _WORDS: Final[dict[Kind, frozenset[str]]] = {
         "rotation rotated rotationtype rot rt orientation orient orientierung ausrichtung drehung gedreht rotacion "
         "rotazione rotacja orientacion orientazione orientacja tourne girado ruotato obrot angle winkel yaw "
         "turned ori theta gedraaid gekanteld rotacionado virado girato volteado otoceno obrocony gedr verdreht "
-        "giro sens"
+        "giro sens rotatie rotasjon rotering rotace rotacija rotacao rotasyon draaiing vridning drejning kierto "
+        "forgatas elforgatas pootoceni otoceni rotire donus"
     ),
     "quantity": word_set(
         "quantity qty quantities amount count copies menge anzahl stuck stueck stk quantite qte nombre cantidad "

@@ -250,6 +250,16 @@ def test_a_leaning_tower_is_no_wall(tmp_path: Path) -> None:
     assert load(tmp_path, "tower.csv", content).plans[0].size_mm[0].tolist() == [300, 200, 400]
 
 
+@pytest.mark.parametrize("name", ["Rotatie", "Foo"])
+def test_a_column_of_quarter_turns_has_rotations(tmp_path: Path, name: str) -> None:
+    """The last box is turned."""
+    rows = [(*box, 180 * (box[2] > 0)) for box in PILE[:-1]] + [(*PILE[-1][:3], 400, 300, 200, PILE[-1][6], 90)]
+    content = table(f"{NAMES},{name}", rows)
+    check(load(tmp_path, "a.csv", content, units="mm", up="z", anchor="corner", sizes="item"))
+    (skipped,) = load(tmp_path, "a.csv", content.replace(",90", ",9O"), units="mm", up="z", anchor="corner").skipped
+    assert f"row 7: {name} must be" in skipped.message
+
+
 def test_an_angle_about_an_axis_turns_items(tmp_path: Path) -> None:
     """Sizes as placed would lie as well. Five turned boxes of one kind are no evidence that turned boxes are wider than
     long. A gripper holds the middle of the top."""
