@@ -406,9 +406,10 @@ def _may_be_turned(best: _Judged, other: _Judged) -> bool:
     axis."""
     is_known = not np.isnan(best.layouts[0].container[:2]).any()
     firm, other_firm = (one.layout_cost + one.begin_cost + is_known * one.units[0].cost for one in (best, other))
+    rarer = WEAK_LEAD if other.candidate.up.startswith("-") else TIE  # if no height is above 0, it may be a depth
     return (
         other.candidate.up != best.candidate.up
-        and other.candidate.prior < best.candidate.prior + TIE
+        and other.candidate.prior <= best.candidate.prior + rarer
         and other.units[0].length == best.units[0].length
         and other.evidence.n_odd <= best.evidence.n_odd
         and other_firm < firm + TIE

@@ -185,6 +185,15 @@ def test_a_rare_reading_in_which_boxes_lie_better_is_asked_about(tmp_path: Path)
     assert "z upwards (1 box floats of 12), or y downwards (no box overlaps" in refused.message
 
 
+def test_a_row_below_0_may_be_a_tower(tmp_path: Path) -> None:
+    rows = [
+        ("A", 0, -210, 0, 360, 210, 280, 7), ("A", 0, -320, 0, 360, 110, 170, 2), ("A", 0, -570, 0, 290, 250, 170, 5),
+        ("B", 0, -330, 0, 390, 330, 260, 9), ("B", 0, -620, 0, 230, 290, 210, 6), ("B", 0, -910, 0, 230, 290, 210, 6),
+    ]  # fmt: skip
+    plan_set = load(tmp_path, "row.csv", table("plan,x,y,z,dx,dy,dz,kg", rows), units="mm", anchor="corner")
+    assert "y may be downwards, too (--up)" in plan_set.readings.popitem()[1].line()
+
+
 def test_boxes_listed_from_the_top_may_be_counted_downwards(tmp_path: Path) -> None:
     """The largest box is listed first: it is the lowest one if heights are counted downwards."""
     rows = [(0, 0, 400 - z, 400 - z / 4, 300, 200, 6) for z in (0, 200, 400)]
