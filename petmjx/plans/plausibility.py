@@ -320,11 +320,14 @@ def n_before_support(low: FloatArray, size: FloatArray, tolerance: float) -> int
 
 def is_wall(layout: Layout) -> bool:
     """Whether boxes stand in one vertical plane, side by side and on several levels. A load is rarely one box deep and
-    much wider, so such boxes are probably a flat layer along another vertical axis."""
-    is_flat = np.ptp(layout.low, axis=0) <= _tolerance_of(layout)
+    much wider, so such boxes are probably a flat layer along another vertical axis. A tower that leans is no wall."""
+    tolerance = _tolerance_of(layout)
+    is_flat = np.ptp(layout.low, axis=0) <= tolerance
+    are_beside = bool((np.diff(np.sort(layout.low[:, 2])) <= tolerance).any())
     extent = (layout.low + layout.size).max(axis=0) - layout.low.min(axis=0)
     is_narrow = 3 * float(extent[:2].min()) <= float(extent[:2].max())
-    return len(layout.low) >= _LEAST_OF_WALL and not is_flat[2] and is_narrow and bool(is_flat[:2].sum() == 1)
+    is_in_plane = not is_flat[2] and is_narrow and bool(is_flat[:2].sum() == 1)
+    return len(layout.low) >= _LEAST_OF_WALL and are_beside and is_in_plane
 
 
 _LEAST_OF_WALL: Final = 4  # fewer boxes may be a bridge, which people build to try a simulator

@@ -46,7 +46,7 @@ from petmjx.repairs.draft_rules import Rules
 from petmjx.repairs.drafts import Draft, key_of
 from petmjx.repairs.proposals import Target, proposals
 from petmjx.repairs.rebuilds import Failure, rebuilds
-from petmjx.repairs.repair import Repaired, _weak_note
+from petmjx.repairs.repair import Repaired, Repairs, _weak_note
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.requests import Asked, OutOfTime, Steps, Together, Trial, TrialAnswer
 from petmjx.repairs.search import ALONE, ALONE_IF_MANY, BUILT_ANEW, MANY_FAULTS, SURPLUS, WIDE_AT_ONCE, Search
@@ -222,6 +222,7 @@ def test_plans_that_stand_are_left_as_they_are() -> None:
     assert result.changes == ()
     assert result.plan == result.before or (result.plan.corner_mm == result.before.corner_mm).all()
     assert result.headline == "00000001: stands as it is"
+    assert Repairs((result,)).summary == "1 plan stands as it is"
 
 
 def test_plans_are_repaired_the_same_alone_and_together() -> None:
