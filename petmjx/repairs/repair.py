@@ -375,7 +375,7 @@ def _repaired(plans: Iterable[Plan], question: Question, options: RepairOptions,
                     for search in searches:
                         if search.complete:
                             on_end(search.plan.plan_id)
-                    _score(searches, question)
+                    _score([search for search in searches if search.judged is None or search.judged.stands], question)
                     stream.scores = {one.plan.plan_id: one.before for one in searches if one.before is not None}
                 else:
                     processes.begin(searches)
@@ -389,8 +389,9 @@ def _repaired(plans: Iterable[Plan], question: Question, options: RepairOptions,
 
 
 def _judge(searches: Sequence[Search], question: Question) -> None:
-    """Judge all plans. If a plan stands, and its trial counts as its score, the search for its repairs ends."""
-    drafts = [Asked(Draft.of(search.plan, question.film_turns), is_judged=True) for search in searches]
+    """Make attempt 1 of the scores of all plans. If a plan stands, and needs no further attempt, the search for its
+    repairs ends."""
+    drafts = [Asked(Draft.of(one.plan, question.film_turns), is_judged=True, as_score=True) for one in searches]
     for search, one, trial in zip(searches, drafts, question.trials(drafts), strict=True):
         search.judged = trial
         if question.is_known(one._replace(judged=trial)):
@@ -398,9 +399,9 @@ def _judge(searches: Sequence[Search], question: Question) -> None:
 
 
 def _score(searches: Sequence[Search], question: Question) -> None:
-    """Score the plans that were not scored yet. On a GPU, all plans are scored together, while the searches propose
-    their first changes. A separate score for each search would keep the other searches waiting, because no changed plan
-    is judged during a score."""
+    """Score the plans that were not scored yet. On a GPU, plans are scored together: a separate score for each search
+    would keep the other searches waiting, because no changed plan is judged during a score. Plans that stand in attempt
+    1 are scored before the searches, which may then be needless, and all other plans after the searches."""
     unknown = [search for search in searches if search.before is None]
     if not unknown:
         return
@@ -451,12 +452,13 @@ def _repaired_by(search: Search, state: State | None, before: Share | None, afte
         before, after: shares of worlds with errors in which the plan stands before and after the repair; None: not
             simulated.
     """
-    assert search.before is not None
+    before_trial = search.before or search.judged  # an interrupted run may have no score yet
+    assert before_trial is not None
     return Repaired(
         before=search.plan,
         plan=search.plan if state is None else state.draft.as_plan(),
         changes=() if state is None else with_turns_told(Draft.of(search.plan), state.changes),
-        trial_before=search.before,
+        trial_before=before_trial,
         trial_after=None if state is None else state.trial,
         share_before=before,
         share_after=after,

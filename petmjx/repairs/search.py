@@ -229,10 +229,9 @@ class Search(Candidates):
                 yield from self._mended(State(self._start, (), known))
             except TrialsSpent:  # the best repairs so far are the results
                 self.trials_spent = True
-            if self.before is None:
+            if self.before is None and not self._defers_scores:
                 yield from self._begun(trial)
-            assert self.before is not None
-            if self.before.stands:
+            if self.before is not None and self.before.stands:
                 self.begin(self.before)
         self._seen.clear()
         self._known.clear()
@@ -359,7 +358,7 @@ class Search(Candidates):
             if not batch:  # no queue is left, or fewer trials are left than there are queues
                 break
             parts = [self._judged(batch), self._count_faults(nodes)]
-            if self.before is None:
+            if self.before is None and not self._defers_scores:
                 parts.append(self._begun(self._known[key_of(self._start)]))
             states, *_ = yield Together(parts)
             if any(state.trial.stands for state in states):  # judge further candidates: they may stand more often
@@ -445,7 +444,8 @@ class Search(Candidates):
     @property
     def _defers_scores(self) -> bool:
         """Whether plans are judged first, and scored only if nothing else is left. On a GPU, a score would keep all
-        searches waiting. With a profile, each trial is already a score."""
+        searches waiting. The unchanged plan is then scored after all searches, if its judged trial is no score. With a
+        profile, each trial is already a score."""
         return self.is_wide and self.options.profile is None
 
     def _is_doubtful(self, state: State) -> bool:

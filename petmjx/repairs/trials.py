@@ -28,6 +28,7 @@ from petmjx.engines.engine_registry import make_engine, options_of
 from petmjx.engines.job_stream import JobBounds, JobStream
 from petmjx.engines.margin import margins_of
 from petmjx.engines.metrics import BoxMetrics
+from petmjx.engines.outcome_checks import outcome_checks
 from petmjx.engines.protocol import Capability, Engine, Progress
 from petmjx.engines.verdict import Flag, Outcome, Reason, Signs, Verdict, failures
 from petmjx.options.confidence import Confidence
@@ -64,20 +65,21 @@ OF_RUN: Final = ("engine", "threads", "lanes", "world_timeout_s")
 LONGEST_WAIT_S: Final = 2.0
 """Longest wait for a pallet to come to rest, s, in the simulation of a draft that is only judged."""
 
-JUDGED_ITERATIONS: Final = 25_000
-"""Largest number of solver iterations of a world in which a draft of up to ``SIZE`` boxes is only judged. For each
-further ``SIZE`` boxes, the limit is larger by the same number (``Job.iteration_limit``). Of 160 generated plans of 15
-to 50 boxes, the plans that stand take up to 1,275 steps, and the plans that fall take up to 4,400 steps. Each step has
-two to four iterations. A pile that rocks without end would keep its search waiting: of 12,749 drafts that a GPU judged,
-one took 13.5 s of the 40 s of all searches."""
+JUDGED_ITERATIONS: Final = 15_000
+"""Largest number of solver iterations of a world in which a draft is only judged, besides ``ITERATIONS_PER_BOX``
+(``Job.iteration_limit``). Of 160 generated plans of 15 to 50 boxes, the plans that stand take up to 1,275 steps, and
+the plans that fall take up to 4,400 steps. A plan of 248 boxes that stands takes 8,800 steps. Each step has two to four
+iterations. A pile that rocks without end would keep its search waiting: of 12,749 drafts that a GPU judged, one took
+13.5 s of the 40 s of all searches."""
 
-SCORED_ITERATIONS: Final = 25_000
+SCORED_ITERATIONS: Final = 15_000
 """As ``JUDGED_ITERATIONS``, for each attempt of a world in which a changed plan is scored. All searches wait while
 scores are simulated. Of 400 generated plans, one changed plan that did not come to rest kept 145 searches waiting for
 14 s on a GPU. A changed plan whose attempt 1, 6 or 7 takes more iterations counts as one that falls."""
 
-SIZE: Final = 64
-"""Number of boxes for which drafts have ``JUDGED_ITERATIONS`` and ``SCORED_ITERATIONS``."""
+ITERATIONS_PER_BOX: Final = 150
+"""Number of iterations that a draft may take for each of its boxes, besides ``JUDGED_ITERATIONS`` or
+``SCORED_ITERATIONS``."""
 
 JUDGED_TILT_DEG: Final = 5.0
 """A box that tilts by more than this counts as fallen if a draft is only judged. A shift alone does not end the
@@ -215,7 +217,9 @@ class Question:
 
     def is_known(self, one: Asked) -> bool:
         """Whether a draft need not be simulated, because its judged trial is its score."""
-        return one.judged is not None and one.judged.is_score and self._second is None
+        if one.judged is None or not one.judged.is_score:
+            return False
+        return self._second is None or not one.judged.stands  # only a plan that stands gets a second opinion
 
     def scores(self, asked: Sequence[Asked], watcher: Watcher | None = None) -> list[Trial]:
         """The trials of drafts that are scored, in the order of the drafts. Drafts with the same number of turns of
@@ -296,7 +300,7 @@ class Question:
     def lane(self, one: Asked, job: Job) -> Lane:
         """The engine and the options with which a draft is judged."""
         engine = self._engines.for_job(job, self.sim, ATTEMPTS[0], soft=job.scene.soft is not None)
-        return Lane(engine, self._quick[one.world > 0])
+        return Lane(engine, self.sim if one.as_score else self._quick[one.world > 0])
 
     def judged(self, outcome: Outcome, one: Asked, job: Job, sim: Simulation) -> Trial:
         """The trial of a draft that was judged.
@@ -311,6 +315,10 @@ class Question:
         ):
             # The search has set this limit, not the user. So the trial is valid: the draft counts as one that falls.
             return trial._replace(verdict=Verdict.UNSTABLE.value)
+        if one.as_score:
+            (outcome,) = outcome_checks([outcome], [job], self.sim, verdicts_only=True)
+            trial = _trial_of(outcome, one.draft.order, self.sim)
+            return trial._replace(margin=outcome.margin, is_score=not may_go_on(outcome, self.sim))
         if one.world or not trial.stands or outcome.flags & Flag.MOVING:
             return trial
         (outcome,) = note_penetration([outcome], [job], self.sim)
@@ -379,9 +387,9 @@ class _Scores(Nominal):
         return replace(super().job(plan, scene, recording), until_lost=True, iteration_limit=limit)
 
 
-def limit_of(n_boxes: int, of_size: int) -> int:
-    """The limit of iterations of a draft: ``of_size`` for every ``SIZE`` boxes or part of ``SIZE`` boxes."""
-    return of_size * math.ceil(n_boxes / SIZE)
+def limit_of(n_boxes: int, iterations: int) -> int:
+    """The limit of iterations of a draft. ``iterations``: ``JUDGED_ITERATIONS`` or ``SCORED_ITERATIONS``."""
+    return iterations + ITERATIONS_PER_BOX * n_boxes
 
 
 def _simulated(*arguments: Any) -> RunResults:

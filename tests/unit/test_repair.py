@@ -1038,9 +1038,9 @@ def test_a_search_on_a_gpu_goes_on_in_wider_rounds(monkeypatch: pytest.MonkeyPat
     assert set(widths) == {WIDE_AT_ONCE[-1]}, "boxes are left out after many rounds, so the first round is wide, too"
 
 
-def test_on_a_gpu_all_plans_are_scored_together_while_their_searches_begin(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A plan that stands when judged is not scored. A plan that stands when scored has no repair, although it falls
-    when judged. All this is the same in processes, in which searches begin before their plans are scored."""
+def test_on_a_gpu_attempt_1_of_all_plans_is_made_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plan is scored, after all searches, only if a further attempt may change its verdict. A plan that stands when
+    scored has no repair, although it falls in attempt 1. All this is the same in processes."""
     names = ["falls", "leans", "stands"]
     few = [
         make_plan(name, boxes=[((300, 300, 100), (0, 0, 0), 1)] if name == "stands" else COUNTERWEIGHT)
@@ -1053,7 +1053,9 @@ def test_on_a_gpu_all_plans_are_scored_together_while_their_searches_begin(monke
     def trials(question: Question, asked: Sequence[Asked], limit: TimeLimit | None = None) -> list[Trial]:
         calls.append([(one.draft.plan.plan_id[:6].strip(), one.is_judged) for one in asked])
         return [
-            trial._replace(verdict="stable") if one.draft.plan.plan_id[:5] == "leans" and not one.is_judged else trial
+            trial._replace(is_score=False, verdict="unstable" if one.is_judged else "stable")
+            if one.draft.plan.plan_id[:5] == "leans"
+            else trial
             for one, trial in zip(asked, judge(question, asked, limit), strict=True)
         ]
 
@@ -1074,12 +1076,12 @@ def test_on_a_gpu_all_plans_are_scored_together_while_their_searches_begin(monke
         repairs = petmjx.repair(plans, engine="mjx-warp-cpu", threads=2, worlds=0, trials=40).each
         judged, of_scores = calls
         assert judged == [(name, True) for name in names for _ in range(n)]
-        assert of_scores == [(name, False) for name in names[:2] for _ in range(n)]
-        assert scored[0] == 2 * n, "all plans together"
+        assert of_scores == [("leans", False)] * n
+        assert scored[-1] == n, "all plans together"
         rows.append([(r.trial_before.stands, r.words, r.stands, r.n_trials, r.complete) for r in repairs[::n]])
         falls, leans, stands = repairs[::n]
         assert (falls.trial_before.stands, len(falls.changes), falls.stands) == (False, 1, True)
-        assert (leans.changes, leans.n_trials, leans.complete) == ((), 0, True)
+        assert (leans.trial_before.stands, leans.changes, leans.complete) == (True, (), True)
         assert (stands.changes, stands.n_trials) == ((), 0)
     assert rows[0] == rows[1]
 
@@ -1328,7 +1330,8 @@ def test_simulations_without_a_verdict_are_told(capsys: pytest.CaptureFixture[st
 def test_a_plan_that_is_judged_for_too_long_counts_as_one_that_falls(monkeypatch: pytest.MonkeyPatch) -> None:
     """The search has set the limit of iterations, so such simulations do have a verdict. Without the limit, no box need
     be left out. Scores have a limit of their own."""
-    monkeypatch.setattr("petmjx.repairs.trials.JUDGED_ITERATIONS", 300)
+    monkeypatch.setattr("petmjx.repairs.trials.JUDGED_ITERATIONS", 0)
+    monkeypatch.setattr("petmjx.repairs.trials.ITERATIONS_PER_BOX", 60)
     result = repaired(COUNTERWEIGHT, trials=6)
     assert (result.stands, result.left_out, result.row()["invalid_trials"]) == (True, (2,), 0)
 
@@ -1341,7 +1344,8 @@ def test_a_changed_plan_that_is_scored_for_too_long_counts_as_one_that_falls(mon
     asked = [Asked(draft, is_judged=False), Asked(moved, is_judged=False)]
     question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=0))
     assert [trial.verdict for trial in question.scores(asked)] == ["stable", "stable"]
-    monkeypatch.setattr("petmjx.repairs.trials.SCORED_ITERATIONS", 20)
+    monkeypatch.setattr("petmjx.repairs.trials.SCORED_ITERATIONS", 0)
+    monkeypatch.setattr("petmjx.repairs.trials.ITERATIONS_PER_BOX", 10)
     assert [trial.verdict for trial in question.scores(asked)] == ["stable", "unstable"]
     monkeypatch.setattr("petmjx.repairs.trials.SCORED_ITERATIONS", 20_000)
     limited = Question({"engine": "mujoco", "threads": 1, "iteration_limit": 20}, RepairOptions(worlds=0))
