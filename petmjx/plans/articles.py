@@ -160,8 +160,8 @@ def read_articles(path: str | Path) -> Articles:
 
 
 def _article(where: str, row: Mapping[str, Any]) -> tuple[str, str, Article]:
-    """Check one row of a table of articles. Returns what the row is about (article, product_group or material), its
-    name, and its properties."""
+    """Check one row of a table of articles. Returns three values: "article", "product_group" or "material"; the name of
+    this article, product group or material; and its properties."""
     values = {name.strip().lower(): value for name, value in row.items() if value not in (None, "")}
     unknown = [name for name in values if name not in _FIELDS]
     if unknown:
@@ -311,8 +311,8 @@ def with_articles(plan: Plan, articles: Articles) -> Plan:
     ``plan`` itself is returned.
 
     Raises:
-        InputError: a centre of mass is outside its box. The message begins with ", placement 3: …", to be appended to
-            the name of the plan.
+        InputError: a centre of mass is outside its box. The message begins with ", placement 3: …", so that the caller
+            can put the name of the plan before it.
     """
     groups = plan.product_groups or ("",) * plan.n_boxes
     own_materials = plan.materials or ("",) * plan.n_boxes

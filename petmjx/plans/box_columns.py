@@ -41,7 +41,7 @@ GROSS: Final = word_set("gross brutto bruttogewicht bruttogew bruto brut lordo")
 """Words for gross weights, which are preferred to net weights."""
 _SECOND_SIZES: Final = 0.5
 """A table may have two sets of columns for the sizes of boxes. A reading with the sizes of the second set costs this
-much more than a reading with the sizes of the first set. A smaller cost is more plausible."""
+much more than a reading with the sizes of the first set. A reading with a smaller cost is more plausible."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +94,8 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str], units: str, masses
 
     Args:
         chosen: role (``ROLES``) → name of the column that has it, or "-".
-        units: the unit that an option sets for all lengths; "" if no such option is given. masses: the same for all
-            masses.
+        units: the unit that an option sets for all lengths; "" if no such option is given.
+        masses: the unit that an option sets for all masses; "" if no such option is given.
 
     Raises:
         InputError: a chosen column does not exist, or cannot have the role. If places or sizes are missing,
@@ -192,7 +192,8 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str], units: str, masses
 
 
 def _leave_blank(extraction: ColumnExtraction, index: int, plan: Sequence[str] | None) -> None:
-    """Remove the faults of blank cells in a column of packing orders from plans in which all its cells are blank."""
+    """Remove the faults of blank cells in a column of packing orders. Only the faults of those plans are removed in
+    which all cells of the column are blank."""
     parts, cells = extraction.source.boxes.parts, extraction.cells(index)
     names = parts if plan is None else [f"{part}\n{name}" for part, name in zip(parts, plan, strict=True)]
     for rows in rows_by_name(names).values():
@@ -248,8 +249,8 @@ def counting_columns(extraction: ColumnExtraction, used: Collection[str]) -> dic
 
 
 def rotations_in(extraction: ColumnExtraction) -> Turns | None:
-    """The column of rotations. If no column is known to have rotations, and exactly one column of unknown meaning has
-    cells of only yes and no, that column may have the rotations."""
+    """The column of rotations. No column may be known to have rotations. Then a column of unknown meaning is returned
+    whose cells are all yes or no, if there is exactly one such column."""
     index = extraction.first("rotation", "rotation")
     if index is not None:
         return _rotations_of(extraction, index)

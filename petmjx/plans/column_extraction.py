@@ -47,7 +47,7 @@ from petmjx.plans.turn_columns import letters_of
 XYZ: Final = ("x", "y", "z")
 SIZE_WORDS: Final = ("length", "width", "height", "depth")
 HALF_EXTENTS: Final = "half extents"
-"""Role of a column of sizes, in addition to its own role, if sizes are half extents."""
+"""An additional role of a column of sizes, if the sizes are half extents."""
 LAST_CELLS: Final = "last cells"
 """An additional role of a column of far corners, if boxes stand on a grid and each far corner is the last cell of its
 box. For example, a box from 1 to 40 is 40 cells long."""
@@ -70,7 +70,7 @@ _BEARS: Final = (
     *("nosno", "udzwig", "obciaz", "capac"),
 )
 """Parts of words for what a box can bear, in several languages: Traglast, Belastbarkeit, portata, charge admissible,
-carga soportada, nośność. Masses in such a column are not the weights of boxes either."""
+carga soportada, nośność. A column whose name has one of these parts does not have the weights of boxes."""
 _UNIT_WORDS: Final = word_set("unit units uom einheit masseinheit unite unites unidad unidades unita jednostka")
 _SURE_UNITS: Final = frozenset(("mm", "cm", "kg", "lb", "lbs", "inch", "inches"))
 """Texts that are recognised as units in a column of any name. Other units, such as "m" or "in", may also be words with
@@ -132,14 +132,16 @@ class ColumnExtraction:
             self.fixed[role] = self.table.header.index(name)
 
     def _mean_by_cells(self) -> None:
-        """Determine meanings of columns from their cells. A column "order" has customers' orders, not a packing order,
-        if at most half of its cells are different numbers. A column of sizes whose cells count the rows has running
-        numbers, not sizes: "Br" may mean width ("Breite"), but it is also "number" in Croatian. A column with an
-        unknown name has weights if its name or its cells have a unit of mass, and rotations if its cells are letters
-        such as "WLH" (which size lies along which axis) or angles such as 90°."""
+        """Determine meanings of columns from their cells.
+
+        A column "order" has customers' orders, not a packing order, if it has at most half as many different values as
+        cells. A column of sizes whose cells count the rows has running numbers, not sizes: "Br" may mean width
+        ("Breite"), but it is also "number" in Croatian. A column with an unknown name has weights if its name or its
+        cells have a unit of mass. It has rotations if its cells are angles such as 90°, or letters such as "WLH", which
+        tell the size that lies along each axis."""
         self.row_units: dict[bool, list[str]] = {}
         self.unit_columns: list[str] = []
-        self.axis_columns: dict[str, int] = {}  # "x" or "y" → column with the direction of this axis of each box
+        self.axis_columns: dict[str, int] = {}  # "x" or "y" → column with the directions of the boxes' x or y axes
         if not self.table.has_header:
             return
         kinds = {meaning.kind for meaning in self.meanings if meaning is not None}
@@ -393,8 +395,8 @@ class ColumnExtraction:
         return filled_names
 
     def check_numbers(self, names: list[str] | None, column: str) -> None:
-        """Check the names of plans or orders: if all names but that of a single row are whole numbers, this name is a
-        damaged number. Each number must occur several times.
+        """Check the names of plans or orders. If all rows except one have whole numbers as names, the name of this one
+        row is a damaged number. This applies only if a name occurs in at least two rows on average.
 
         Args:
             names: the name of each row; None: there is no column.

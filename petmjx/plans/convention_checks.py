@@ -1,7 +1,8 @@
 """Detects plans in other conventions: centres given as corners, metres as millimetres, or y and z swapped.
 
 A plan is odd if boxes float or overlap. An odd plan is read in other conventions. If the plan is no longer odd in one
-of these conventions, it probably follows that convention. Plans whose boxes really are odd are odd in every convention.
+of these conventions, it probably follows that convention. A plan whose boxes really float or overlap is odd in every
+convention.
 If all lengths or all masses have a wrong unit, the layout looks right; such a unit is recognised by the density of the
 boxes.
 """
@@ -437,7 +438,8 @@ def _densities_kg_m3(size_mm: FloatArray, mass_kg: FloatArray) -> FloatArray:
 
 def odd_boxes(plans: Sequence[Plan]) -> list[str]:
     """A list with one line about boxes with implausible densities, such as one of 5,000 kg among boxes of 5 kg. The
-    list is empty if there are no such boxes, or if most boxes have such densities, because other lines then say so."""
+    list is empty if there are no such boxes. It is also empty if most boxes have such densities, because other lines
+    then report a wrong unit."""
     if not plans:
         return []
     size_mm, mass_kg = (np.concatenate([getattr(plan, name) for plan in plans]) for name in ("size_mm", "mass_kg"))

@@ -237,7 +237,7 @@ _SIZE_ABOVE: Final = re.compile(
 
 def _containers_above(table: RawTable) -> Mapping[str, Mapping[str, float]]:
     """The size of the carrier from the lines above a table, such as "Palette 1200 x 800". Above a table without a
-    header, the size may be three numbers."""
+    header, the size may also be a line of three numbers."""
     for line in table.above:
         numbers = [cell_number(part, table.decimal) for part in line.split()]
         if not table.has_header and len(numbers) == 3 and all(numbers):

@@ -279,8 +279,9 @@ def _value(text: str, at: int, depth: int, decimal_marks: str = "") -> tuple[Any
 
 
 def _value_of_name(text: str, at: int, depth: int, decimal_marks: str = "") -> tuple[Any, int]:
-    """The value behind a name and the sign after the name (":", "=" or "=>"); "" if the line ends there, or the next
-    name follows. Brackets and quoted texts may stand on the next line.
+    """The value that follows a name and the sign after the name (":", "=" or "=>"). The value is "" if the line ends
+    after the sign, or if the next name follows. Brackets and quoted texts may stand on the next line. The function also
+    returns the position behind the value.
 
     Args:
         decimal_marks: letters that may end a number without being a unit.

@@ -166,7 +166,7 @@ def layout_of(columns: BoxColumns, candidate: Candidate, container: Mapping[str,
     place = candidate.geometry.place
     order = _UP[candidate.up]
     if candidate.rule == POSES[1] and (turn := candidate.geometry.turn) is not None:
-        # from the point of the box before it is turned to the same point of the box as placed
+        # move each place from the point of the box before it is turned to the same point of the box as placed
         point = np.empty(3)
         point[list(order)] = candidate.point
         unturned = candidate.geometry.size[:, candidate.pair] * candidate.scale
@@ -420,9 +420,9 @@ def _sizes_by_article(columns: BoxColumns, geometry: Geometry) -> str:
 
 
 _LEAST_BY_LENGTH: Final = 3
-"""Least number of turned boxes, and of unturned boxes, with different lengths and widths; of kinds of such boxes, if no
-kind is both turned and unturned. With fewer of them, lengths and widths do not show whether sizes are given for placed
-boxes or for items."""
+"""Lengths and widths show whether sizes are given for placed boxes or for items only if there are at least this number
+of turned boxes, and of unturned boxes, whose lengths and widths differ. If no kind of boxes is both turned and
+unturned, kinds are counted instead of boxes."""
 _LONGER_SHARE: Final = 0.9
 """Lengths and widths show whether sizes are given for placed boxes or for items only if the length exceeds the width in
 at least this share of the unturned boxes."""

@@ -74,9 +74,9 @@ _OTHER_POINT_COST: Final = 3.6
 (``vote_for_other_points``). For a reading with coordinates of centres, the cost is half as large: such coordinates may
 be those of the middles of tops, if y is the vertical axis."""
 _WALL_COST: Final = 2.0
-"""Cost of a reading in which boxes form a wall (``is_wall``) in all plans; if some plans are walls, their share of the
-cost. If y is as likely to be the vertical as z, and the file has more than a few boxes, the reading as a flat layer
-wins; else the user is asked for the vertical axis."""
+"""Cost of a reading in which boxes form a wall (``is_wall``) in all plans. If only some plans are walls, the cost is
+multiplied by their share. If y is as likely to be the vertical as z, and the file has more than a few boxes, the
+reading as a flat layer wins. Otherwise, the user is asked for the vertical axis."""
 _MOST_BOXES: Final = 400
 _MOST_PLANS: Final = 12
 """Largest number of boxes, and largest number of plans, that are used to judge readings. The chosen reading applies to
@@ -331,8 +331,9 @@ def choose_reading(
 
 
 def _without_last_cells(judged: Sequence[_Judged]) -> _Judged:
-    """The most plausible reading. If it takes far corners for the last cells of boxes, and a reading as ends is about
-    as plausible and gives the same piles but for the size of a cell, that reading is returned instead."""
+    """The most plausible reading. A far corner may be the end of a box, or the last grid cell inside the box. If the
+    most plausible reading takes far corners for last cells, another reading is returned if it takes them for ends, is
+    about as plausible, and gives the same piles in other units."""
     best = judged[0]
     if LAST_CELLS not in best.candidate.geometry.columns:
         return best
@@ -347,8 +348,9 @@ def _without_last_cells(judged: Sequence[_Judged]) -> _Judged:
 
 
 def _reversed_piles(judged: Sequence[_Judged]) -> list[_Judged]:
-    """The readings in which the pile of the most plausible reading is upside down, if its boxes are listed from the top
-    down, and if the boxes of the reversed pile lie as well."""
+    """The readings in which the pile of the most plausible reading is upside down. There are such readings only if the
+    boxes of the pile are listed from the top down, and if no more boxes are odd (overlap, float or are outside) in the
+    reversed pile."""
     best = judged[0]
     return [
         other
@@ -361,8 +363,9 @@ def _reversed_piles(judged: Sequence[_Judged]) -> list[_Judged]:
 
 
 def _along_further_axes(judged: Sequence[_Judged], two: Sequence[_Judged]) -> list[_Judged]:
-    """The most plausible reading for each of the axes x, y and z that is the vertical in neither of two readings, if
-    its boxes lie as well as theirs."""
+    """Further readings beside two given ones: for each of the axes x, y and z that is the vertical in neither of the
+    two, the most plausible reading. A reading is left out if more boxes are odd in it (overlap, float or are outside)
+    than in the two, or if its layout is less plausible."""
     axes = {"-y", "-z", *(one.candidate.up for one in two)}
     further = []
     for other in judged:  # most plausible first
@@ -420,14 +423,15 @@ _LEAST_OVERLAPPING: Final = 6
 
 
 _LARGEST_PRIOR: Final = 7.0
-"""A reading with a vertical other than z and y is not taken if it costs at least this before any numbers are
-considered: then its points are unusual, too, or it contradicts names. It may be the most plausible reading because a
-number is damaged."""
+"""A reading whose vertical axis is neither z nor y is not taken if it costs at least this before any numbers are
+considered. Such a reading also has an unusual anchor, or contradicts names. It may seem the most plausible reading only
+because a number is damaged."""
 
 
 def _is_impossible(best: _Judged, columns: BoxColumns, wishes: Wishes) -> bool:
-    """Whether more than half of the boxes overlap in the most plausible reading, or the reading is unusual
-    (``_LARGEST_PRIOR``); and neither the form nor the caller says which point of a box coordinates describe."""
+    """Whether the most plausible reading must be refused, because more than half of the boxes overlap in it, or because
+    it is unusual (``_LARGEST_PRIOR``). The result is False if the caller gives the anchor or a written reading, or if
+    the form gives the anchor and the vertical axis."""
     n_overlapping = best.evidence.n_overlapping
     form = columns.source.form
     is_said = bool(wishes.anchor or wishes.exact or (form.anchor and form.up))

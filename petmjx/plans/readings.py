@@ -33,7 +33,7 @@ ROTATION_RULES: Final = {
     "swap": "1 swaps the two level sizes",
     "swap back": "0 swaps the two level sizes",
     "degrees": "90 and 270 degrees swap the two level sizes",
-    "letters": "letters mean which size lies along x, y and z",
+    "letters": "letters tell which size lies along x, y and z",
     "py3dbp": "0 WHD, 1 HWD, 2 HDW, 3 DHW, 4 DWH, 5 WDH",
     "py3dbp from 1": "1 WHD, 2 HWD, 3 HDW, 4 DHW, 5 DWH, 6 WDH",
     "permutations": "0 XYZ, 1 XZY, 2 YXZ, 3 YZX, 4 ZXY, 5 ZYX",

@@ -294,8 +294,9 @@ def corners_in(extraction: ColumnExtraction) -> Geometry | None:
 
 
 def _lists_beyond(extraction: ColumnExtraction, near: Mapping[str, int]) -> dict[str, int]:
-    """x, y and z → the columns of the only list of three numbers of an unknown meaning, if its numbers are beyond the
-    near corners of nearly all boxes; else empty.
+    """x, y and z → the columns of a list of three numbers whose meaning is unknown, and which may be far corners. The
+    result is empty unless there is exactly one such list, and its numbers are beyond the near corners of nearly all
+    boxes.
 
     Args:
         near: x, y and z → the columns of the near corners.
@@ -311,7 +312,8 @@ def _lists_beyond(extraction: ColumnExtraction, near: Mapping[str, int]) -> dict
     begin, end = (
         np.array([extraction.numbers_or_median(columns[axis]) for axis in XYZ]) for columns in (near, lists[0])
     )
-    is_beyond = _mostly(np.asarray((end > begin).all(axis=0))) and np.ptp(end, axis=1).any()  # colours may be equal
+    # numbers that are the same for all boxes may be a colour
+    is_beyond = _mostly(np.asarray((end > begin).all(axis=0))) and np.ptp(end, axis=1).any()
     return lists[0] if is_beyond else {}
 
 
@@ -485,8 +487,8 @@ def array_extras(extraction: ColumnExtraction, geometries: Sequence[Geometry]) -
     column of weights, and whether the weights are densities.
 
     A column of whole numbers from 0 to 5, some of them 0, holds rotations. A column of numbers up to ``_DENSEST`` holds
-    densities relative to water. A column of larger numbers holds weights; if densities in
-    kg/m³ are more plausible, it holds these.
+    densities relative to water. A column of larger numbers holds densities in kg/m³ if these are more plausible than
+    weights; otherwise, it holds weights.
     """
     header = extraction.table.header
     used = {header.index(name) for name in geometries[0].columns.values()} if geometries else set()

@@ -31,7 +31,7 @@ _ENCODINGS: Final = {
     "Windows-1252": "cp1252", "Windows-1250": "cp1250", "Windows-1254": "cp1254", "Windows-1251": "cp1251",
     "GB18030": "gb18030", "Shift JIS": "cp932", "EUC-KR": "cp949", "Big5": "big5",
 }  # fmt: skip
-"""Encodings without a mark that tells them → their names in Python."""
+"""Encodings that have no mark at the beginning of a text → their names in Python."""
 
 
 def decoded_text(data: bytes | bytearray) -> tuple[str, str]:

@@ -59,7 +59,8 @@ class _Line(NamedTuple):
 
 
 def nested_format(text: str, path: Path | None) -> str | None:
-    """The format of a text: "TOML", "YAML", or None for others. The first lines decide, then the name of the file."""
+    """The format of a text: "TOML", "YAML", or None for others. If the lines of the text do not show the format, the
+    name of the file decides."""
     if _is_toml(text):
         return "TOML"
     if _is_yaml(text):

@@ -149,7 +149,7 @@ def test_names_of_columns_that_only_orders_have(header: str, tmp_path: Path) -> 
 def test_a_quantity_of_pieces_or_boxes_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("sku,L,B,H,weight (kg),Qty,Units per case\ns,400,300,200,6.5,24,12\nl,600,400,250,12,6,6\n")
-    message = "Qty counts boxes, or pieces (Units per case of them are in a box); if it counts boxes, say --columns"
+    message = "Qty counts boxes, or pieces (Units per case is the number of pieces in a box); if it counts boxes, say"
     with pytest.raises(InputError, match=re.escape(message)):
         dict(read_orders(path))
     (order,) = read(path, columns={"quantity": "Qty"}).values()
