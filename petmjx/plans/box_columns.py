@@ -249,8 +249,8 @@ def counting_columns(extraction: ColumnExtraction, used: Collection[str]) -> dic
 
 
 def rotations_in(extraction: ColumnExtraction) -> Turns | None:
-    """The column of rotations. No column may be known to have rotations. Then a column of unknown meaning is returned
-    whose cells are all yes or no, if there is exactly one such column."""
+    """The column of rotations. If no column is known to have rotations, and exactly one column of unknown meaning has
+    cells of only yes and no, that column may have the rotations."""
     index = extraction.first("rotation", "rotation")
     if index is not None:
         return _rotations_of(extraction, index)

@@ -438,8 +438,7 @@ def _densities_kg_m3(size_mm: FloatArray, mass_kg: FloatArray) -> FloatArray:
 
 def odd_boxes(plans: Sequence[Plan]) -> list[str]:
     """A list with one line about boxes with implausible densities, such as one of 5,000 kg among boxes of 5 kg. The
-    list is empty if there are no such boxes. It is also empty if most boxes have such densities, because other lines
-    then report a wrong unit."""
+    list is empty if there are no such boxes, or if most boxes have such densities, because other lines then say so."""
     if not plans:
         return []
     size_mm, mass_kg = (np.concatenate([getattr(plan, name) for plan in plans]) for name in ("size_mm", "mass_kg"))

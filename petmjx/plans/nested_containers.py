@@ -268,9 +268,9 @@ def _only_name(around: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
 
 
 def _names_of(holders: Sequence[tuple[str, Mapping[str, Any]]]) -> list[str]:
-    """The names of objects around boxes. The fields of ``_NAMES`` are tried in order. An object is named by the text of
-    the first field in which no other object has the same text. If there is no such field, a member of a list is named
-    by its number, from 1, and any other object by the last part of its path."""
+    """The names of objects around boxes. An object gets its name from the first field of ``_NAMES`` in which it has a
+    text that no other object has in this field. An object without such a field is named by its number in its list, from
+    1, or, outside a list, by the last part of its path."""
     texts = {name: [_name_text(holder.get(name)) for _, holder in holders] for name in _NAMES}
     counts = {name: Counter(values) for name, values in texts.items()}
     names = []
@@ -292,8 +292,8 @@ def _name_text(value: Any) -> str:
 
 def container_around(member: NestedBox, articles: Collection[int]) -> dict[str, float]:
     """The size of the container of a box, by axis; empty if no size is given. If the numbers of the box have units, the
-    sizes of the container are converted to millimetres, like the numbers of the box. If the numbers of the box have no
-    units, the sizes of the container are as in the file.
+    sizes in the fields of the container are converted to millimetres, as are the numbers of the box. Otherwise, the
+    sizes of the container are as in the file.
 
     Args:
         articles: Python's ``id`` of each object that is an article (``articles_around``).

@@ -134,7 +134,6 @@ def joined(contents: Sequence[SegmentContent], extent_mm: tuple[float, float] | 
     # segment has a warning about an odd plan, or a line about a convention, the whole file has no such line either.
     if any(chain.from_iterable((plan_set.warnings, plan_set.conventions) for plan_set, _ in contents)):
         whole.conventions.extend(find_conventions(whole.plans, whole.warnings, extent_mm))
-    # ``odd_boxes`` gives no line if most boxes have odd densities. This may be true of a segment, but not of the whole
-    # file, so the boxes of the whole file are examined.
+    # In a segment, most boxes may have odd densities, so that it has no line about them, but not in the whole file.
     whole.conventions.extend(odd_boxes(whole.plans))
     return whole
