@@ -168,7 +168,7 @@ def _article(where: str, row: Mapping[str, Any]) -> tuple[str, str, Article]:
         raise InputError(f"{where}: unknown field {printable_name(unknown[0])}; there are {', '.join(_FIELDS)}")
     keys = [key for key in _KEYS if key in values]
     if len(keys) == 2 or (not keys and _MATERIAL not in values):
-        raise InputError(f"{where}: must name either an article, a product_group, or a material alone")
+        raise InputError(f"{where}: must name an article or a product_group (not both), or only a material")
     numbers = {field: _number(where, field, values[field]) for field in _NUMBERS if field in values}
     stiffness = numbers.pop(_STIFFNESS, None)
     com = [numbers.pop(field) if field in numbers else None for field in COM_FIELDS]

@@ -153,7 +153,7 @@ def number_fault_of(cell: Any, decimal: str) -> str:
         return f"must be a number, got {kind}"
     hint = number_hint(cell)
     if not hint and not decimal and _MAYBE.match(cell):
-        hint = f": write {cell.replace('.', '')} or {cell.replace('.', ',')}, whichever it is"
+        hint = f": write {cell.replace('.', '')} or {cell.replace('.', ',')}, whichever is meant"
     if not hint and decimal == "," and "." in cell:
         hint = ": other numbers of this file have decimal commas"
     return f'must be a number, got "{printable_name(cell)}"{hint}'

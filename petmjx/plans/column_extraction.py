@@ -174,7 +174,7 @@ class ColumnExtraction:
                 of_order = meaning.kind == "sequence" and _ORDER_WORDS.intersection(words_of(self.table.header[index]))
                 numbers = [number.value for cell in cells if (number := cell_number(cell, self.table.decimal))]
                 texts = map(cell_text, self.cells(index))
-                distinct = set(zip(self.source.boxes.parts, texts, strict=True))  # plans number their boxes anew
+                distinct = set(zip(self.source.boxes.parts, texts, strict=True))  # each plan may count from 1
                 if of_order and "plan" not in kinds and len(distinct) * 2 <= len(self.table.rows):
                     self.meanings[index] = ColumnMeaning("plan")
                 elif meaning.kind == "size" and _count_rows(numbers):
@@ -254,8 +254,8 @@ class ColumnExtraction:
         name = self.table.header[index]
         if self.table.has_header and (unknown := unknown_density_unit(name)):
             raise InputError(
-                f"{printable_name(name)}: {printable_name(unknown)} is no known unit of density; kg/m3, g/cm3, lb/ft3 "
-                "and their like are"
+                f"{printable_name(name)}: {printable_name(unknown)} is no known unit of density, such as kg/m3, g/cm3 "
+                "or lb/ft3"
             )
         meaning = self.meanings[index]
         unit = meaning.unit if meaning is not None and meaning.kind == "density" else ""

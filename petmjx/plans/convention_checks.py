@@ -148,7 +148,7 @@ which the load begins closest to the corner of the deck is used."""
 CENTRES: Final = _ANCHORS[0]
 _TURNED: Final = (
     "lengths and widths of boxes that are turned by their orientation look swapped",
-    "give the item's own length and width beside an orientation, or extents along x and y and no orientation",
+    "give the item's own length and width and the orientation, or the extents along x and y without an orientation",
 )
 _YZ: Final = ("y and z look swapped", "give heights as z")
 _MOST: Final = 0.5
@@ -181,7 +181,7 @@ LAYOUTS: Final[tuple[Convention, ...]] = (
     Convention(*_YZ, lambda corner, size: (corner[:, [0, 2, 1]], size[:, [0, 2, 1]]), least_odd=3, least_share=_MOST),
     Convention(
         "length and width look swapped",
-        "give extents along x and y as the boxes stand, or with the orientation",
+        "give the extents of the boxes as they stand along x and y, or also give the orientation",
         lambda corner, size: (corner, size[:, [1, 0, 2]]),
     ),
     *(_scale_convention(unit, sizes=False) for unit in ("cm", "in", "m")),

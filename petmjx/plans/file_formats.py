@@ -193,7 +193,7 @@ def other_encoding(text: str) -> str:
         return ""  # the text has letters beyond ASCII that are valid UTF-8: it is damaged, not in another encoding
     try:
         read = text.encode("utf-8", "surrogateescape").decode("cp1252")
-    except UnicodeEncodeError:  # a surrogate from an escape in JSON does not stand for a byte of the file
+    except UnicodeEncodeError:  # a JSON escape, "\\ud800", gives a surrogate that stands for no byte of the file
         return ""
     except UnicodeDecodeError:
         return ": save the file as UTF-8"
@@ -210,7 +210,7 @@ def number_hint(text: str) -> str:
     if mark is not None and mark != decimal and (decimal or mark not in ".,"):
         return f": it has marks between its thousands; write {plain.replace(mark, '').replace(',', '.')}"
     if mark == "," and not decimal:
-        return f": write {plain.replace(',', '')} or {plain.replace(',', '.', 1)}, whichever it is"
+        return f": write {plain.replace(',', '')} or {plain.replace(',', '.', 1)}, whichever is meant"
     if _DECIMAL_COMMA.fullmatch(plain):
         return f": it has a decimal comma; write {plain.replace(',', '.')}, or semicolons between the table's columns"
     return ""
@@ -230,5 +230,5 @@ def point_fault(field: str, value: object) -> str | None:
         return f"{fault}: it has marks between its thousands; write {joined_digits}"
     if not has_groups and number_in(plain) is None:
         return None
-    ways = f"{joined_digits} or {with_comma}, whichever it is" if has_groups else with_comma
+    ways = f"{joined_digits} or {with_comma}, whichever is meant" if has_groups else with_comma
     return f"{fault}: other numbers of this file have decimal commas; write {ways}"

@@ -74,7 +74,11 @@ def sources_of_bytes(data: bytes | bytearray, path: Path | None = None) -> list[
         if isinstance(value, dict) and value.get("type") == "FeatureCollection" and "features" in value:
             raise InputError("is a map (GeoJSON): petmjx looks for boxes with places and three sizes")
         if not (sources := _sources_of_value(value, "JSON")):
-            raise NoBoxes("holds no box" if value == [] else "has no list of boxes: objects with places and sizes")
+            raise NoBoxes(
+                "holds no box"
+                if value == []
+                else "has no list of boxes: petmjx looks for objects with places and sizes"
+            )
         return sources
     values = python_values(start) if is_printed_object(start) else None
     if sources := _sources_of_value(values, "Python's text"):

@@ -88,7 +88,7 @@ class PlanBuilder:
             self.faults.setdefault(row, height_fault(reading, candidate, row))
         self.decks = pallet_rows(self.columns, plans, size, low)
         faults = range_faults(self.columns, reading, candidate)
-        if not self.wishes.exact:  # the user who has written a reading has checked it
+        if not self.wishes.exact:  # a reading that the user has written needs no such check
             faults = edge_faults(self.columns, reading, candidate, plans) | faults
         for row, fault in faults.items():
             self.faults.setdefault(row, fault)
@@ -168,7 +168,8 @@ class PlanBuilder:
             raise
         apart = unsaid and len(plans) > 1 and not lost
         if apart and self._float(reading, candidate, plans) and search.are_parts_of_one():
-            self.notes.append(f"{first_names(list(plans))} are one plan: some of them would begin above the deck")
+            names_text = first_names(list(plans))
+            self.notes.append(f"{names_text} are read as one plan, since some of them would begin above the deck")
             self._join_parts()
             names = plan_names(self.columns, self.source, self.notes)
             reading, candidate = choose_reading(self.columns, rows_by_name(names), self.wishes)

@@ -112,8 +112,8 @@ def _with_items_beside(best: BoxSource, path: Path) -> BoxSource:
         joined = with_items_of(best, sources_of_bytes(bytes_of(beside), beside)[0], name, by_number=True)
         if joined is not None:
             return joined
-        return replace(best, notes=(*best.notes, f"{name} beside it has other items, and is not read"))
-    return replace(best, notes=(*best.notes, "no items file is beside it (NAME_items.csv), which would have weights"))
+        return replace(best, notes=(*best.notes, f"{name} in the same folder has other items, and is not read"))
+    return replace(best, notes=(*best.notes, "no weights, because the folder has no file of items (NAME_items.csv)"))
 
 
 def with_items_of(best: BoxSource, items: BoxSource, name: str, by_number: bool = False) -> BoxSource | None:
@@ -130,7 +130,7 @@ def with_items_of(best: BoxSource, items: BoxSource, name: str, by_number: bool 
     added = [index for index, column in enumerate(other.header) if column not in table.header]
     if by_number:
         added = [index for index in added if other.header[index].upper() == "WEIGHT"]
-    if not best.boxes.has_sizes:  # a table of items has the sizes before boxes are turned
+    if not best.boxes.has_sizes:  # the sizes in a table of items are those before boxes are turned
         best = replace(best, form=replace(best.form, sizes=best.form.sizes or "item"))
     return _with_columns(best, other, rows, added, f"{'' if by_number else 'sizes and '}weights from {name}")
 

@@ -70,13 +70,13 @@ def _gunzip(packed: bytearray) -> tuple[bytearray, str | None]:
         while not inflate.eof:
             chunk = view[position : position + _GZIP_CHUNK]
             if not chunk:
-                return plain, "the gzip data is cut off; plans up to there are read"
+                return plain, "the gzip data is cut off; the plans before the cut are read"
             before = inflate.copy()
             try:
                 plain += inflate.decompress(chunk)
             except zlib.error as error:
                 _inflate_bytewise(before, chunk, plain)
-                return plain, f"the gzip data is damaged ({error}); plans up to there are read"
+                return plain, f"the gzip data is damaged ({error}); the plans before the damage are read"
             if len(plain) > most:
                 return bytearray(), f"the gzip data unpacks to more than {size(most)}, too much for a plan file"
             position += len(chunk) - len(inflate.unused_data)

@@ -296,7 +296,7 @@ def _certificate(boxes: BoxList) -> BoxSource:
         copies = cell_number(row[upper["COPIES"]]) if "COPIES" in upper else None
         if copies is not None and copies.value > 1:
             notes.append(
-                f"container {cell_text(row[upper['BIN']])} stands for {copies.value:g} alike, and is read once"
+                f"container {cell_text(row[upper['BIN']])} stands for {copies.value:g} equal ones, and is read once"
             )
     if containers and all(sizes == next(iter(containers.values())) for sizes in containers.values()):
         containers = {"": next(iter(containers.values()))}

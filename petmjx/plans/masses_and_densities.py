@@ -91,7 +91,7 @@ def masses_kg(
     for row in np.flatnonzero((mass < SMALLEST_KG) | (mass > LARGEST_KG)).tolist():
         fault = positive_fault(name, float(columns.weight[row]), *limits)
         if fault is None and counts is not None:
-            fault = f"{name} must be the weight of {counts[row]:,} boxes"
+            fault = f"{name} must be the weight of all {counts[row]:,} boxes of the row"
         if fault is not None:
             faults.setdefault(row, fault)
     return np.asarray(mass)
@@ -116,7 +116,7 @@ def _density_factor(columns: BoxColumns | ItemColumns, length_unit: str, notes: 
     if imperial or median < _LEAST_KG_M3:
         name = printable_name(columns.columns["density"])
         raise InputError(
-            f"{name} has densities in an unknown unit, {median:g} in the median; write their unit into the name of the "
+            f"{name} has densities in an unknown unit (median: {median:g}); write their unit into the name of the "
             f'column, such as "{name} [kg/m3]" or "{name} [lb/ft3]"'
         )
     notes.append("weights from densities in kg/m³")
@@ -130,5 +130,5 @@ def density_lines(columns: BoxColumns, size: FloatArray, mass: FloatArray) -> tu
     density = density[np.isfinite(density)]
     if columns.weight is None or not len(density) or LIGHTEST_BOX_KG_M3 <= np.median(density) <= HEAVIEST_BOX_KG_M3:
         return ()
-    line = f"boxes have {three_digits(float(np.median(density)))} kg/m³ in the median"
-    return (f"{line}: weights or lengths in another unit? (--units)",)
+    line = f"boxes have a median density of {three_digits(float(np.median(density)))} kg/m³"
+    return (f"{line}: are weights or lengths in another unit? (--units)",)

@@ -260,7 +260,7 @@ def _only_name(around: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
             if (text := _name_text(holder.get(name))) != "":
                 return text
     for step, holder in reversed(around):
-        if step.endswith("]") or not step or holder == {"id": step}:  # {"id": step}: a list named after a plan
+        if step.endswith("]") or not step or holder == {"id": step}:  # {"id": step}: the list has the name of the plan
             for name in ("id", "ID", "name", "bin", "partno"):
                 if (text := _name_text(holder.get(name))) != "":
                     return text

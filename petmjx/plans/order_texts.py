@@ -211,11 +211,11 @@ def _thpack(lines: Sequence[_Line]) -> BoxSource:
         )
     notes = []
     if laid:
-        notes.append(f"{count_text(laid, 'type')} laid on a permitted side, since the height may not be upright")
+        notes.append(f"{count_text(laid, 'type')} laid on a permitted side, since the height must not be vertical")
     if free:
         notes.append(
             f"{count_text(free, 'type')} may also stand on other sides, which petmjx does not use: it turns boxes "
-            "about the vertical alone"
+            "only about the vertical"
         )
     return rows.source(THPACK, notes)
 

@@ -124,7 +124,7 @@ def _move(
     notes = []
     if abs(bottom) > _LEVEL * float(np.nanmedian(size[used, 2])):
         low[rows, 2] -= bottom
-        notes.append(f"heights count from the lowest box, {bottom:g} mm")
+        notes.append(f"heights are measured from the lowest box, at {bottom:g} mm")
     elif bottom:
         low[rows, 2] = np.where(np.abs(low[rows, 2]) <= abs(bottom), 0.0, low[rows, 2])
     begin = np.nanmin(low[used, :2], axis=0)

@@ -84,7 +84,7 @@ def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]
         extent = float(((low + size).max(axis=0) - low.min(axis=0))[:2].max())
         offset = 1.0 if 0 < bottom < max(1.2 * float(np.median(size[:, 2])), _HIGHEST_DECK * extent) else 4.0
         if abs(bottom - float(np.median(size[heights <= tolerance, 2])) / 2) <= tolerance:
-            offset = 3.0  # heights are rather those of centres
+            offset = 3.0  # heights are probably those of centres
         half = layout.container[2] / 2
         if not np.isnan(half) and abs(bottom + half) <= 2 * tolerance:
             offset = 0.8

@@ -133,7 +133,7 @@ def _angles(extraction: ColumnExtraction) -> list[_Rotations]:
     listed = turned if {*"012"} <= turned.keys() else quaternions if {*"012"} <= quaternions.keys() else {}
     if listed:
         named = {axis: listed[str(number)][0] for number, axis in enumerate(XYZ)}
-    elif {*XYZ} <= quaternions.keys():  # angles: "orientation.x", "orientation.y" … without a column for w
+    elif {*XYZ} <= quaternions.keys():  # without a column for w, "orientation.x" … are angles
         named = {axis: quaternions[axis][0] for axis in XYZ}
     elif named and "z" not in named:
         yaws = [index for index in turned.get("", ()) if "yaw" in words_of(extraction.table.header[index])]

@@ -342,7 +342,7 @@ def _eight_corners(extraction: ColumnExtraction) -> Geometry | None:
     for row in np.flatnonzero(~ends.all(axis=(0, 1))).tolist():
         axis, corner = np.argwhere(~ends[:, :, row])[0].tolist()
         index = names[f"{XYZ[axis]}{corner + 1}"]
-        extraction.bad(row, index, f"must be {low[row, axis]:g} or {high[row, axis]:g}, as of the other corners")
+        extraction.bad(row, index, f"must be {low[row, axis]:g} or {high[row, axis]:g}, like the other corners")
     columns = {axis: header[names[f"{axis}1"]] for axis in XYZ}
     columns |= {f"{axis} (far)": header[names[f"{axis}8"]] for axis in XYZ}
     columns |= {

@@ -108,7 +108,7 @@ def tables_of_text(data: bytes | bytearray) -> list[RawTable]:
         raise InputError(f"has more than {MOST_ROWS:,} rows")
     if len(rows) > 1 and not text.endswith("\n") and len(rows[-1]) < len(rows[-2]):
         words = " ".join(rows[-1]).split()
-        if len(words) == 1:  # the beginning of a row; a remark has more words
+        if len(words) == 1:  # one word may be the beginning of a row; a remark has more words
             lost.append((f"row {len(rows) - 1 + begin}", f"is no box: {printable_name(words[0])}; truncated?"))
             del rows[-1]
     tables = tables_of_rows(rows, begin, lost=lost)

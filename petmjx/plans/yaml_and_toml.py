@@ -132,7 +132,7 @@ class _Reader:
     def document(self) -> Any:
         value = self._block(self.lines[0].indent, 0)
         if self.next < len(self.lines):
-            raise self._fault(self.lines[self.next], "it fits no line above")
+            raise self._fault(self.lines[self.next], "its indent fits no line above")
         return value
 
     def _fault(self, line: _Line, why: str) -> InputError:

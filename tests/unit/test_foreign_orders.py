@@ -318,7 +318,7 @@ def test_container_loading_problems(tmp_path: Path) -> None:
     (tmp_path / "thpack1.txt").write_text(THPACK)
     orders = read(
         tmp_path / "thpack1.txt",
-        "1 type laid on a permitted side, since the height may not be upright.*container, 5,870 × 2,330 mm, is no",
+        "1 type laid on a permitted side, since the height must not be vertical.*container, 5,870 × 2,330 mm, is no",
     )
     assert list(orders) == ["thpack1-1", "thpack1-2"]
     sizes = [box[:3] for box in boxes_of(orders["thpack1-1"])]
@@ -561,7 +561,7 @@ def test_orders_are_written_as_bed_bpps(
     options for other formats."""
     monkeypatch.chdir(tmp_path)
     Path("items.csv").write_text("sku,length,width,height,qty\na,30,20,15.1,4\nb,20,20,20,1\n")
-    hint = "items.csv: can be read in two ways: .*; petmjx convert items.csv --orders -o orders.json takes it"
+    hint = "items.csv: can be read in two ways: .*; petmjx convert items.csv --orders -o orders.json takes this option"
     with pytest.raises(InputError, match=hint):
         list(read_orders(Path("items.csv")))
     convert = ["convert", "items.csv", "--orders", "-o", "orders.json", "--units", "cm", "--target", "1200x1000"]

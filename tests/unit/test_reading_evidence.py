@@ -138,7 +138,7 @@ def test_poses_turn_boxes_about_the_point_of_their_coordinates(tmp_path: Path) -
         boxes.append({"size": [*size.tolist(), box[5]], "pose": pose.tolist(), "mass": box[6]})
     plan_set = load(tmp_path, "poses.json", json.dumps(boxes), units="mm")
     check(plan_set)
-    assert "turn boxes about these points" in plan_set.readings[str(tmp_path / "poses.json")].line()
+    assert "turn boxes about the points" in plan_set.readings[str(tmp_path / "poses.json")].line()
 
 
 def test_gravity_of_a_scene_shows_the_vertical(tmp_path: Path) -> None:
@@ -267,7 +267,7 @@ def test_a_repeated_id_of_plans_is_noted(tmp_path: Path) -> None:
     box = dict(zip(("x", "y", "z", "length", "width", "height", "kg"), PILE[0], strict=True))
     content = json.dumps([{"id": "p", "boxes": [box]}, {"id": "p", "boxes": [box, {**box, "z": 300}]}])
     reading = load(tmp_path, "a.json", content, units="mm", up="z").readings[str(tmp_path / "a.json")]
-    assert "plans are numbered: several have id p" in reading.notes
+    assert "plans are numbered, because several have id p" in reading.notes
     rows = [(name, *PILE[0]) for name in "ABA"]
     content = table("plan,x,y,z,length,width,height,kg", rows)
     reading = load(tmp_path, "a.csv", content, units="mm", up="z").readings[str(tmp_path / "a.csv")]
