@@ -88,7 +88,7 @@ class PlanBuilder:
             self.faults.setdefault(row, height_fault(reading, candidate, row))
         self.decks = pallet_rows(self.columns, plans, size, low)
         faults = range_faults(self.columns, reading, candidate)
-        if not self.wishes.exact:  # a reading that the user has written needs no such check
+        if not self.wishes.exact:  # the user who has written a reading has checked it
             faults = edge_faults(self.columns, reading, candidate, plans) | faults
         for row, fault in faults.items():
             self.faults.setdefault(row, fault)

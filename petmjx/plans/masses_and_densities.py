@@ -130,5 +130,5 @@ def density_lines(columns: BoxColumns, size: FloatArray, mass: FloatArray) -> tu
     density = density[np.isfinite(density)]
     if columns.weight is None or not len(density) or LIGHTEST_BOX_KG_M3 <= np.median(density) <= HEAVIEST_BOX_KG_M3:
         return ()
-    line = f"boxes have a median density of {three_digits(float(np.median(density)))} kg/m³"
-    return (f"{line}: are weights or lengths in another unit? (--units)",)
+    line = f"boxes have {three_digits(float(np.median(density)))} kg/m³ in the median"
+    return (f"{line}: weights or lengths in another unit? (--units)",)

@@ -220,7 +220,7 @@ def _ends_of_vertices(value: Sequence[Any]) -> tuple[list[Any], list[Any]] | Non
         odd = [cell for cell in column if cell_number(cell) is None]
         low, high = (0.0, 0.0) if odd else (median(numbers[:4]), median(numbers[4:]))
         if not odd and max(numbers[3] - numbers[0], numbers[7] - numbers[4]) > noise:
-            odd = [f"{column[0]}, …, which are no level box"]
+            odd = [f"{column[0]}, …, which are not the corners of a level box"]
         ends[0].append(odd[0] if odd else low)
         ends[1].append(high if not odd else max(numbers, default=None))
     return ends

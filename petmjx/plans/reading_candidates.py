@@ -179,8 +179,7 @@ def layout_of(columns: BoxColumns, candidate: Candidate, container: Mapping[str,
         low[:, 2] -= np.nanmin(low[:, 2])  # heights are measured from the top
     extents = _container_along(candidate, container or {}, order)
     if candidate.up == "y" and container and container.keys() == {"0", "1", "2"}:
-        # the listed sizes may be length, width and height, and not the extents along x, y and z
-        listed = np.array([container[axis] for axis in "012"])
+        listed = np.array([container[axis] for axis in "012"])  # perhaps length, width, height, not x, y, z
         far = np.nanmax(low + size, axis=0)
         is_listed = (far <= listed).all() and ((far > extents).any() or listed[2] > extents[2])
         extents = listed if is_listed else extents

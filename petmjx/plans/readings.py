@@ -39,7 +39,7 @@ ROTATION_RULES: Final = {
     "permutations": "0 XYZ, 1 XZY, 2 YXZ, 3 YZX, 4 ZXY, 5 ZYX",
     "permutations from 1": "1 XYZ, 2 XZY, 3 YXZ, 4 YZX, 5 ZXY, 6 ZYX",
     "pose": "coordinates describe points of the turned boxes",
-    "pose about point": "poses turn boxes about the points that coordinates describe",
+    "pose about point": "coordinates describe points, and poses turn boxes about these points",
 }
 """Rule of rotation → its description."""
 POSES: Final = ("pose", "pose about point")
@@ -90,7 +90,7 @@ class Evidence:
             count_text(self.n_outside, "box is outside", "boxes are outside") if self.n_outside else "",
         ]
         odd = ", ".join(filter(None, parts)) or "no box overlaps or floats"
-        return f"{odd}; {count_text(self.n_boxes, 'box', 'boxes')} in all"
+        return f"{odd} of {self.n_boxes:,}"
 
 
 @dataclass(frozen=True)

@@ -990,7 +990,7 @@ def test_eight_corners_may_have_small_errors(tmp_path: Path) -> None:
         assert np.abs(one.size_mm - np.array(PILE)[:, 3:6]).max() < 1
     boxes[0]["corners"][0][0] += 4.5  # less than a hundredth of the longest side, but not of the shortest one
     (skipped,) = load(tmp_path, "pile.json", json.dumps(boxes)).skipped
-    assert "which are no level box" in skipped.message
+    assert "which are not the corners of a level box" in skipped.message
 
 
 def test_cells_of_a_grid(tmp_path: Path) -> None:

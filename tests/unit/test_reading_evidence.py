@@ -138,7 +138,7 @@ def test_poses_turn_boxes_about_the_point_of_their_coordinates(tmp_path: Path) -
         boxes.append({"size": [*size.tolist(), box[5]], "pose": pose.tolist(), "mass": box[6]})
     plan_set = load(tmp_path, "poses.json", json.dumps(boxes), units="mm")
     check(plan_set)
-    assert "turn boxes about the points" in plan_set.readings[str(tmp_path / "poses.json")].line()
+    assert "turn boxes about these points" in plan_set.readings[str(tmp_path / "poses.json")].line()
 
 
 def test_gravity_of_a_scene_shows_the_vertical(tmp_path: Path) -> None:
