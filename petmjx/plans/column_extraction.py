@@ -357,8 +357,9 @@ class ColumnExtraction:
             return np.where(np.isnan(values), np.nanmedian(values) if np.isfinite(values).any() else 1.0, values)
 
     def texts(self, *kinds: str, role: str = "") -> tuple[list[str] | None, str]:
-        """(n,) texts of the column that an option gives the role ``role``, or else of the first column whose meaning is
-        one of ``kinds``; and the name of this column. The result is None and "" if there is no such column."""
+        """(n,) texts of a column, and the name of the column. The column is the one to which an option gives the role
+        ``role``, or else the first column whose meaning is one of ``kinds``. The result is None and "" if there is no
+        such column."""
         index = self.fixed.get(role)
         if index is None:
             columns = (index for kind in kinds for index in self.indices(kind, of_container=True))

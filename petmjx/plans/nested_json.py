@@ -216,8 +216,8 @@ def _joined(group: Sequence[BoxList], names: Sequence[str]) -> BoxList:
 
 
 def _by_lines(boxes: BoxList, lines: Sequence[int]) -> BoxList:
-    """Replace, in the places of boxes in JSON lines, the index of a value by the number of its line: "[4].items[2]" →
-    "line 5, items[2]"."""
+    """Change the places of boxes in JSON lines: the number of a line replaces the index of the value in this line, so
+    that "[4].items[2]" becomes "line 5, items[2]"."""
     places = []
     for place in boxes.table.places:
         member = re.match(r"\[(\d+)\]\.?", place)

@@ -54,8 +54,8 @@ class PalletSearch:
         becomes the column of plans, and a note tells this.
 
         Raises:
-            InputError: the column does not have a word for pallets in its name; or several columns separate the boxes
-                into different pallets, and not exactly one of them has such a word.
+            InputError: it is unclear which column separates the pallets. It is clear only if exactly one of the
+                possible columns has a word for pallets in its name.
         """
         columns = self.columns
         rows = np.arange(columns.n_boxes)

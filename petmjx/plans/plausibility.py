@@ -225,9 +225,8 @@ of the top, if y is the vertical axis."""
 
 
 def vote_for_other_points(layout: Layout, mm: float, point: FloatArray) -> int:
-    """1 if coordinates that were read as those of one point of each box, such as a corner, are probably those of
-    another point of each box; −1 if they are probably those of the given point; 0 if unknown. The vertical axis may be
-    z or y.
+    """A vote on the point of a box that coordinates describe. The vote is −1 if they probably describe the given point,
+    such as a corner; 1 if they probably describe another point; 0 if unknown. The vertical axis may be z or y.
 
     The result is 1 under two conditions. If coordinates are read as those of the other point, the load begins at a
     corner of the deck, or is symmetric to the origin, along both horizontal axes. If coordinates are read as those of

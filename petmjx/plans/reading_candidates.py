@@ -48,8 +48,8 @@ _TURNED_ARRAY: Final = 0.6
 """Cost of a reading with the sizes of boxes before they are turned, for an array without column names. Arrays mostly
 come from programs that train packers, and have sizes as placed."""
 _PLACED_POINT_COST: Final = 0.8
-"""Cost of a reading in which coordinates of poses are those of a corner, or of the centre of the base or the top, of
-the box as placed. By its definition, a pose turns a box about the point that its coordinates describe."""
+"""Cost of a reading in which coordinates of poses describe a point of the box as placed (a corner, or the centre of the
+base or the top). By its definition, a pose turns a box about the point that its coordinates describe."""
 _FIRM_COST: Final = 3.0
 """Cost of a reading that contradicts what is known from the form of the file, the names of its columns, or the
 rotations."""
@@ -454,8 +454,8 @@ def _sizes_by_length(columns: BoxColumns, geometry: Geometry) -> str:
 
 _OF_ITEMS: Final = word_set("item article sku product original nominal unrotated")
 _OF_YAWS: Final = word_set("yaw theta heading azimuth psi rx ry rz x y z")
-"""Words in names of sizes, and in the name of a column of rotations, that mean sizes before the box is turned. An angle
-about an axis ("rz", "rot_z") turns a box whose sizes are known without it."""
+"""Words that mean sizes before the box is turned: ``_OF_ITEMS`` in the names of sizes, ``_OF_YAWS`` in the name of a
+column of rotations. An angle about an axis ("rz", "rot_z") turns a box whose sizes are known without this angle."""
 
 
 def _sizes_by_name(columns: BoxColumns, geometry: Geometry) -> str:

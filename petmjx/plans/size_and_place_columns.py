@@ -133,9 +133,9 @@ def sizes_in(extraction: ColumnExtraction) -> Sizes | None:
 
 
 def other_sizes_in(extraction: ColumnExtraction, first: Sizes) -> Sizes | None:
-    """A second set of sizes, such as "size_1" … beside "sp_size_1" …, if no name shows which set has the sizes of the
-    placed boxes. The result is None if there is no second set, if a cell of the second set is bad, or if both sets are
-    equal."""
+    """The second of two sets of sizes, such as "sp_size_1" … and "size_1" …, if no name shows which set has the sizes
+    of the placed boxes. The result is None if there is no second set, if a cell of the second set is bad, or if both
+    sets are equal."""
     if first.placed or any(role_of(axis) in extraction.fixed for axis in first.axes) or "sizes" in extraction.fixed:
         return None
     faults = dict(extraction.faults)
