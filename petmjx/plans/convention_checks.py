@@ -405,9 +405,9 @@ def _is_mostly_odd(plan: Plan, least_share: float) -> bool:
 
 def _is_wall_lying(plan: Plan, odd: PlanWarnings, extent_mm: tuple[float, float]) -> bool:
     """Whether the boxes of a plan are a wall (boxes stacked in one plane) with y and z swapped. All boxes must have z =
-    0, and two further conditions must hold. The plan extends beyond the carrier in y. After y and z are swapped, some boxes lie on
-    others, all boxes have support, and none is outside the carrier. A layer that would fit on the carrier if it were
-    turned by 90° is not taken for a wall."""
+    0, and two further conditions must hold. The plan extends beyond the carrier in y. After y and z are swapped, some
+    boxes lie on others, all boxes have support, and none is outside the carrier. A layer that would fit on the carrier
+    if it were turned by 90° is not taken for a wall."""
     if odd.n_floating or odd.n_overlapping_pairs or plan.corner_mm[:, 2].max() > DEFAULT_TOLERANCE_MM:
         return False
     length, width = np.array(extent_mm) + DEFAULT_TOLERANCE_MM
