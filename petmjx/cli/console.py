@@ -8,8 +8,9 @@ import io
 import os
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
+from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, Final
 
 from petmjx.common.errors import PlanWarning
@@ -73,6 +74,10 @@ def lines_beside_data(words: Sequence[str]) -> Iterator[None]:
         yield
 
 
+PRINTED_NOTES: ContextVar[Collection[str]] = ContextVar("PRINTED_NOTES", default=())
+"""The lines that ``as_notes`` has printed."""
+
+
 @contextmanager
 def as_notes() -> Iterator[None]:
     """Print each ``PlanWarning`` immediately, as one line on standard error, so that a user can stop a long run if, for
@@ -93,7 +98,11 @@ def as_notes() -> Iterator[None]:
                 otherwise(message, category, filename, lineno, *more, **named)
 
         warnings.showwarning = show
-        yield
+        token = PRINTED_NOTES.set(seen)
+        try:
+            yield
+        finally:
+            PRINTED_NOTES.reset(token)
 
 
 @contextmanager

@@ -17,7 +17,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, Final
 
-from petmjx.cli.console import results_console
+from petmjx.cli.console import PRINTED_NOTES, results_console
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text
 from petmjx.options.run_options import RunOptions
@@ -109,7 +109,7 @@ def run_and_show(run: Callable[..., RunResults], options: Mapping[str, Any], as_
     from petmjx.show.run_tables import run_tables
     from petmjx.show.table_layout import print_renderables
 
-    print_renderables(run_tables(results), results_console())
+    print_renderables(run_tables(results, PRINTED_NOTES.get()), results_console())
 
 
 def run_watched(run: Callable[..., RunResults], options: Mapping[str, Any]) -> RunResults:

@@ -242,8 +242,8 @@ def _write_physical(
         verb = "has" if len(shaky) == 1 else "have"
         names = ", ".join(shaky[:MOST_SHOWN]) + (", …" if len(shaky) > MOST_SHOWN else "")
         print(
-            f"{count_text(len(shaky), 'order')} {verb} no packing that stands in the least share of worlds with errors "
-            f"(--least-share): {names}"
+            f"{count_text(len(shaky), 'order')} {verb} no packing that stands in the required share of worlds with "
+            f"errors (--least-share): {names}"
         )
     table = Packed(tuple(packings)).orders
     totals = _totals(int(table["left_out"].sum()), int((table["left_out"] > 0).sum()))

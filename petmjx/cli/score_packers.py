@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from petmjx.cli import command_options as opt
-from petmjx.cli.console import results_console
+from petmjx.cli.console import PRINTED_NOTES, results_console
 from petmjx.cli.run_command import brief, folder_of_run, run_watched
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable
@@ -67,7 +67,9 @@ def score_packers(names: Sequence[str], options: Mapping[str, Any], as_json: boo
             of_packer = options if first is None else with_engine_of(first, options, parent / name)
             results[name] = run_watched(partial(api.score, path), {**of_packer, "out": parent / name})
             if not as_json:
-                print_renderables([line(f"packer {name}"), *run_tables(results[name]), ""], console)
+                print_renderables(
+                    [line(f"packer {name}"), *run_tables(results[name], PRINTED_NOTES.get()), ""], console
+                )
     compared = compare_packers(results, orders=options.get("orders")) if len(results) > 1 else None
     if as_json:
         runs = {name: brief(run) for name, run in results.items()}

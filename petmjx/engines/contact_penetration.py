@@ -317,8 +317,8 @@ def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Ph
     low_x, high_x, low_y, high_y, above, below = (
         np.ascontiguousarray(np.take_along_axis(values, order, axis=1).T) for values in columns
     )
-    # The arrays below have one column per world and one row per box, from the lowest box to the highest. ``depth`` is
-    # the distance by which the top of each box descends; the first row of ``depth`` is for the carrier's top.
+    # From here on, arrays have one column per world and one row per box, from the lowest box to the highest. ``depth``
+    # is the distance by which the top of each box descends. It has one more row, the first, for the carrier's top.
     depth = np.empty((len(above) + 1, len(scenes)))
     depth[0] = depth_m(physics, total * gravity / carrier / CONTACTS_PER_FACE)
     over = np.ones((len(above), *depth.shape), bool)

@@ -56,7 +56,7 @@ def may_use_gpu(options: RunOptions, plans: object) -> bool:
 
 
 def _start_if_gpu(sim: Simulation) -> None:
-    if cuda_devices():  # asking the GPU's driver takes time, too, so this thread does it
+    if cuda_devices():  # to ask the GPU's driver takes time, so this start-up thread does it, not the caller
         builds = begin_builds(sim)
         start_gpu()
         # Another thread waits for the kernels and loads them, while worlds are made.

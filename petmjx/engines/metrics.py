@@ -76,7 +76,7 @@ class Reduction(StrEnum):
 
     LARGEST = "largest magnitude"
     SMALLEST = "smallest"
-    COUNT = "number of boxes"
+    COUNT = "number of true values"
 
 
 @dataclass(frozen=True)
@@ -268,12 +268,12 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     ),
     _largest(
         "max_lin_acc", "m/s^2", SampleAt.SAMPLES,
-        "max ‖a‖, with a the linear part of MuJoCo's `qacc` of the box's free joint",
+        "max ‖a‖, where `a` is the linear part of MuJoCo's `qacc` of the box's free joint",
         of_box="largest sampled linear acceleration", of_world="largest sampled linear acceleration of any box",
     ),
     _largest(
         "max_ang_acc", "rad/s^2", SampleAt.SAMPLES,
-        "max ‖α‖, with α the angular part of MuJoCo's `qacc` of the box's free joint",
+        "max ‖α‖, where `α` is the angular part of MuJoCo's `qacc` of the box's free joint",
         of_box="largest sampled angular acceleration", of_world="largest sampled angular acceleration of any box",
     ),
     _largest(

@@ -184,7 +184,7 @@ class RunOptions(CheckedRecord):
         "coordinates along the named axes and the smallest coordinates along the others",
     )
     up: Annotated[Literal["x", "y", "z", "-y", "-z"] | None, CliFlag("--up", "x|y|z|-y|-z", default=_BY_FILE)] = Field(
-        None, description="the vertical axis of files of other tools; -z: heights are counted downwards along z"
+        None, description="the vertical axis of files of other tools; -y or -z: heights are counted downwards"
     )
     sizes: Annotated[Literal["placed", "item"] | None, CliFlag("--sizes", "placed|item", default=_BY_FILE)] = Field(
         None,

@@ -7,6 +7,7 @@ Units, axes and anchors (the points of the boxes that coordinates describe) are 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -35,7 +36,7 @@ from petmjx.plans.size_and_place_columns import (
     with_half_extents,
     with_last_cells,
 )
-from petmjx.plans.turn_columns import Turns, are_yes_or_no, turns_of
+from petmjx.plans.turn_columns import Turns, may_be_turns, turns_of
 
 GROSS: Final = word_set("gross brutto bruttogewicht bruttogew bruto brut lordo")
 """Words for gross weights, which are preferred to net weights."""
@@ -216,13 +217,18 @@ def _geometry_of(sizes: Sizes, places: Places) -> Geometry:
 
 def distinct_names_in(extraction: ColumnExtraction) -> tuple[list[str] | None, str]:
     """(n,) names of boxes, and the name of their column: the first column whose name is unknown and whose cells are all
-    different texts. None and "" if there is no such column."""
+    different texts, which are no dates and times. None and "" if there is no such column."""
     for index, meaning in enumerate(extraction.meanings):
         cells = extraction.cells(index)
         texts = {cell for cell in cells if isinstance(cell, str) and cell_number(cell) is None}
+        texts = {text for text in texts if not _MOMENT.match(text)}
         if meaning is None and len(cells) > 1 and len(texts) == len(cells):
             return [cell_text(cell) for cell in cells], extraction.table.header[index]
     return None, ""
+
+
+_MOMENT: Final = re.compile(r"\s*((19|20)\d\d[-./]?[01]\d[-./]?[0-3]\d|\d\d?[./]\d\d?[./]\d\d(\d\d)?|\d\d?:\d\d)(?!\d)")
+"""The beginning of a date or a time: "2025-03-14", "20250314", "14.03.25", "3/14/2025", "8:02"."""
 
 
 def weight_column(extraction: ColumnExtraction) -> int | None:
@@ -250,14 +256,14 @@ def counting_columns(extraction: ColumnExtraction, used: Collection[str]) -> dic
 
 def rotations_in(extraction: ColumnExtraction) -> Turns | None:
     """The column of rotations. If no column is known to have rotations, and exactly one column of unknown meaning has
-    cells of only yes and no, that column may have the rotations."""
+    cells of only yes and no, or of quarter turns in degrees, that column may have the rotations."""
     index = extraction.first("rotation", "rotation")
     if index is not None:
         return _rotations_of(extraction, index)
     answers = [
         index
         for index, meaning in enumerate(extraction.meanings)
-        if meaning is None and are_yes_or_no(extraction.cells(index)) and index not in extraction.fixed.values()
+        if meaning is None and may_be_turns(extraction.cells(index)) and index not in extraction.fixed.values()
     ]
     turns = _rotations_of(extraction, answers[0]) if len(answers) == 1 else None
     return None if turns is None else replace(turns, is_guess=True)

@@ -160,7 +160,8 @@ _WORDS: Final[dict[Kind, frozenset[str]]] = {
         "rotation rotated rotationtype rot rt orientation orient orientierung ausrichtung drehung gedreht rotacion "
         "rotazione rotacja orientacion orientazione orientacja tourne girado ruotato obrot angle winkel yaw "
         "turned ori theta gedraaid gekanteld rotacionado virado girato volteado otoceno obrocony gedr verdreht "
-        "giro sens"
+        "giro sens rotatie rotasjon rotering rotace rotacija rotacao rotasyon draaiing vridning drejning kierto "
+        "forgatas elforgatas pootoceni otoceni rotire donus"
     ),
     "quantity": word_set(
         "quantity qty quantities amount count copies menge anzahl stuck stueck stk quantite qte nombre cantidad "
@@ -288,7 +289,7 @@ _OTHER_SCRIPTS: Final = {
         "article": "артикул товар наименование 产品 產品 商品 物料 货物 貨物 品名 品番 名称 名稱 제품 상품 품명",
         "quantity": "количество 数量 數量 수량", "sequence": "порядок последовательность 顺序 順序 順番 순서",
         "number": "номер 序号 序號 编号 編號 番号 번호", "layer": "слой ярус 层 層 段 단",
-        "box": "коробка короб 箱 상자", "rotation": "поворот 旋转 旋轉 回転 회전",
+        "box": "коробка короб 箱 段ボール 상자", "rotation": "поворот 旋转 旋轉 回転 회전",
         "total": "итого всего 合计 合計 总计 總計 小计 합계",
         "mm": "мм 毫米", "cm": "см 厘米 公分", "kg": "кг 千克 公斤", "m": "м 米", "g": "г 克",
     }.items()

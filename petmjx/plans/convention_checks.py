@@ -14,7 +14,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,13 +41,10 @@ After ``MOST_UNEXPLAINED`` odd plans that no convention explains, odd plans are 
 least ``LEAST_SHARE`` of the odd plans so far. One in ``ONE_IN`` of the plans that no convention explains is still read
 in all conventions."""
 
-LIGHTEST_KG_M3: Final = 2.0
-HEAVIEST_KG_M3: Final = 20_000.0
-"""Smallest and largest possible density of a whole plan, kg/m³. Air has 1.2 kg/m³, crisps in cartons have 30 and gold
-has 19,300."""
-LIGHTEST_BOX_KG_M3, HEAVIEST_BOX_KG_M3 = 2.0, 5000.0
-"""Densities outside these limits, kg/m³, suggest wrong weights or lengths. The lower limit is below the density of
-foam, and the upper limit above the density of iron parts."""
+LIGHTEST_KG_M3, HEAVIEST_KG_M3 = 2.0, 5000.0
+"""Densities of boxes outside these limits, kg/m³, suggest wrong weights or lengths: a wrong unit if most boxes of a
+plan have such densities, else wrong values of single boxes. The lower limit is below the density of foam, and the upper
+limit above the density of iron parts."""
 _USUAL_KG_M3: Final = 300.0
 _USUAL_M3: Final = 0.015
 """Usual density and volume of a carton, from BED-BPP's orders. A plan is too dense by a factor of 1000 if masses in
@@ -298,11 +295,9 @@ def with_conventions(plan_set: PlanSet, extent_mm: tuple[float, float] | None) -
     """
     odd = odd_layouts(plan_set.plans, extent_mm)
     readings = [f"{source}: {reading.line()}" for source, reading in plan_set.readings.items()]
-    own_plans = [
-        plan for plan in plan_set.plans if plan.source not in plan_set.readings
-    ]  # plans of other tools have already been converted to petmjx's convention
+    # the places in plans of other tools have already been converted to petmjx's convention
     own_odd = [layout for layout in odd if layout.source not in plan_set.readings]
-    conventions = [*find_conventions(own_plans, own_odd, extent_mm), *odd_boxes(plan_set.plans)]
+    conventions = [*find_conventions(plan_set.plans, own_odd, extent_mm), *odd_boxes(plan_set.plans)]
     return replace(plan_set, warnings=odd, conventions=[*readings, *conventions])
 
 
@@ -431,54 +426,57 @@ def _from_the_middle(plan: Plan, way: Convention | None, extent_mm: tuple[float,
     return bool(on_it and (corner[:, :2] < -DEFAULT_TOLERANCE_MM).any())
 
 
-def _densities_kg_m3(size_mm: FloatArray, mass_kg: FloatArray) -> FloatArray:
-    """(n,) density of each box, kg/m³."""
-    return np.asarray(mass_kg / (size_mm.prod(axis=1) / _MM3_PER_M3))
-
-
 def odd_boxes(plans: Sequence[Plan]) -> list[str]:
     """A list with one line about boxes with implausible densities, such as one of 5,000 kg among boxes of 5 kg. The
-    list is empty if there are no such boxes, or if most boxes have such densities, because other lines then say so."""
-    if not plans:
+    list is empty if there are no such boxes. Plans in which most boxes have such densities are left out, because
+    ``find_conventions`` has lines about them."""
+    odd = [
+        (abs(math.log(density[box] / _USUAL_KG_M3)), plan, box, density[box])
+        for plan, density in _with_odd_boxes(plans)
+        if not _are_odd(np.median(density))
+        for box in np.flatnonzero(_are_odd(density)).tolist()
+    ]
+    if not odd:
         return []
-    size_mm, mass_kg = (np.concatenate([getattr(plan, name) for plan in plans]) for name in ("size_mm", "mass_kg"))
-    density = _densities_kg_m3(size_mm, mass_kg)
-    (odd,) = np.nonzero((density < LIGHTEST_BOX_KG_M3) | (density > HEAVIEST_BOX_KG_M3))
-    if not len(odd) or 2 * len(odd) > len(density):
-        return []
-    oddest = int(odd[np.abs(np.log(density[odd] / _USUAL_KG_M3)).argmax()])
-    ends = np.cumsum([plan.n_boxes for plan in plans])
-    index = int(np.searchsorted(ends, oddest, side="right"))
-    plan = plans[index]
-    box = oddest - int(ends[index]) + plan.n_boxes
-    weight = f"{three_digits(float(plan.mass_kg[box]))} kg, {three_digits(float(density[oddest]))} kg/m³"
-    limits = f"not between {LIGHTEST_BOX_KG_M3:g} and {HEAVIEST_BOX_KG_M3:,g} kg/m³"
+    _, plan, box, density = max(odd, key=lambda one: one[0])
+    weight = f"{three_digits(float(plan.mass_kg[box]))} kg, {three_digits(float(density))} kg/m³"
+    limits = f"not between {LIGHTEST_KG_M3:g} and {HEAVIEST_KG_M3:,g} kg/m³"
     count = f"; {len(odd):,} such boxes in all" if len(odd) > 1 else ""
     return [f"{plan.source}: plan {printable_name(plan.plan_id)}: {_box(plan, box)} has {weight}, {limits}{count}"]
 
 
-def _odd_densities(plans: Sequence[Plan]) -> dict[str, tuple[Convention, str]]:
-    """Plan id → the unit that explains an impossible density, and a description of the box with the most extreme
-    density."""
+def _are_odd(density: FloatArray | np.floating[Any]) -> NDArray[np.bool_]:
+    return np.asarray((density < LIGHTEST_KG_M3) | (density > HEAVIEST_KG_M3))
+
+
+def _with_odd_boxes(plans: Sequence[Plan]) -> list[tuple[Plan, FloatArray]]:
+    """The plans that have a box with an implausible density. With each plan, (n,) the density of its boxes, kg/m³."""
     if not plans:
-        return {}
-    begins = np.cumsum([0, *(plan.n_boxes for plan in plans[:-1])])
-    volumes = np.concatenate([plan.size_mm for plan in plans]).prod(axis=1) / _MM3_PER_M3
-    volume = np.add.reduceat(volumes, begins)
-    mass = np.add.reduceat(np.concatenate([plan.mass_kg for plan in plans]), begins)
-    density = mass / volume
+        return []
+    size_mm, mass_kg = (np.concatenate([getattr(plan, name) for plan in plans]) for name in ("size_mm", "mass_kg"))
+    density = mass_kg / (size_mm.prod(axis=1) / _MM3_PER_M3)
+    begins = np.cumsum([0, *(plan.n_boxes for plan in plans)])
+    odd = np.unique(np.searchsorted(begins, np.flatnonzero(_are_odd(density)), side="right") - 1)
+    return [(plans[index], density[begins[index] : begins[index + 1]]) for index in odd.tolist()]
+
+
+def _odd_densities(plans: Sequence[Plan]) -> dict[str, tuple[Convention, str]]:
+    """Plan id → the unit that explains why most boxes have impossible densities, and a description of the box with the
+    most extreme density."""
     reasons = {}
-    for index in np.flatnonzero((density < LIGHTEST_KG_M3) | (density > HEAVIEST_KG_M3)).tolist():
-        plan, light = plans[index], density[index] < LIGHTEST_KG_M3
-        of_boxes = _densities_kg_m3(plan.size_mm, plan.mass_kg)
-        box = int(of_boxes.argmin() if light else of_boxes.argmax())
-        reason = TONNES if light else _why_dense(density[index], volume[index] / plan.n_boxes)
-        reasons[plan.plan_id] = reason, f"{_box(plan, box)} has {three_digits(of_boxes[box])} kg/m³"
+    for plan, density in _with_odd_boxes(plans):
+        median = np.median(density)
+        if _are_odd(median):
+            light = median < LIGHTEST_KG_M3
+            box = int(density.argmin() if light else density.argmax())
+            volume = float(plan.size_mm.prod(axis=1).mean()) / _MM3_PER_M3
+            reason = TONNES if light else _why_dense(float(median), volume)
+            reasons[plan.plan_id] = reason, f"{_box(plan, box)} has {three_digits(density[box])} kg/m³"
     return reasons
 
 
 def _why_dense(density: float, volume_m3: float) -> Convention:
-    """The convention in which the density of a plan and the mean volume of its boxes are closest to the usual
+    """The convention in which the density of boxes and the mean volume of its boxes are closest to the usual
     values."""
 
     def unusual(length: float, mass: float) -> float:

@@ -18,7 +18,7 @@ from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.cell_numbers import cell_number
 from petmjx.plans.column_extraction import HALF_EXTENTS, IGNORED, LAST_CELLS
 from petmjx.plans.known_forms import PACKINGSOLVER
-from petmjx.plans.masses_and_densities import assumed_density, density_lines, masses_kg
+from petmjx.plans.masses_and_densities import assumed_density, masses_kg
 from petmjx.plans.placed_boxes import (
     edge_faults,
     empty_rows,
@@ -32,12 +32,13 @@ from petmjx.plans.placed_boxes import (
     rows_below_deck,
 )
 from petmjx.plans.placement_table import RefusedPlan, Table, as_column
+from petmjx.plans.plan_fields import too_many_boxes
 from petmjx.plans.plan_rows import PalletSearch, packing_order, plan_names, repeated_number
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, overlap
 from petmjx.plans.raw_tables import BoxList, names_with_lost_rows, row_number, rows_by_name
 from petmjx.plans.reading_candidates import Candidate
 from petmjx.plans.reading_choice import choose_reading
-from petmjx.plans.readings import AmbiguousFile, Reading, Wishes
+from petmjx.plans.readings import SEVERAL, AmbiguousFile, Reading, Wishes
 
 _MOST_COMPARED: Final = 3000
 """Largest number of boxes of a plan that are compared in pairs."""
@@ -71,7 +72,7 @@ class PlanBuilder:
 
     def plans(self) -> ForeignPlans:
         names, lost, reading, candidate = self._choice()
-        plans = rows_by_name(names)
+        plans, refused = self._plans_of_size(names)
         self.faults = {row: f"{column} {text}" for row, (column, text) in self.columns.faults.items()}
         self._check_words(reading, candidate)
         if HALF_EXTENTS in reading.columns:
@@ -82,21 +83,19 @@ class PlanBuilder:
                 "box (the box ends one cell further)"
             )
         self._note_quantities()
-        size, low = placed_boxes(self.columns, reading, candidate, plans, self.wishes, self.notes)
+        faults = range_faults(self.columns, reading, candidate)
+        if not self.wishes.exact:  # the user who has written a reading has checked it
+            faults = edge_faults(self.columns, reading, candidate, plans) | faults
+        self.faults = faults | self.faults
+        size, low = placed_boxes(self.columns, reading, candidate, plans, self.wishes, self.faults, self.notes)
         self._note_plans_apart(plans, size, low)
         for row in rows_below_deck(low, plans, size):
             self.faults.setdefault(row, height_fault(reading, candidate, row))
         self.decks = pallet_rows(self.columns, plans, size, low)
-        faults = range_faults(self.columns, reading, candidate)
-        if not self.wishes.exact:  # the user who has written a reading has checked it
-            faults = edge_faults(self.columns, reading, candidate, plans) | faults
-        for row, fault in faults.items():
-            self.faults.setdefault(row, fault)
         mass = masses_kg(
             *(self.columns, reading.masses, size, self.wishes, self.faults, self.notes),
             length_unit=reading.length_units[0],
         )
-        refused: list[RefusedPlan] = []
         sequences: dict[str, NDArray[np.int64]] = {}
         orders: dict[str, str] = {}
         counters: set[str] = set()  # names of columns of running numbers that are used as packing order
@@ -123,7 +122,6 @@ class PlanBuilder:
             order=order_source,
             notes=tuple(dict.fromkeys((*reading.notes, *self.notes))),
             unused=self._unused(reading) if self.boxes.table.has_header else (),
-            odd=density_lines(self.columns, size, mass),
             density_kg_m3=assumed_density(self.columns, self.wishes),
         )
         good_rows = [plans[name] for name in sequences]
@@ -150,7 +148,9 @@ class PlanBuilder:
         elif unsaid:
             search.check_stacks()
         names = plan_names(self.columns, self.source, self.notes)
-        plans = rows_by_name(names)
+        plans, too_large = self._plans_of_size(names)
+        if not plans:
+            raise InputError(too_large[0].message.removeprefix(f"{self.source}: "))
         try:
             lost = names_with_lost_rows(self.boxes.table, names)
             single_reading = search.single_reading if len(plans) == 1 and not lost else None
@@ -172,9 +172,24 @@ class PlanBuilder:
             self.notes.append(f"{names_text} are read as one plan, since some of them would begin above the deck")
             self._join_parts()
             names = plan_names(self.columns, self.source, self.notes)
-            reading, candidate = choose_reading(self.columns, rows_by_name(names), self.wishes)
+            reading, candidate = choose_reading(self.columns, self._plans_of_size(names)[0], self.wishes)
             reading = replace(reading, columns={**reading.columns, "plan": IGNORED})
         return names, lost, reading, candidate
+
+    def _plans_of_size(self, names: Sequence[str]) -> tuple[dict[str, NDArray[np.int64]], list[RefusedPlan]]:
+        """Name → rows of each plan, but for plans with too many boxes, which are refused before any reading is judged,
+        since this takes time.
+
+        Args:
+            names: (n,) the name of each row's plan.
+        """
+        plans, refused = rows_by_name(names), []
+        most = self.wishes.max_boxes or len(names)
+        advice = f"; {SEVERAL}" if self.columns.plan is None and len(plans) == 1 else ""
+        for name in [name for name, rows in plans.items() if len(rows) > most]:
+            fault = too_many_boxes(len(plans.pop(name)), most)
+            refused.append(RefusedPlan(name, f"{self.source}: plan {printable_name(name)}: {fault}{advice}"))
+        return plans, refused
 
     def _join_parts(self) -> None:
         """Make one plan of all boxes of the file, which was divided into several plans before."""
@@ -183,7 +198,7 @@ class PlanBuilder:
 
     def _float(self, reading: Reading, candidate: Candidate, plans: Mapping[str, NDArray[np.int64]]) -> bool:
         """Whether there is a plan in which no box stands on the deck."""
-        _, low = placed_boxes(self.columns, reading, candidate, plans, self.wishes, [])
+        _, low = placed_boxes(self.columns, reading, candidate, plans, self.wishes, self.columns.faults, [])
         return any(np.nanmin(low[rows, 2], initial=np.inf) > DEFAULT_TOLERANCE_MM for rows in plans.values())
 
     def _check_words(self, reading: Reading, candidate: Candidate) -> None:

@@ -166,15 +166,15 @@ def distinct_names(names: Sequence[str]) -> list[str]:
 
 def is_total(row: Sequence[Any], geometric: Sequence[int]) -> bool:
     """Whether a row is a total or a mean. The first text of such a row must be a word for a total or a mean. If the
-    text only begins with a word for a total or a mean, the row must also lack a size or a place, since a box may be
-    called "Total fruit"."""
+    text only begins with a word for a total or a mean, the row must also lack all sizes and places, since a box may be
+    called "Total fruit", and one of its cells may be lost."""
     text = next((cell for cell in row if isinstance(cell, str) and not is_number(cell)), "")
     plain = plain_text(text).strip()
     if not _TOTAL.match(plain):
         return False
     if _ONLY_TOTAL.match(plain):
         return True
-    return not geometric or any(index >= len(row) or row[index] is None for index in geometric)
+    return all(index >= len(row) or row[index] is None for index in geometric)
 
 
 def computed_row(table: RawTable, rows: Sequence[int]) -> str:

@@ -35,7 +35,8 @@ class KnownForm:
         units: name of the unit of lengths (one of ``column_names.LENGTH_UNITS``).
         masses: name of the unit of masses (one of ``column_names.MASS_UNITS``).
         anchor: the point of a box that coordinates describe, such as "corner" or "centre".
-        up: the vertical axis, "y" or "z".
+        up: the vertical axis, "x", "y" or "z". If the form does not tell the anchor, heights may be counted
+            downwards.
         sizes: which sizes of a box the columns have: "placed": the sizes as the box is placed; "item": the sizes before
             the box is turned.
         rule: how a column of rotations turns a box (a key of ``readings.ROTATION_RULES``).

@@ -1,5 +1,5 @@
 """Masses of the boxes of another tool's file (``masses_kg``): from weights, from densities, or from the usual density
-of boxes. The module also finds implausible densities."""
+of boxes."""
 
 from __future__ import annotations
 
@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.errors import InputError
-from petmjx.common.text import count_text, printable_name, three_digits
+from petmjx.common.text import count_text, printable_name
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.column_names import DENSITY_UNITS, LENGTH_UNITS, MASS_UNITS, limits_in
-from petmjx.plans.convention_checks import HEAVIEST_BOX_KG_M3, LIGHTEST_BOX_KG_M3
 from petmjx.plans.plan_fields import LARGEST_KG, SMALLEST_KG, positive_fault
 from petmjx.plans.readings import Wishes
 
@@ -121,14 +120,3 @@ def _density_factor(columns: BoxColumns | ItemColumns, length_unit: str, notes: 
         )
     notes.append("weights from densities in kg/m³")
     return 1.0
-
-
-def density_lines(columns: BoxColumns, size: FloatArray, mass: FloatArray) -> tuple[str, ...]:
-    """Lines that report implausible densities: densities that no load of a pallet can have."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        density = mass / (size.prod(axis=1) / 1e9)
-    density = density[np.isfinite(density)]
-    if columns.weight is None or not len(density) or LIGHTEST_BOX_KG_M3 <= np.median(density) <= HEAVIEST_BOX_KG_M3:
-        return ()
-    line = f"boxes have {three_digits(float(np.median(density)))} kg/m³ in the median"
-    return (f"{line}: weights or lengths in another unit? (--units)",)

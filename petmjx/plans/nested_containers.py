@@ -216,17 +216,29 @@ def _levels_of_plans(
     members: Sequence[NestedBox], articles: Collection[int]
 ) -> list[list[tuple[str, Mapping[str, Any]]]]:
     """The levels of nesting at which members are in several objects that are no layers, stacks or articles. Each level
-    has the object around each member, and the object's path."""
+    has the object around each member, and the object's path. If several levels divide the members in the same way, as
+    in answers of GraphQL (``edges[0].node.placements``), only those levels count whose objects all have names, or the
+    first level if there are none."""
     depth = max((len(member.around) for member in members), default=0)
     levels = [
         [member.around[level] if level < len(member.around) else ("", {}) for member in members]
         for level in range(depth)
     ]
+    alike: dict[tuple[int, ...], list[list[tuple[str, Mapping[str, Any]]]]] = {}
+    for level in levels:
+        numbers: dict[int, int] = {}
+        division = tuple(numbers.setdefault(id(holder), len(numbers)) for _, holder in level)
+        if len(numbers) > 1 and not (_is_part(level[0][0]) or all(id(holder) in articles for _, holder in level)):
+            alike.setdefault(division, []).append(level)
     return [
         level
-        for level in levels
-        if len({id(holder) for _, holder in level}) > 1
-        and not (_is_part(level[0][0]) or all(id(holder) in articles for _, holder in level))
+        for same in alike.values()
+        for level in [
+            one
+            for one in same
+            if len(same) > 1 and all(_names_in([*{id(holder): holder for _, holder in one}.values()]))
+        ]
+        or same[:1]
     ]
 
 
@@ -271,16 +283,22 @@ def _names_of(holders: Sequence[tuple[str, Mapping[str, Any]]]) -> list[str]:
     """The names of objects around boxes. An object gets its name from the first field of ``_NAMES`` in which it has a
     text that no other object has in this field. An object without such a field is named by its number in its list, from
     1, or, outside a list, by the last part of its path."""
-    texts = {name: [_name_text(holder.get(name)) for _, holder in holders] for name in _NAMES}
-    counts = {name: Counter(values) for name, values in texts.items()}
     names = []
-    for number, (step, _) in enumerate(holders):
-        unique = (
-            values[number] for name, values in texts.items() if values[number] and counts[name][values[number]] == 1
-        )
+    for (step, _), name in zip(holders, _names_in([holder for _, holder in holders]), strict=True):
         member = re.search(r"\[(\d+)\]$", step)
-        names.append(next(unique, step if member is None else str(int(member[1]) + 1)))
+        names.append(name or (step if member is None else str(int(member[1]) + 1)))
     return names
+
+
+def _names_in(holders: Sequence[Mapping[str, Any]]) -> list[str]:
+    """For each object, its text in the first field of ``_NAMES`` in which no other object has the same text; "" if
+    there is no such field."""
+    texts = {name: [_name_text(holder.get(name)) for holder in holders] for name in _NAMES}
+    counts = {name: Counter(values) for name, values in texts.items()}
+    return [
+        next((own[number] for name, own in texts.items() if own[number] and counts[name][own[number]] == 1), "")
+        for number in range(len(holders))
+    ]
 
 
 def _name_text(value: Any) -> str:
@@ -291,14 +309,13 @@ def _name_text(value: Any) -> str:
 
 
 def container_around(member: NestedBox, articles: Collection[int]) -> dict[str, float]:
-    """The size of the container of a box, by axis; empty if no size is given. If the numbers of the box have units, the
-    sizes in the fields of the container are converted to millimetres, as are the numbers of the box. Otherwise, the
-    sizes of the container are as in the file.
+    """The size of the container of a box, by axis; empty if no size is given. The sizes are in the unit of the box's
+    coordinates, if the file names the units of both. The height may be missing.
 
     Args:
         articles: Python's ``id`` of each object that is an article (``articles_around``).
     """
-    in_mm = _has_units(member.value)
+    unit = "mm" if _has_units(member.value) else _unit_of(flattened(member.value))
     for step, holder in reversed(member.around):
         if id(holder) in articles:
             continue
@@ -310,7 +327,7 @@ def container_around(member: NestedBox, articles: Collection[int]) -> dict[str, 
             is_box = isinstance(inner, Mapping) and str(name).lower() == "box"
             if not (CONTAINERS.intersection(words) or str(name).lower() in CONTAINERS or is_box):
                 continue
-            if isinstance(inner, Mapping) and (sizes := _sizes_in(inner, in_mm=in_mm)):
+            if isinstance(inner, Mapping) and (sizes := _sizes_in(inner, unit, is_deck=True)):
                 return sizes
             if isinstance(inner, list | tuple) and len(inner) == 3 and all(map(cell_number, inner)):
                 return {str(axis): float(cell_number(cell).value) for axis, cell in enumerate(inner)}  # type: ignore[union-attr]  # as just checked
@@ -319,7 +336,8 @@ def container_around(member: NestedBox, articles: Collection[int]) -> dict[str, 
         alone = {
             name: inner for name, inner in holder.items() if not (isinstance(inner, list) and _holds_objects(inner))
         }
-        if (sizes := _sizes_in(alone, in_mm=in_mm)) and step != "":
+        is_deck = bool(CONTAINERS.intersection(words_of(step)))
+        if (sizes := _sizes_in(alone, unit, is_deck=is_deck)) and step != "":
             return sizes
         if sizes and set(holder) & {"items", "boxes", "placements", "stack", "fitted_items", "packages"}:
             return sizes
@@ -340,18 +358,30 @@ def _has_units(value: Mapping[str, Any]) -> bool:
 _LENGTHS: Final = _PLACES | {"size", "sizes", "high"}
 
 
-def _sizes_in(value: Mapping[str, Any], *, in_mm: bool = True) -> dict[str, float]:
+def _unit_of(flat: Mapping[str, Any]) -> str:
+    """The unit of lengths that the name of a length, or a field of units, gives in the fields of an object; "" if there
+    is none."""
+    units = [meaning.unit for meaning in known_meanings(flat).values() if meaning.kind in _LENGTHS]
+    units += [str(cell).lower() for name, cell in flat.items() if words_of(name)[-1:] in (["unit"], ["units"], ["uom"])]
+    return next((unit for unit in units if unit in LENGTH_UNITS), "")
+
+
+def _sizes_in(value: Mapping[str, Any], unit: str = "mm", *, is_deck: bool = False) -> dict[str, float]:
     """Axis → size, from the fields of an object; empty unless there are three sizes.
 
     Args:
-        in_mm: whether sizes with units are converted to millimetres; if not, their units are ignored.
+        unit: unit to which sizes are converted whose unit is given; "": sizes stay as they are in the file.
+        is_deck: whether a length and a width are enough.
     """
     flat = flattened(value)
     sizes: dict[str, float] = {}
+    unit_of_all = _unit_of(flat)
     for name, meaning in known_meanings(flat).items():
         number = cell_number(flat[name])
         if meaning.kind != "size" or number is None or number.value <= 0:
             continue
         if meaning.axis not in "012" or name.endswith("]"):  # "dimension1" does not tell an axis
-            sizes.setdefault(meaning.axis, number.value * (LENGTH_UNITS.get(number.unit, 1.0) if in_mm else 1.0))
-    return sizes if len(sizes) == 3 else {}
+            own_unit = number.unit if number.unit in LENGTH_UNITS else unit_of_all
+            factor = LENGTH_UNITS[own_unit] / LENGTH_UNITS[unit] if own_unit and unit else 1.0
+            sizes.setdefault(meaning.axis, number.value * factor)
+    return sizes if len(sizes) == 3 or (is_deck and sizes.keys() == {"length", "width"}) else {}

@@ -4,7 +4,7 @@ origin. The module also finds rows of pallets, and sizes and coordinates that ar
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -19,7 +19,7 @@ from petmjx.plans.column_names import LENGTH_UNITS, limits_in, names_deck
 from petmjx.plans.nested_containers import FLAT
 from petmjx.plans.plan_fields import FARTHEST_MM, LARGEST_MM, SMALLEST_MM, coordinate_fault, positive_fault
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, shared_length
-from petmjx.plans.reading_candidates import Candidate, axis_up, layout_of, level_axes
+from petmjx.plans.reading_candidates import Candidate, axes_along, axis_up, layout_of
 from petmjx.plans.reading_choice import container_of
 from petmjx.plans.readings import Reading, Wishes
 from petmjx.plans.size_and_place_columns import Geometry
@@ -43,22 +43,26 @@ def placed_boxes(
     candidate: Candidate,
     plans: Mapping[str, NDArray[np.int64]],
     wishes: Wishes,
+    faults: Collection[int],
     notes: list[str],
 ) -> tuple[FloatArray, FloatArray]:
     """(n, 3) sizes and (n, 3) corners along the plan's axes, mm. Adds to ``notes`` how the boxes of
-    plans were moved so that the origin is the deck's corner."""
+    plans were moved so that the origin is the deck's corner.
+
+    Args:
+        faults: numbers of the rows that have faults, and do not show where a plan begins.
+    """
     factor = LENGTH_UNITS[reading.length_units[1]]
     n = columns.n_boxes
     size, low = np.full((n, 3), np.nan), np.full((n, 3), np.nan)
     containers: dict[str, FloatArray] = {}
-    layout = layout_of(columns, candidate)
     for name, rows in plans.items():
-        container = container_of(columns.source.boxes.containers, name)
-        containers[name] = layout_of(columns, candidate, container).container * factor
+        layout = layout_of(columns, candidate, rows, container_of(columns.source.boxes.containers, name))
+        containers[name] = layout.container * factor
         if wishes.deck_mm is not None and np.isnan(containers[name][:2]).any():
             containers[name] = np.array([*wishes.deck_mm, np.nan])
-        size[rows], low[rows] = layout.size[rows] * factor, layout.low[rows] * factor
-    usable = np.array([row not in columns.faults for row in range(n)])
+        size[rows], low[rows] = layout.size * factor, layout.low * factor
+    usable = np.array([row not in faults for row in range(n)])
     good_rows = {name: rows[usable[rows]] for name, rows in plans.items() if usable[rows].any()}
     bottoms = _deck_heights(low, good_rows, size, containers)
     moved = {
@@ -289,28 +293,25 @@ def edge_faults(
     extend together.
     """
     faults: dict[int, str] = {}
-    layout = layout_of(columns, candidate)
-    for name, rows in plans.items() if reading.origin != "middle" else ():
-        low, size = layout.low[rows], layout.size[rows]
-        small = _LEVEL * float(np.nanmedian(size[:, 2]))
-        least = _ALONG_EDGE - bool(container_of(columns.source.boxes.containers, name))
-        for axis, named in enumerate(level_axes(candidate.up)):
-            (beyond,) = np.nonzero(low[:, axis] < -small)
-            at_edge = np.count_nonzero(np.abs(low[:, axis]) <= small)
-            is_beyond = len(beyond) == 1 and (low + size / 2)[beyond[0], axis] < 0
-            if is_beyond and at_edge >= least and not _touches_next(low, size, int(beyond[0]), axis, small):
-                row = int(rows[beyond[0]])
-                got = f"got {candidate.geometry.place[row, named]:g}"
-                faults[row] = f"{_place_names(reading.columns)[named]} is beyond the edge of the other boxes, {got}"
+    names = _place_names(reading.columns)
     far = _FAR_MM / LENGTH_UNITS[reading.length_units[1]]
-    for rows in plans.values():
-        good_rows = rows[np.isfinite(layout.low[rows] + layout.size[rows]).all(axis=1)]
-        for axis, named in enumerate(level_axes(candidate.up)):
-            low = layout.low[good_rows, axis]
-            for box in _far_boxes(low, low + layout.size[good_rows, axis], far):
-                row = int(good_rows[box])
-                got = f"got {candidate.geometry.place[row, named]:g}"
-                faults.setdefault(row, f"{_place_names(reading.columns)[named]} is far from the other boxes, {got}")
+    for name, plan_rows in plans.items():
+        layout = layout_of(columns, candidate, plan_rows)
+        is_good = np.isfinite(layout.low + layout.size).all(axis=1)
+        rows, low, size = plan_rows[is_good], layout.low[is_good], layout.size[is_good]
+        small = _LEVEL * float(np.median(size[:, 2])) if len(size) else 0.0
+        least = _ALONG_EDGE - bool(container_of(columns.source.boxes.containers, name))
+        for axis, named in enumerate(axes_along(candidate.up)):
+            odd_boxes = dict.fromkeys(_far_boxes(low[:, axis], low[:, axis] + size[:, axis], far), "far from")
+            beyond = np.flatnonzero(low[:, axis] < -small).tolist()
+            at_edge = np.count_nonzero(np.abs(low[:, axis]) <= small)
+            has_edge = axis < 2 and at_edge >= least and reading.origin != "middle"
+            is_beyond = has_edge and len(beyond) == 1 and (low + size / 2)[beyond[0], axis] < 0
+            if is_beyond and not _touches_next(low, size, beyond[0], axis, small):
+                odd_boxes[beyond[0]] = "beyond the edge of"
+            for box, where in odd_boxes.items():
+                got = f"got {candidate.geometry.place[rows[box], named]:g}"
+                faults.setdefault(int(rows[box]), f"{names[named]} is {where} the other boxes, {got}")
     return faults
 
 

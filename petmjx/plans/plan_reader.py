@@ -108,7 +108,7 @@ def load_plans(
         anchor: the point of a box that the plans' coordinates describe: ``corner`` (front-left-bottom), ``centre``,
             ``base-centre``, ``far-corner`` (with the largest x, y and z), ``top-centre``, ``corner-x`` (with the
             largest x only) and the like; None: the corner, or for files of other tools the most plausible point.
-        up: the vertical axis in files of other tools; "-z": heights are counted downwards along z; None: the most
+        up: the vertical axis in files of other tools; "-y" or "-z": heights are counted downwards; None: the most
             plausible axis. ``up`` and all arguments after it apply only to files of other tools.
         sizes: ``placed``: sizes of boxes as placed; ``item``: sizes before boxes are turned.
         columns: role (``length``, ``x``, ``weight`` …, see docs/plan-format.md) → name of its column; "-": no column
@@ -391,11 +391,11 @@ class _PlanLoader:
             path: the file; None: an object.
         """
         from petmjx.plans.foreign_plans import plans_of_sources
-        from petmjx.plans.readings import CHOOSER, AmbiguousFile, wishes_of, wishes_of_reading
+        from petmjx.plans.readings import CHOOSER, AmbiguousFile, wishes_of
 
         try:
             boxes = find_boxes()
-            wishes = wishes_of(self.options, self.carrier_extent_mm, self.reading)
+            wishes = wishes_of(self.options, self.carrier_extent_mm, self.reading, self.max_boxes)
             try:
                 plans = plans_of_sources(boxes, path, source, wishes, self.options.items)
             except AmbiguousFile as error:
@@ -403,7 +403,8 @@ class _PlanLoader:
                 chosen = None if chooser is None else chooser(source, error)
                 if chosen is None:
                     raise
-                plans = plans_of_sources(boxes, path, source, wishes_of_reading(chosen), self.options.items)
+                wishes = wishes_of(self.options, self.carrier_extent_mm, chosen, self.max_boxes)
+                plans = plans_of_sources(boxes, path, source, wishes, self.options.items)
             self.found.readings[source] = plans.reading
             for refused in plans.refused:
                 self._skip(source, refused.plan_id, refused.message)

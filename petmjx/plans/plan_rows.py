@@ -87,6 +87,8 @@ class PalletSearch:
             return columns, ()
         pallet_names = [[name for name in names if PALLET_WORDS & set(words_of(name))] for names in separating.values()]
         sure = [names[0] for names in pallet_names if names]
+        if len(sure) != 1 and self._is_too_large(rows):
+            return columns, ()
         if len(sure) != 1:
             names = [names[0] for names in separating.values()]
             cause = "numbers of the packing order occur twice" if repeats_numbers else "boxes overlap"
@@ -123,7 +125,9 @@ class PalletSearch:
 
     def _overlaps(self, plans: Mapping[str, NDArray[np.int64]], share: float) -> bool:
         """Whether, in the most plausible reading, more than the given share of the boxes overlaps other boxes, or any
-        box floats."""
+        box floats. Plans with too many boxes count as plans whose boxes overlap."""
+        if any(map(self._is_too_large, plans.values())):
+            return True
         try:
             choice = choose_reading(self.columns, plans, self.wishes)
             evidence = choice[0].evidence
@@ -133,6 +137,9 @@ class PalletSearch:
         except InputError:
             return False
         return evidence.n_overlapping > share * evidence.n_boxes or (not share and evidence.n_floating > 0)
+
+    def _is_too_large(self, rows: NDArray[np.int64]) -> bool:
+        return self.wishes.max_boxes is not None and len(rows) > self.wishes.max_boxes
 
 
 def plan_names(columns: BoxColumns, source: str, notes: list[str]) -> list[str]:

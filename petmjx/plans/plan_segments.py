@@ -134,6 +134,5 @@ def joined(contents: Sequence[SegmentContent], extent_mm: tuple[float, float] | 
     # segment has a warning about an odd plan, or a line about a convention, the whole file has no such line either.
     if any(chain.from_iterable((plan_set.warnings, plan_set.conventions) for plan_set, _ in contents)):
         whole.conventions.extend(find_conventions(whole.plans, whole.warnings, extent_mm))
-    # In a segment, most boxes may have odd densities, so that it has no line about them, but not in the whole file.
-    whole.conventions.extend(odd_boxes(whole.plans))
+        whole.conventions.extend(odd_boxes(whole.plans))
     return whole

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -63,10 +64,10 @@ class Layout:
     size: FloatArray
     container: FloatArray
 
-
-def _tolerance_of(layout: Layout) -> float:
-    """The largest gap or overlap that counts as touching: a share of the smallest side of a typical box."""
-    return _TOLERANCE * float(np.median(layout.size.min(axis=1)))
+    @cached_property
+    def tolerance(self) -> float:
+        """The largest gap or overlap that counts as touching: a share of the smallest side of a typical box."""
+        return _TOLERANCE * float(np.median(self.size.min(axis=1)))
 
 
 def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]]:
@@ -76,7 +77,7 @@ def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]
     Heights are measured from the lowest box. If the lowest box is not at 0, the cost is higher.
     """
     low, size = layout.low, layout.size
-    tolerance = _tolerance_of(layout)
+    tolerance = layout.tolerance
     bottom = _floor_of(low, low + size, tolerance)
     heights = low[:, 2] - bottom
     offset = 0.0
@@ -219,7 +220,7 @@ def _outside(
     return corner, 0.0, "given"
 
 
-_POINTS: Final = ((0.0, 0.0), (0.5, 0.5), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (0.5, 1.0))
+_POINTS: Final = np.array([(0.0, 0.0), (0.5, 0.5), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (0.5, 1.0)])
 """Points of a box that coordinates may describe, as shares of its extents along two axes. The last point is the centre
 of the top, if y is the vertical axis."""
 
@@ -237,21 +238,21 @@ def vote_for_other_points(layout: Layout, mm: float, point: FloatArray) -> int:
         point: the point of a box that the coordinates were assumed to describe, as shares of the box's extents along x,
             y and z. 0 is the near end of the box, 1 the far end.
     """
-    tolerance = _tolerance_of(layout)
+    tolerance = layout.tolerance
     decks = [(long / mm, short / mm) for long, short in _DECKS_MM[:_PALLETS]]
     decks += [(0.0, 0.0), *((short, long) for long, short in decks)]
     if not np.isnan(layout.container[:2]).any():
         decks = [(0.0, 0.0), (float(layout.container[0]), float(layout.container[1]))]
+    half_decks = np.array(decks) / 2
     fit_given_point = []
     for level in ((0, 1), (0, 2)):
         low, size = layout.low[:, level], layout.size[:, level]
-        others = [low + size * (point[list(level)] - other) for other in _POINTS]
-        extents = [(begin.min(axis=0), (begin + size).max(axis=0)) for begin in (low, *others)]
-        as_given, *as_others = (
-            bool(np.abs(begin + end).max() <= tolerance)
-            or any(float(np.abs(begin + np.array(deck) / 2).max()) <= tolerance for deck in decks)
-            for begin, end in extents
-        )
+        shifts = point[list(level)] - np.vstack([point[list(level)], _POINTS])
+        corners = low + size * shifts[:, None]  # (7, n, 2): as the given point, and as each other point
+        begin, end = corners.min(axis=1), (corners + size).max(axis=1)
+        is_symmetric = np.abs(begin + end).max(axis=1) <= tolerance
+        begins_a_deck = (np.abs(begin[:, None] + half_decks).max(axis=2) <= tolerance).any(axis=1)
+        as_given, *as_others = (is_symmetric | begins_a_deck).tolist()
         if any(as_others) and not as_given:
             return 1
         fit_given_point.append(as_given)
@@ -281,7 +282,7 @@ def _cost_in_order(layouts: Sequence[Layout], direction: int) -> float:
     """The cost of placing boxes in the listed order (``direction`` 1) or in the reversed order (-1)."""
     falls, rises, n_early = np.zeros(3), np.zeros(3), 0
     for layout in layouts:
-        tolerance = _tolerance_of(layout)
+        tolerance = layout.tolerance
         low, size = layout.low[::direction], layout.size[::direction]
         steps = np.diff(low, axis=0)
         falls += (steps < -tolerance).sum(axis=0)
@@ -321,11 +322,14 @@ def n_before_support(low: FloatArray, size: FloatArray, tolerance: float) -> int
 
 def is_wall(layout: Layout) -> bool:
     """Whether boxes stand in one vertical plane, side by side and on several levels. A load is rarely one box deep and
-    much wider, so such boxes are probably a flat layer along another vertical axis."""
-    is_flat = np.ptp(layout.low, axis=0) <= _tolerance_of(layout)
+    much wider, so such boxes are probably a flat layer along another vertical axis. A tower that leans is no wall."""
+    tolerance = layout.tolerance
+    is_flat = np.ptp(layout.low, axis=0) <= tolerance
+    are_beside = bool((np.diff(np.sort(layout.low[:, 2])) <= tolerance).any())
     extent = (layout.low + layout.size).max(axis=0) - layout.low.min(axis=0)
     is_narrow = 3 * float(extent[:2].min()) <= float(extent[:2].max())
-    return len(layout.low) >= _LEAST_OF_WALL and not is_flat[2] and is_narrow and bool(is_flat[:2].sum() == 1)
+    is_in_plane = not is_flat[2] and is_narrow and bool(is_flat[:2].sum() == 1)
+    return len(layout.low) >= _LEAST_OF_WALL and are_beside and is_in_plane
 
 
 _LEAST_OF_WALL: Final = 4  # fewer boxes may be a bridge, which people build to try a simulator
@@ -337,7 +341,7 @@ def share_at_other_heights(layouts: Sequence[Layout]) -> float:
     low = [layout.low[:, 2] for layout in layouts if np.isnan(layout.container[2])]
     if not low:
         return 0.0
-    tolerance = max(map(_tolerance_of, layouts))
+    tolerance = max(layout.tolerance for layout in layouts)
     bottoms = np.array([heights.min() for heights in low])
     is_alike = np.abs(np.subtract.outer(bottoms, bottoms)) <= tolerance
     at_deck = [heights for heights in low if abs(heights.min()) <= tolerance]

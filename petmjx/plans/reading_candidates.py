@@ -64,9 +64,9 @@ def axis_up(up: str) -> int:
     return _UP[up][2]
 
 
-def level_axes(up: str) -> tuple[int, int]:
-    """The numbers of the file's axes along the plan's x and y."""
-    return _UP[up][0], _UP[up][1]
+def axes_along(up: str) -> tuple[int, int, int]:
+    """The numbers of the file's axes along the plan's x, y and z."""
+    return _UP[up]
 
 
 X_UP_COST: Final = 2.0
@@ -159,9 +159,15 @@ def tipping_cost(columns: BoxColumns, candidate: Candidate, rows: NDArray[np.int
     return _TIPPED_NEXT_COST if candidate.rule == "py3dbp" and codes <= {0, 1} else _TIPPED_COST
 
 
-def layout_of(columns: BoxColumns, candidate: Candidate, container: Mapping[str, float] | None = None) -> Layout:
-    """The corners and sizes of the boxes as the candidate reads them, along the plan's axes, in the file's unit of
-    coordinates."""
+def layout_of(
+    columns: BoxColumns, candidate: Candidate, rows: NDArray[np.int64], container: Mapping[str, float] | None = None
+) -> Layout:
+    """The corners and sizes of a plan's boxes as the candidate reads them, along the plan's axes, in the file's unit of
+    coordinates.
+
+    Args:
+        rows: numbers of the plan's rows.
+    """
     size = turned_sizes(columns, candidate) * candidate.scale
     place = candidate.geometry.place
     order = _UP[candidate.up]
@@ -169,18 +175,20 @@ def layout_of(columns: BoxColumns, candidate: Candidate, container: Mapping[str,
         # move each place from the point of the box before it is turned to the same point of the box as placed
         point = np.empty(3)
         point[list(order)] = candidate.point
+        if candidate.up.startswith("-"):
+            point[order[2]] = 1 - point[order[2]]  # along the file's axis
         unturned = candidate.geometry.size[:, candidate.pair] * candidate.scale
         place = place + np.einsum("nij,nj->ni", turn, (0.5 - point) * unturned) - (0.5 - point) * size
-    size, place = size[:, order], place[:, order]
+    size, place = size[rows][:, order], place[rows][:, order]
     if candidate.up.startswith("-"):
         place[:, 2] *= -1
     low = place - candidate.point * size
-    if candidate.up.startswith("-") and np.nanmax(low[:, 2] + size[:, 2]) <= 0:
-        low[:, 2] -= np.nanmin(low[:, 2])  # heights are measured from the top
+    if candidate.up.startswith("-") and np.nanmax(low[:, 2] + size[:, 2], initial=-math.inf) <= 0:
+        low[:, 2] -= np.nanmin(low[:, 2], initial=0.0)  # heights are measured from the top of the load
     extents = _container_along(candidate, container or {}, order)
     if candidate.up == "y" and container and container.keys() == {"0", "1", "2"}:
         listed = np.array([container[axis] for axis in "012"])  # perhaps length, width, height, not x, y, z
-        far = np.nanmax(low + size, axis=0)
+        far = np.nanmax(low + size, axis=0, initial=-math.inf)
         is_listed = (far <= listed).all() and ((far > extents).any() or listed[2] > extents[2])
         extents = listed if is_listed else extents
     return Layout(low, size, extents)
@@ -260,12 +268,13 @@ def candidates_on_side(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidat
 
 
 def candidates_downwards(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
-    """Yield all readings in which heights are counted downwards along z or y, unless names, the form or the caller give
-    the vertical."""
+    """Yield all readings in which heights are counted downwards along z or y, unless names or the caller give the
+    vertical, or the form gives the vertical and the point of a box."""
     form = columns.source.form
     free = [geometry for geometry in columns.geometries if not geometry.named_up]
-    for geometry in () if wishes.up or form.up else free:
-        for up, axis, up_cost in (("-z", 2, 0.0), ("-y", 1, 1.0)):
+    ups = [way for way in (("-z", 2, 0.0), ("-y", 1, 1.0)) if form.up in ("", way[0][1])]
+    for geometry in () if wishes.up or (form.up and form.anchor) else free:
+        for up, axis, up_cost in ups:
             tops = geometry.place[:, axis]
             if geometry.anchor == "corner" and geometry.axes == XYZ:
                 tops = tops + geometry.size[:, axis]

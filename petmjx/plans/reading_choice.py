@@ -183,8 +183,7 @@ def _judge(columns: BoxColumns, wishes: Wishes, candidate: Candidate, sample: _S
     is_positive = _are_positive(candidate.geometry)
     sample = [(rows[is_positive[rows]], container) for rows, container in sample if is_positive[rows].any()]
     for rows, container in sample:
-        whole_layout = layout_of(columns, candidate, container)
-        layouts.append(Layout(whole_layout.low[rows], whole_layout.size[rows], whole_layout.container))
+        layouts.append(layout_of(columns, candidate, rows, container))
         cost, origin, counts = layout_cost(layouts[-1])
         costs.append(cost * len(rows))
         origins.append(origin)
@@ -302,7 +301,10 @@ def choose_reading(
     lead = max(tie, WEAK_LEAD * is_weak)
     turned = [other for other in judged[1:] if _may_be_turned(best, other)]
     close = [
-        other for other in judged[1:] if other.cost < best.cost + lead and not same_layouts(best.layouts, other.layouts)
+        other
+        for other in judged[1:]
+        if (other.cost < best.cost + lead or _lies_better(best, other))
+        and not same_layouts(best.layouts, other.layouts)
     ]
     if rivals := close or [other for other in turned if other.candidate.prior < best.candidate.prior]:
         possible = [best, *rivals, *(other for other in turned if other not in rivals)]
@@ -321,8 +323,8 @@ def choose_reading(
     (reading,) = readings
     if (rival := _other_mass(best)) is not None:
         reading = replace(reading, notes=(f"weights may be in {rival}, too (--units)",))
-    if others := turned or _reversed_piles(judged):
-        note = f"{up_words(others[0].candidate.up).replace(' ', ' may be ')}, too (--up)"
+    for other in (*turned[:1], *_reversed_piles(judged)[:1]):
+        note = f"{up_words(other.candidate.up).replace(' ', ' may be ')}, too (--up)"
         reading = replace(reading, notes=(*reading.notes, note))
     if wishes.anchor and not wishes.exact:
         reading = replace(reading, notes=(*reading.notes, *_changes_by_anchor(reading, columns, wishes, sample)))
@@ -360,6 +362,13 @@ def _reversed_piles(judged: Sequence[_Judged]) -> list[_Judged]:
         and are_listed_downwards(best.layouts)
         and not same_layouts(best.layouts, other.layouts)
     ]
+
+
+def _lies_better(best: _Judged, other: _Judged) -> bool:
+    """Whether another reading is less plausible only because it is rare: no box overlaps or floats in it, unlike in the
+    most plausible reading, and places and units speak clearly for it."""
+    of_numbers, of_other_numbers = (one.cost - one.candidate.prior for one in (best, other))
+    return best.evidence.n_odd > 0 == other.evidence.n_odd and of_other_numbers + WEAK_LEAD < of_numbers
 
 
 def _along_further_axes(judged: Sequence[_Judged], two: Sequence[_Judged]) -> list[_Judged]:
@@ -400,9 +409,10 @@ def _may_be_turned(best: _Judged, other: _Judged) -> bool:
     axis."""
     is_known = not np.isnan(best.layouts[0].container[:2]).any()
     firm, other_firm = (one.layout_cost + one.begin_cost + is_known * one.units[0].cost for one in (best, other))
+    rarer = WEAK_LEAD if other.candidate.up.startswith("-") else TIE  # if no height is above 0, it may be a depth
     return (
         other.candidate.up != best.candidate.up
-        and other.candidate.prior < best.candidate.prior + TIE
+        and other.candidate.prior <= best.candidate.prior + rarer
         and other.units[0].length == best.units[0].length
         and other.evidence.n_odd <= best.evidence.n_odd
         and other_firm < firm + TIE
@@ -413,8 +423,9 @@ def _may_be_turned(best: _Judged, other: _Judged) -> bool:
 def _is_doubtful(best: _Judged) -> bool:
     """Whether another axis may be the vertical, or coordinates may describe another corner. This may be so if, in the
     most plausible reading, boxes overlap, float, are outside or are listed from one side to the other. It may also be
-    so if the sizes do not lie along the axes that name them."""
+    so if the sizes do not lie along the axes that name them, or a width lies along x."""
     is_exchanged = best.candidate.geometry.axes == XYZ and best.candidate.pair != (0, 1, 2)
+    is_exchanged |= best.candidate.along[:2] == ("width", "length")
     return best.evidence.n_odd > 0 or is_exchanged or best.begin_cost + best.order_cost > 0
 
 
@@ -466,7 +477,8 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
                 other = _judge(columns, wishes, scaled, sample)
                 if _unit_of_sizes(other, other.units[0].length) is not None and _within_reach(other):
                     judged.append(other)
-    return sorted(judged, key=lambda one: one.cost)
+    # of equally plausible readings, which may be the same but for a shift, the more usual one comes first
+    return sorted(judged, key=lambda one: (round(one.cost, 9), one.candidate.prior))
 
 
 def _within_reach(judged: _Judged) -> bool:

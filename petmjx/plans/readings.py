@@ -103,7 +103,7 @@ class Reading:
         units: unit of lengths. If sizes and coordinates have different units, ``units`` is, for example, "cm/mm".
         masses: unit of masses.
         anchor: the point of a box that coordinates describe.
-        up: the file's vertical axis, "x", "y" or "z"; "-y" or "-z": heights are counted downwards.
+        up: the file's vertical axis, "x", "y" or "z"; "-y" or "-z": heights are counted downwards along y or z.
         along: names of the sizes that lie along the plan's x, y and z, before boxes are turned.
         sizes: "placed": sizes of boxes as placed; "item": sizes before boxes are turned.
         rule: how boxes are turned (``ROTATION_RULES``).
@@ -114,7 +114,6 @@ class Reading:
         density_kg_m3: density of boxes that have no weight; None: all boxes have weights.
         notes: lines about values that were added or left out.
         unused: names of the columns that are not used.
-        odd: lines about values that are improbable in every reading.
         cost: cost of the reading; an implausible reading has a high cost.
         layout_cost: the part of the cost that does not come from names and units.
         evidence: the numbers on which the cost is based.
@@ -135,7 +134,6 @@ class Reading:
     density_kg_m3: float | None = None
     notes: tuple[str, ...] = ()
     unused: tuple[str, ...] = ()
-    odd: tuple[str, ...] = ()
     cost: float = 0.0
     layout_cost: float = 0.0
     evidence: Evidence = Evidence()
@@ -183,7 +181,7 @@ class Reading:
                     self.origin
                 ]
             )
-        return f"read as {'; '.join([*filter(None, parts), *self.notes, *self.odd])}"
+        return f"read as {'; '.join([*filter(None, parts), *self.notes])}"
 
 
 def up_words(up: str) -> str:
@@ -217,6 +215,7 @@ class Wishes:
         rule: how boxes are turned.
         density_kg_m3: density of boxes that have no weight.
         deck_mm: extents of the carrier along x and y.
+        max_boxes: largest number of boxes of a plan; None: any number.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -231,6 +230,7 @@ class Wishes:
     rule: str = ""
     density_kg_m3: float | None = None
     deck_mm: tuple[float, float] | None = None
+    max_boxes: int | None = None
 
     @property
     def length_units(self) -> tuple[str, str]:
@@ -268,7 +268,7 @@ def _column_words(reading: Reading) -> str:
 _DIFFERENCES: Final = (
     (("units",), "--units", _length_words),
     (("masses",), "--units", lambda reading: f"weights in {UNIT_WORDS.get(reading.masses, reading.masses)}"),
-    (("up",), "--up (x, y or z)", lambda reading: up_words(reading.up)),
+    (("up",), "--up (x, y, z, -y or -z)", lambda reading: up_words(reading.up)),
     (("anchor",), "--anchor", lambda reading: f"coordinates of {_ANCHOR_WORDS[reading.anchor]}"),
     (("size_words",), "--sizes", lambda reading: reading.size_words),
     (("pose_words",), "", lambda reading: reading.pose_words),
@@ -294,11 +294,7 @@ def differences(one: Reading, two: Reading) -> list[tuple[str, str, str]]:
             if any(getattr(one, name) != getattr(two, name) for name in names)
         ]
 
-    parts = parts_of(_DIFFERENCES) or parts_of(_OF_COLUMNS)
-    if "-" in one.up + two.up:
-        replaced = "x, y or z", "x, y, z; -z: z downwards"
-        parts = [(option.replace(*replaced), first, second) for option, first, second in parts]
-    return parts
+    return parts_of(_DIFFERENCES) or parts_of(_OF_COLUMNS)
 
 
 def tie_text(readings: Sequence[Reading], weak: bool) -> str:
@@ -316,22 +312,22 @@ def tie_text(readings: Sequence[Reading], weak: bool) -> str:
     ways += "".join(f"; {up_words(up)} is possible, too" for up in further)
     is_piled = weak and 2 * one.evidence.n_overlapping > one.evidence.n_boxes
     advice = f"{options}, or with --as FILE.toml" if options else "--as FILE.toml"
-    return f"{reason} {ways}; {_SEVERAL if is_piled else ''}say which with {advice}"
+    return f"{reason} {ways}; {f'{SEVERAL}; ' if is_piled else ''}say which with {advice}"
 
 
 def implausible_text(reading: Reading) -> str:
     """The line about a file in whose most plausible reading most boxes overlap, or that contradicts names."""
     options = f"if that is right, say --up {reading.up} --anchor {reading.anchor}"
     if 2 * reading.evidence.n_overlapping > reading.evidence.n_boxes:
-        options = f"{_SEVERAL}if boxes really overlap, say --anchor {reading.anchor}"
+        options = f"{SEVERAL}; if boxes really overlap, say --anchor {reading.anchor}"
     return (
         f"no reading is plausible; the best has coordinates of {_ANCHOR_WORDS[reading.anchor]}, {up_words(reading.up)} "
         f"({reading.evidence}); {options}"
     )
 
 
-_SEVERAL: Final = "if the file has several pallets, name their column with --columns plan=NAME; "
-"""Advice about a file whose boxes overlap in every reading."""
+SEVERAL: Final = "if the file has several pallets, name their column with --columns plan=NAME"
+"""Advice about a file whose boxes overlap in every reading, or are too many for one plan."""
 
 
 CHOOSER: ContextVar[Callable[[str, AmbiguousFile], Reading | None] | None] = ContextVar("CHOOSER", default=None)
@@ -425,7 +421,10 @@ def _choosable(columns: Mapping[str, str]) -> dict[str, str]:
 
 
 def wishes_of(
-    options: RunOptions, deck_mm: tuple[float, float] | None = None, reading: Reading | None = None
+    options: RunOptions,
+    deck_mm: tuple[float, float] | None = None,
+    reading: Reading | None = None,
+    max_boxes: int | None = None,
 ) -> Wishes:
     """How to read files of other tools, according to the options. An option for one choice, such as ``units``, takes
     precedence over a reading.
@@ -434,6 +433,7 @@ def wishes_of(
         deck_mm: extents of the carrier along x and y; None: unknown.
         reading: how to read the numbers of a file (units, columns, axes …). If ``reading`` is None, the reading comes
             from the TOML file that the option ``--as`` names, if this option is set.
+        max_boxes: largest number of boxes of a plan; None: any number.
 
     Raises:
         InputError: the written reading cannot be read.
@@ -450,6 +450,7 @@ def wishes_of(
         "sizes": options.sizes,
         "density_kg_m3": options.density,
         "deck_mm": deck_mm,
+        "max_boxes": max_boxes,
     }
     if options.columns:
         changes["columns"] = {**wishes.columns, **options.columns}

@@ -194,12 +194,18 @@ def places_in(extraction: ColumnExtraction) -> Places | None:
         anchor = meaning.anchor or ("corner" if meaning.kind == "low" else "")
         by_anchor.setdefault(anchor, {}).setdefault(meaning.axis, []).append(index)
     by_anchor = {anchor: _on_axes(columns) for anchor, columns in by_anchor.items()}
-    heights = [
+    bottoms = [
         index for index in by_anchor.get("", {}).get("z", ()) if BASE_WORDS.intersection(words_of(header[index]))
     ]
-    for anchor in ("centre", "base-centre"):  # "center_x", "center_y" and "bottom_z"
-        if heights and by_anchor.get(anchor, {}).keys() == {"x", "y"}:
-            by_anchor["base-centre"] = {**by_anchor.pop(anchor), "z": heights}
+    tops = _on_axes(extraction.columns_of("high")).get("z", [])
+    for level, anchor, heights in (  # "center_x", "center_y" and "bottom_z"
+        ("centre", "base-centre", bottoms),
+        ("base-centre", "base-centre", bottoms),
+        ("centre", "top-centre", tops),
+        ("corner", "corner-z", tops),
+    ):
+        if heights and by_anchor.get(level, {}).keys() == {"x", "y"}:
+            by_anchor[anchor] = {**by_anchor.pop(level), "z": heights}
     by_name: dict[str, Places] = {}
     for anchor, by_axis in sorted(by_anchor.items(), key=lambda entry: entry[0] == ""):
         by_axis |= {axis: [fixed[axis]] for axis in XYZ if axis in fixed}

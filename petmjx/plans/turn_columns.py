@@ -100,6 +100,13 @@ def are_yes_or_no(cells: Sequence[Any]) -> bool:
     return bool(words) and words <= _YES | _NO and texts <= _YES | _NO and bool(texts & _YES) and bool(texts & _NO)
 
 
+def may_be_turns(cells: Sequence[Any]) -> bool:
+    """Whether cells are yes or no, or all but one, which may be damaged, are 0, 90, 180 or 270 degrees."""
+    numbers = [None if number is None else number.value for number in map(cell_number, cells)]
+    n_turned, n_unturned = sum(number in (90, 180, 270, -90) for number in numbers), numbers.count(0)
+    return are_yes_or_no(cells) or (min(n_turned, n_unturned) > 0 and n_turned + n_unturned >= max(2, len(cells) - 1))
+
+
 def letters_of(cell: Any) -> tuple[int, int, int] | None:
     """For three letters such as "YXZ" or "WLH": the index of the size along x, y and z. The result is None if the
     letters name no orientation."""

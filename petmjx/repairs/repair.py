@@ -238,7 +238,7 @@ class Repairs:
         fell = [repaired for repaired in self.each if not repaired.trial_before.stands]
         mended = [repaired for repaired in fell if repaired.stands]
         if not fell:
-            return f"{count_text(len(self.each), 'plan')}: all stand as they are"
+            return count_text(len(self.each), "plan stands as it is", "plans stand as they are")
         left = sum(bool(repaired.left_out) for repaired in mended)
         changes = sorted(len(repaired.changes) for repaired in mended)
         verb = "does" if len(fell) == 1 else "do"

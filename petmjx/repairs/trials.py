@@ -50,6 +50,7 @@ from petmjx.runs.study import FinishedWorld, Nominal
 from petmjx.runs.sweep_design import Design
 from petmjx.runs.sweep_file import Sweep, sweep_of_tables
 from petmjx.runs.sweep_study import SweepStudy
+from petmjx.world.edge_distances import EdgeRisk
 from petmjx.world.job import Job
 from petmjx.world.profiles.profile import Strength
 from petmjx.world.profiles.profile_registry import resolve
@@ -275,7 +276,14 @@ class Question:
                 scenes = self._with_errors(draft.plan, scene, worlds) if has_errors else repeat(scene)
                 for number, its_scene in zip(numbers, scenes, strict=False):
                     limit = limit_of(its_scene.n_boxes, JUDGED_ITERATIONS)
-                    jobs[number] = Job(its_scene, has_errors=True, iteration_limit=limit)
+                    # no draft is to be simulated before others, so engines need not examine their loads
+                    jobs[number] = Job(
+                        its_scene,
+                        has_errors=has_errors,
+                        until_lost=True,
+                        iteration_limit=limit,
+                        edge_risk=EdgeRisk.INSIDE,
+                    )
         return jobs
 
     def _with_errors(self, plan: Plan, scene: Scene, worlds: Sequence[int]) -> Iterator[Scene]:
@@ -353,10 +361,12 @@ class Question:
 
 
 class _Scores(Nominal):
-    """A plain score in which some worlds end early if they take many iterations (``SCORED_ITERATIONS``).
+    """A plain score for verdicts alone: a world ends when a box is lost (``Job.until_lost``), since the collapse of a
+    large pallet takes many times as long as its placement. Worlds of changed plans also end if they take too many
+    iterations (``SCORED_ITERATIONS``).
 
     Args:
-        changed: ids of the plans whose worlds end early.
+        changed: ids of the changed plans.
     """
 
     def __init__(self, changed: Collection[str], sim: Simulation, plans: Sequence[Plan], options: RunOptions) -> None:
@@ -365,10 +375,8 @@ class _Scores(Nominal):
 
     def job(self, plan: Plan, scene: Scene, recording: Recording) -> Job:
         """See ``Nominal``."""
-        job = super().job(plan, scene, recording)
-        if plan.plan_id not in self._changed:
-            return job
-        return replace(job, iteration_limit=limit_of(scene.n_boxes, SCORED_ITERATIONS))
+        limit = limit_of(scene.n_boxes, SCORED_ITERATIONS) if plan.plan_id in self._changed else None
+        return replace(super().job(plan, scene, recording), until_lost=True, iteration_limit=limit)
 
 
 def limit_of(n_boxes: int, of_size: int) -> int:

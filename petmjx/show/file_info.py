@@ -90,11 +90,10 @@ def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
     is_read = plans or any(REPEATED in line for line in skipped_lines)
     form = "petmjx's own form" if is_read else "cannot be read"
     odd = [layout for layout in plan_set.warnings if layout.source == source]
-    lines = []
+    lines = find_conventions(plans, odd if reading is None else (), None)
     if reading is None:
         of_boxes = odd_boxes(plan_set.plans)
-        of_file = [line for line in plan_set.conventions if source in line and line not in of_boxes]
-        lines = [*of_file, *find_conventions(plans, odd, None)]
+        lines = [*(line for line in plan_set.conventions if source in line and line not in of_boxes), *lines]
     record: dict[str, Any] = {
         "file": source,
         "form": form if reading is None else reading.form,
@@ -108,7 +107,6 @@ def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
             *lines,
             *(line.removeprefix(f"{source}: ") for line in odd_boxes(plans)),
             *map(str, odd),
-            *(() if reading is None else reading.odd),
         ],
         "reading": None,
     }

@@ -28,7 +28,9 @@ def repair_tables(repairs: Repairs) -> Iterator[RenderableType]:
     for repaired in standing[:MOST_STANDING]:
         yield line(repaired.headline)
     if len(standing) > MOST_STANDING:
-        yield line(f"{count_text(len(standing) - MOST_STANDING, 'more plan')} stand as they are")
+        yield line(
+            f"{count_text(len(standing) - MOST_STANDING, 'more plan stands as it is', 'more plans stand as they are')}"
+        )
     if standing and len(standing) < len(repairs.each):
         yield ""
     yield line(repairs.summary, style="bold")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -38,13 +38,17 @@ SHOWN_SKIPPED: Final = 10
 _STYLES: Final = {Verdict.STABLE.value: "green", Verdict.UNSTABLE.value: "red", Verdict.INVALID.value: "yellow"}
 
 
-def run_tables(results: RunResults) -> Iterator[RenderableType]:
+def run_tables(results: RunResults, printed: Collection[str] = ()) -> Iterator[RenderableType]:
     """All tables and lines of a run: the answers of a sweep or of a score with confidence, or else the worlds if there
-    are few; then lines about skipped plans, and a table of counts."""
+    are few; then lines about skipped plans, and a table of counts.
+
+    Args:
+        printed: warnings that are left out, because the user has already seen them.
+    """
     config = results.info["config"]
     sweep = config["command"] == "sweep"
     if results.summary is not None and "coin_toss" in results.summary:
-        yield from _confidence_tables(results, results.summary)
+        yield from _confidence_tables(results, results.summary, printed)
         return
     if is_chain(results.info) and len(results.plans) <= FEW_ROWS and (nominal := _nominal(results)) is not None:
         yield nominal
@@ -59,7 +63,7 @@ def run_tables(results: RunResults) -> Iterator[RenderableType]:
         orders = results.plans if results.info.get("orders") else None
         yield worlds_table(results.worlds.sort_values("plan_id"), results.boxes_if_kept, orders)
         yield ""
-    yield from notes(results.info)
+    yield from notes(results.info, printed)
     searched = sweep and config["sweep"]["search"] is not None
     if searched and results.summary is not None:
         yield search_table(results.info, results.summary)
@@ -75,7 +79,9 @@ def _nominal(results: RunResults) -> FittedTable | None:
     return worlds_table(worlds.sort_values("plan_id"), boxes, orders) if len(worlds) else None
 
 
-def _confidence_tables(results: RunResults, summary: pd.DataFrame) -> Iterator[RenderableType]:
+def _confidence_tables(
+    results: RunResults, summary: pd.DataFrame, printed: Collection[str]
+) -> Iterator[RenderableType]:
     """The tables and lines of a score with confidence. One table has the worlds without errors. Another table has, for
     each plan, the share of worlds with errors in which the plan stands. Lines name the plans that need attention, such
     as coin tosses."""
@@ -91,7 +97,7 @@ def _confidence_tables(results: RunResults, summary: pd.DataFrame) -> Iterator[R
             yield ""
         yield confidence_table(summary)
         yield ""
-    yield from notes(results.info)
+    yield from notes(results.info, printed)
     against = "most worlds contradict the nominal verdict"
     for label, chosen in (("coin toss", summary["coin_toss"]), (against, contradiction_mask(summary))):
         if chosen.any():
@@ -127,9 +133,13 @@ def _plan_id_list(plan_ids: list[str]) -> str:
     return first_names(plan_ids, SHOWN_PLANS) + (", in summary" if len(plan_ids) > SHOWN_PLANS else "")
 
 
-def notes(info: Mapping[str, Any]) -> Iterator[RenderableType]:
+def notes(info: Mapping[str, Any], printed: Collection[str] = ()) -> Iterator[RenderableType]:
     """Lines about the first ``SHOWN_SKIPPED`` skipped plans, about the number of plans with warnings, about other
-    warnings, and about orders."""
+    warnings, and about orders.
+
+    Args:
+        printed: warnings that are left out, because the user has already seen them.
+    """
     skipped = info["skipped"]
     warnings, odd = split_warnings(info)
     for entry in skipped[:SHOWN_SKIPPED]:
@@ -140,7 +150,8 @@ def notes(info: Mapping[str, Any]) -> Iterator[RenderableType]:
         plans = count_text(len(odd), "plan")
         yield line(f"{plans} with overlapping, floating or outside boxes, listed in run.json", style="yellow")
     for warning in warnings:
-        yield line(f"note: {warning}", style="yellow")
+        if warning not in printed:
+            yield line(f"note: {warning}", style="yellow")
     if info.get("orders"):
         yield from order_lines(info)
 

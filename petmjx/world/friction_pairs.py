@@ -163,7 +163,10 @@ def check_surfaces(plans: Iterable[Plan], sim: Simulation) -> list[str]:
     if not with_materials:
         return notes
     if not sim.physics.has_own_friction:
-        return [*notes, "materials have no effect: with pyramidal cones only the friction of boxes and carrier counts"]
+        return [
+            *notes,
+            "materials have no effect: with pyramidal cones, physics options set the friction of all contacts",
+        ]
     for plan in with_materials:
         find_surfaces(plan, sim)
     return notes

@@ -104,12 +104,13 @@ class KeptState:
 class Job:
     """One world to simulate.
 
-    With early stop, a world in which places of boxes have errors (``has_errors``) ends when a box has dropped, and also
-    when a box is *lost*: tilted by more than the threshold. The verdict depends on the largest tilt, so the verdict is
-    known once a box is lost. Simulating further after a box is lost would be the most expensive part of the simulation.
-    A large shift does not end a world, since it may be temporary. For example, a board that tips when one box is placed
-    on it may become level again when the next box is placed. A world with a drive ends when the culprit (the box that
-    failed first) is lost, since only then is it known how the culprit failed.
+    With early stop, a world ends when a box has dropped. A world in which places of boxes have errors (``has_errors``),
+    or which must only give a verdict (``until_lost``), also ends when a box is *lost*: tilted by more than the
+    threshold. The verdict depends on the largest tilt, so the verdict is known once a box is lost. Simulating further
+    after a box is lost would be the most expensive part of the simulation. A large shift does not end a world, since it
+    may be temporary. For example, a board that tips when one box is placed on it may become level again when the next
+    box is placed. A world with a drive ends when the culprit (the box that failed first) is lost, since only then is it
+    known how the culprit failed.
 
     Attributes:
         scene: the boxes and the carrier.
@@ -132,6 +133,8 @@ class Job:
         record: what to record as the world's history; recording changes no other result.
         has_errors: whether the boxes' places differ from the planned places, so that a box may stand on a neighbour
             that is a little higher (``petmjx.engines.contact_tilt``).
+        until_lost: whether the world ends when a box is lost. The verdict is the same as otherwise, but the reason is
+            ``tilt`` in some worlds in which a box would have dropped later.
         confirms: whether an earlier attempt found that the pallet falls, and this simulation only has to confirm the
             fall (``petmjx.engines.metrics.CONFIRM_S``).
         stiff: time constant of this world's contacts, as a share of the time constant in the run's options; the world
@@ -153,10 +156,16 @@ class Job:
     keep_state: bool = False
     record: Record | None = None
     has_errors: bool = False
+    until_lost: bool = False
     confirms: bool = False
     stiff: float | None = None
     iteration_limit: int | None = None
     edge_risk: int | None = None
+
+    @property
+    def ends_when_lost(self) -> bool:
+        """Whether the world ends when a box is lost."""
+        return self.has_errors or self.until_lost
 
     def most_iterations(self, limit_of_run: int | None) -> int | None:
         """The smaller of this job's limit and the run's limit (``Simulation.iteration_limit``); None: no limit."""

@@ -17,6 +17,15 @@ def ranks_may_differ() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="module")
+def few_spare_worlds() -> Iterator[None]:
+    """States of ``petmjx.jax`` keep few settled worlds in addition to those of their pallets. Opening the usual 64
+    takes half a second for each state."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("petmjx.jax.host_pallets.SPARE_WORLDS", 4)
+        yield
+
+
 @pytest.fixture(scope="session")
 def crowd() -> dict[str, Outcome]:
     """Outcomes of the tiny worlds on mjx-warp, all simulated in one time slice (one launch of the kernel).

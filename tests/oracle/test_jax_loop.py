@@ -15,7 +15,7 @@ import petmjx.jax
 from petmjx.common.errors import InputError
 from petmjx.jax.placement_arrays import REASONS, PlacementArrays
 
-pytestmark = pytest.mark.usefixtures("ranks_may_differ")
+pytestmark = pytest.mark.usefixtures("few_spare_worlds", "ranks_may_differ")
 
 SIZE = np.array([[400, 300, 200], [300, 200, 250]], np.float32)
 STEPS = np.array([[[0, 0, 0], [100, 100, 0]], [[0, 0, 200], [110, 100, 250]], [[260, 0, 400], [100, 110, 500]]], float)

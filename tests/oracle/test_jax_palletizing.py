@@ -22,6 +22,8 @@ from petmjx.packers.learned_candidates import FourSidedStream, lowest_first
 from petmjx.packers.pile_balance import Balance
 from petmjx.plans.order_generator import draw_order
 
+pytestmark = pytest.mark.usefixtures("few_spare_worlds")
+
 TABLE = pd.DataFrame(
     {
         "order_id": [0, 0, 0, 0, 1, 1],
@@ -45,7 +47,7 @@ TERMS = dict.fromkeys(("placed", "utilisation", "fall", "margin", "load", "heigh
 
 
 @pytest.fixture(scope="module")
-def env() -> petmjx.jax.Palletizing:
+def env(few_spare_worlds: None) -> petmjx.jax.Palletizing:
     return petmjx.jax.Palletizing(**OPTIONS, rewards=TERMS, most_boxes=4, engine="mujoco", most_illegal=2)
 
 

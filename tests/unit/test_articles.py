@@ -141,7 +141,9 @@ def test_what_does_not_count_is_told() -> None:
     warnings = petmjx.score("plans.json", articles="none.csv", **options).info["warnings"]
     assert "none.csv: has nothing about the boxes of these plans" in warnings
     warnings = petmjx.score("plans.json", articles="film.csv", physics="reference", **options).info["warnings"]
-    assert "materials have no effect: with pyramidal cones only the friction of boxes and carrier counts" in warnings
+    assert (
+        "materials have no effect: with pyramidal cones, physics options set the friction of all contacts" in warnings
+    )
     assert build_scene(plan(), Simulation(physics=PHYSICS["reference"])).pair_friction is None
 
 

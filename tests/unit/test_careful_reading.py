@@ -242,15 +242,18 @@ def test_converted_lengths_are_inches(tmp_path: Path) -> None:
     assert (reading.units, reading.masses) == ("in", "kg")
 
 
-@pytest.mark.parametrize(("weight", "density"), [(7000, "291,667"), (0.02, "0.833")])
-def test_absurd_densities_are_odd(tmp_path: Path, weight: float, density: str) -> None:
+@pytest.mark.parametrize(
+    ("weight", "unit", "density"), [(7000, "grams", "291,667"), (0.02, "tonnes", "0.833"), (150, "grams", "6,250")]
+)
+def test_absurd_densities_are_odd_in_files_of_any_form(tmp_path: Path, weight: float, unit: str, density: str) -> None:
     text = grid(3, 4, 3, (400, 200, 300), weight).replace("weight", "weight [kg]").replace("length", "length [mm]")
-    (reading,) = load(tmp_path, "load.csv", text).readings.values()
-    assert reading.masses == "kg"
-    assert reading.odd == (f"boxes have {density} kg/m³ in the median: weights or lengths in another unit? (--units)",)
-    assert reading.odd[0] in reading.line()
-    infos, _ = file_infos([tmp_path / "load.csv"], {})
-    assert reading.odd[0] in infos[0]["odd"]
+    plans = load(tmp_path, "load.csv", text)
+    petmjx.save_plans(plans, tmp_path / "own.csv")
+    for file in ("load.csv", "own.csv"):
+        line = f"masses look as if they were in {unit}: in plan load box 0"
+        (odd,) = (odd for odd in petmjx.load_plans(tmp_path / file).conventions if line in odd)
+        assert f" has {density} kg/m³ (1 of 1 plan); if that is so, give units {unit[0]}" in odd
+        assert odd in file_infos([tmp_path / file], {})[0][0]["odd"]
 
 
 def test_info_names_unused_columns_and_why_the_next_best_lost(tmp_path: Path) -> None:

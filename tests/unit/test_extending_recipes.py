@@ -135,8 +135,10 @@ def test_a_profile(copy: Copy) -> None:
 
 
 RISES = f"""{STACK}
-import warp
+from petmjx.common.processes import claim_process
+claim_process()  # as in the command, MJX is imported without its kernels of Warp: a second and a half less
 from support.fake_stepper import FakeEngine
+import warp
 from petmjx.engines.warp.engine import MjxWarpEngine
 warp.config.optimization_level = 0  # the kernel runs only for moments, and takes half as long to compile
 options = dict(check="static", duration_s=0.2, sample_interval_s=0.02)

@@ -917,7 +917,7 @@ def test_x_may_be_the_vertical(tmp_path: Path) -> None:
     content = json.dumps({"items": boxes})
     (skipped,) = load(tmp_path, "pile.json", content).skipped
     assert "x upwards" in skipped.message
-    assert "say which with --up (x, y or z)" in skipped.message
+    assert "say which with --up (x, y, z, -y or -z)" in skipped.message
     (plan,) = load(tmp_path, "pile.json", content, up="x").plans
     check_pile(plan)
 
@@ -927,7 +927,7 @@ def test_rows_along_x_may_be_layers(tmp_path: Path) -> None:
     cells = [(x, y, z) for x in range(3) for y in range(2) for z in range(2)]
     rows = [{"x": 200 * x, "y": 250 * y, "z": 300 * z, "dx": 200, "dy": 250, "dz": 300} for x, y, z in cells]
     (skipped,) = load(tmp_path, "pile.json", json.dumps(rows)).skipped
-    assert "say which with --up (x, y or z)" in skipped.message
+    assert "say which with --up (x, y, z, -y or -z)" in skipped.message
     by_z = sorted(rows, key=lambda row: row["z"])
     (plan,) = load(tmp_path, "pile.json", json.dumps(by_z)).plans
     assert plan.size_mm[0].tolist() == [200, 250, 300]

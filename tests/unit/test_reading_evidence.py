@@ -125,20 +125,23 @@ def test_xml_in_utf_16_and_cut_off_xml(tmp_path: Path, encoding: str) -> None:
     assert "not XML at line 8" in skipped.message
 
 
-def test_poses_turn_boxes_about_the_point_of_their_coordinates(tmp_path: Path) -> None:
-    """The second box is turned by 180° about its corner, and the third one by 90°."""
-    turns = {1: [[-1, 0], [0, -1]], 2: [[0, -1], [1, 0]]}
+@pytest.mark.parametrize("up", ["z", "-z"])
+def test_poses_turn_boxes_about_the_point_of_their_coordinates(tmp_path: Path, up: str) -> None:
+    """A box is turned about its corner by 180°, one by 90°, and one is upside down."""
+    turns = {1: np.diag([-1, -1, 1]), 2: np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]), 4: np.diag([1, -1, -1])}
     boxes = []
     for number, box in enumerate(PILE):
-        turn = np.array(turns.get(number, [[1, 0], [0, 1]]))
-        size = np.abs(turn.T) @ box[3:5]
+        turn = turns.get(number, np.eye(3))
+        size = np.abs(turn.T) @ box[3:6]
+        low = np.array([*box[:2], box[2] if up == "z" else -box[2] - box[5]])
         pose = np.eye(4)
-        pose[:2, :2], pose[2, 3] = turn, box[2]
-        pose[:2, 3] = np.array(box[:2]) - np.minimum(turn @ size, 0)
-        boxes.append({"size": [*size.tolist(), box[5]], "pose": pose.tolist(), "mass": box[6]})
-    plan_set = load(tmp_path, "poses.json", json.dumps(boxes), units="mm")
+        pose[:3, :3], pose[:3, 3] = turn, low - np.minimum(turn @ size, 0)
+        boxes.append({"size": size.tolist(), "pose": pose.tolist(), "mass": box[6]})
+    plan_set = load(tmp_path, "poses.json", json.dumps(boxes), units="mm", up=up)
     check(plan_set)
     assert "turn boxes about these points" in plan_set.readings[str(tmp_path / "poses.json")].line()
+    (reading,) = load(tmp_path, "poses.json", json.dumps(boxes), units="mm").readings.values()
+    assert reading.up == up
 
 
 def test_gravity_of_a_scene_shows_the_vertical(tmp_path: Path) -> None:
@@ -149,14 +152,46 @@ def test_gravity_of_a_scene_shows_the_vertical(tmp_path: Path) -> None:
     assert plan.corner_mm[:, 2].tolist() == [0] * 4
 
 
-@pytest.mark.parametrize("from_top", [0, 600])
-def test_heights_may_be_counted_downwards(tmp_path: Path, from_top: float) -> None:
-    """From the deck, below which heights are negative; or from a level above the load."""
-    rows = [(*box[:2], from_top - box[2] - box[5], *box[3:]) for box in PILE]
-    content = table("x,y,z,length,width,height,kg", rows)
-    check(load(tmp_path, "down.csv", content, units="mm", up="-z", anchor="corner"))
-    if not from_top:
-        assert load(tmp_path, "down.csv", content, units="mm").readings.popitem()[1].up == "-z"
+@pytest.mark.parametrize("from_top", [0, 600, None])
+def test_heights_may_be_counted_downwards(tmp_path: Path, from_top: float | None) -> None:
+    """From the deck, below which heights are negative; from a level above the loads; or from the top of each load. A
+    bad height moves no other load."""
+    loads = {"A": PILE, "B": PILE[:3], "C": PILE}
+    rows = [
+        (name, *box[:2], (max(b[2] + b[5] for b in pile) if from_top is None else from_top) - box[2] - box[5], *box[3:])
+        for name, pile in loads.items()
+        for box in pile
+    ]
+    names = "plan,x,y,z,length,width,height,kg"
+    if from_top == 0:
+        assert load(tmp_path, "down.csv", table(names, rows), units="mm").readings.popitem()[1].up == "-z"
+    rows[-1] = (*rows[-1][:3], 9999, *rows[-1][4:])
+    plan_set = load(tmp_path, "down.csv", table(names, rows), units="mm", up="-z", anchor="corner")
+    for plan, name in zip(plan_set.plans, "AB", strict=True):
+        np.testing.assert_allclose(plan.corner_mm, np.array(loads[name])[:, :3])
+    assert plan_set.skipped[0].message.endswith("row 16: z is far from the other boxes, got 9999")
+
+
+def test_a_rare_reading_in_which_boxes_lie_better_is_asked_about(tmp_path: Path) -> None:
+    """Heights are counted downwards along y. With z upwards, one box floats."""
+    rows = (
+        (0, 340, 0, 390, 340, 310), (0, 340, 310, 390, 340, 310), (390, 460, 0, 410, 220, 180),
+        (390, 450, 180, 540, 230, 200), (390, 340, 380, 390, 340, 310), (780, 460, 380, 400, 220, 220),
+        (0, 560, 620, 340, 120, 170), (0, 0, 0, 390, 340, 310), (800, 560, 0, 340, 120, 170),
+        (780, 240, 380, 400, 220, 220), (0, 120, 310, 400, 220, 220), (780, 20, 380, 400, 220, 220),
+    )  # fmt: skip
+    content = table("x,y,z,dx,dy,dz,kg", [(*row, 6) for row in rows])
+    (refused,) = load(tmp_path, "down.csv", content, units="mm").skipped
+    assert "z upwards (1 box floats of 12), or y downwards (no box overlaps" in refused.message
+
+
+def test_a_row_below_0_may_be_a_tower(tmp_path: Path) -> None:
+    rows = [
+        ("A", 0, -210, 0, 360, 210, 280, 7), ("A", 0, -320, 0, 360, 110, 170, 2), ("A", 0, -570, 0, 290, 250, 170, 5),
+        ("B", 0, -330, 0, 390, 330, 260, 9), ("B", 0, -620, 0, 230, 290, 210, 6), ("B", 0, -910, 0, 230, 290, 210, 6),
+    ]  # fmt: skip
+    plan_set = load(tmp_path, "row.csv", table("plan,x,y,z,dx,dy,dz,kg", rows), units="mm", anchor="corner")
+    assert "y may be downwards, too (--up)" in plan_set.readings.popitem()[1].line()
 
 
 def test_boxes_listed_from_the_top_may_be_counted_downwards(tmp_path: Path) -> None:
@@ -198,6 +233,40 @@ def test_sizes_of_items_are_those_before_turning(tmp_path: Path) -> None:
     content = table("x,y,z,length,width,height,kg,yaw", rows)
     by_yaw = load(tmp_path, "yaw.csv", content, units="mm", up="z", anchor="centre")
     assert [plan.size_mm[:, 0].tolist() for plan in (*joined, *by_yaw)] == [sizes] * 2
+
+
+@pytest.mark.parametrize(
+    ("names", "x", "z"),
+    [("x_center,y_center,z_bottom", 0.5, 0), ("cx,cy,z_top", 0.5, 1), ("x_min,y_min,z_top", 0, 1)],
+)
+def test_names_of_single_coordinates_show_the_point(tmp_path: Path, names: str, x: float, z: float) -> None:
+    rows = [(box[0] + x * box[3], box[1] + x * box[4], box[2] + z * box[5], *box[3:]) for box in PILE]
+    check(load(tmp_path, "plan.csv", table(f"{names},length,width,height,kg", rows), units="mm"))
+
+
+def test_widths_that_would_lie_along_x_are_doubtful(tmp_path: Path) -> None:
+    """Either x is that of right corners, or lengths lie along y."""
+    sizes = [(460, 390, 250), (430, 290, 200), (370, 230, 270), (420, 190, 240), (420, 190, 240), (270, 230, 240)]
+    bottoms = np.cumsum([0, *(height for _, _, height in sizes[:-1])]).tolist()
+    rows = [(length, 0, z, length, *others, 6) for z, (length, *others) in zip(bottoms, sizes, strict=True)]
+    (refused,) = load(tmp_path, "tower.csv", table(NAMES, rows), units="mm").skipped
+    assert "coordinates of corners with the largest x" in refused.message
+
+
+def test_a_leaning_tower_is_no_wall(tmp_path: Path) -> None:
+    rows = [(250 + 70 * k, 200, 400 * (k + 1), 90, 200, 300, 400, 9) for k in range(6)]
+    content = table("gripper_x,gripper_y,gripper_z,rz_deg,length_mm,width_mm,height_mm,kg", rows)
+    assert load(tmp_path, "tower.csv", content).plans[0].size_mm[0].tolist() == [300, 200, 400]
+
+
+@pytest.mark.parametrize("name", ["Rotatie", "Foo"])
+def test_a_column_of_quarter_turns_has_rotations(tmp_path: Path, name: str) -> None:
+    """The last box is turned."""
+    rows = [(*box, 180 * (box[2] > 0)) for box in PILE[:-1]] + [(*PILE[-1][:3], 400, 300, 200, PILE[-1][6], 90)]
+    content = table(f"{NAMES},{name}", rows)
+    check(load(tmp_path, "a.csv", content, units="mm", up="z", anchor="corner", sizes="item"))
+    (skipped,) = load(tmp_path, "a.csv", content.replace(",90", ",9O"), units="mm", up="z", anchor="corner").skipped
+    assert f"row 7: {name} must be" in skipped.message
 
 
 def test_an_angle_about_an_axis_turns_items(tmp_path: Path) -> None:
@@ -245,6 +314,9 @@ DAMAGED = {
     "row 2: seq is too large": table(f"{NAMES},seq", [(400 * k, 0, 0, *ROW, k or "9e99") for k in range(3)]),
     "row 8: is no box: b; truncated?": table(f"{NAMES},name", [(*box, "a") for box in PILE]) + "b",
     "row 8: y is far from the other boxes, got 9000": table(NAMES, [*PILE, (600, 9000, 300, *ROW)]),
+    "row 8 (Total fruit): height is missing": table(
+        f"box,{NAMES}", [*((k, *box) for k, box in enumerate(PILE)), ("Total fruit", 600, 300, 300, 400, 300, "", 6)]
+    ),
     "row 8: z is below the deck": table(NAMES, [*PILE, (0, 800, -198, 1200, 400, 270, 6)]),
 }
 
@@ -274,6 +346,29 @@ def test_a_repeated_id_of_plans_is_noted(tmp_path: Path) -> None:
     assert "rows of A stand apart, and boxes overlap: two plans with one name?" in reading.notes
 
 
+@pytest.mark.parametrize("unit", ["cm", "mm"])
+def test_answers_of_graphql(tmp_path: Path, unit: str) -> None:
+    """Plans have the ids of their objects. A deck without a height shows where loads begin whose origin is its
+    middle."""
+    factor = 0.1 if unit == "cm" else 1
+    size = [300 * factor, 200 * factor, 200 * factor]
+    places = [(x * factor, y * factor, z * factor) for z in (0, 200) for x in (-300, 0) for y in (-200, 0)]
+    boxes = [{"node": {f"position_{unit}": place, f"size_{unit}": size, "kg": 6}} for place in places]
+    deck = {"lengthCm": 120, "widthCm": 80}
+    loads = [{"node": {"id": name, "carrier": deck, "placements": {"edges": boxes}}} for name in ("P7", "P8")]
+    plans = load(tmp_path, "a.json", json.dumps({"data": {"loads": {"edges": loads}}}), up="z").plans
+    assert [plan.plan_id for plan in plans] == ["P7", "P8"]
+    assert plans[0].corner_mm.min(axis=0).tolist() == [300, 200, 0]
+
+
+@pytest.mark.parametrize("moment", ["2025-03-14T08:02:2{}.120Z", "14.03.2025 08:0{}", "08:02:2{}"])
+def test_times_are_no_ids(tmp_path: Path, moment: str) -> None:
+    rows = [(moment.format(number), *box) for number, box in enumerate(PILE)]
+    plan_set = load(tmp_path, "a.csv", table(f"scan,{NAMES}", rows), units="mm", up="z")
+    check(plan_set)
+    assert not any(plan_set.plans[0].item_ids)
+
+
 def test_numbers_of_sap_are_a_packing_order(tmp_path: Path) -> None:
     header = "LfdNr,X,Y,Z,Länge mm,Breite mm,Höhe mm,Bruttogew"
     rows = [(f"{10 * k:05}", *box) for k, box in enumerate(PILE, start=1)]
@@ -289,5 +384,18 @@ def test_what_a_box_bears_is_no_weight(tmp_path: Path, name: str) -> None:
     assert plan_set.plans[0].mass_kg.max() < 60
 
 
-def test_a_letter_without_a_lower_case_is_read(tmp_path: Path) -> None:
-    assert known_meanings(["\u1c80\u0435\u0441"]) is not None
+def test_words_in_other_scripts() -> None:
+    assert known_meanings(["\u1c80\u0435\u0441"]) is not None  # a letter without a lower case
+    assert known_meanings(["段ボール", "段"])["段ボール"].kind == "item_id"  # cardboard, not a layer
+
+
+def test_a_plan_with_too_many_boxes_is_refused_before_readings_are_judged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    columns = f"LU,{NAMES}"
+    content = table(columns, [(name, *box) for name in "AB" for box in PILE])
+    assert len(load(tmp_path, "a.csv", content, units="mm", up="z", max_boxes=6).plans) == 2
+    monkeypatch.setattr("petmjx.plans.plan_rows.choose_reading", None)
+    monkeypatch.setattr("petmjx.plans.foreign_plan_builder.choose_reading", None)
+    (skipped,) = load(tmp_path, "a.csv", table(NAMES), max_boxes=5).skipped
+    assert "plan a: has 6 boxes, more than the largest capacity of 5; if the file has several" in skipped.message

@@ -210,6 +210,9 @@ def test_notes_are_counted() -> None:
     lines = lines_of(list(notes({"skipped": [], "warnings": ["all slide", "odd"], "counts": {"odd_plans": 1}})))
     assert lines[0].startswith("1 plan with overlapping")
     assert lines[1] == "note: all slide"
+    assert not lines_of(
+        list(notes({"skipped": [], "warnings": ["all slide"], "counts": {"odd_plans": 0}}, printed={"all slide"}))
+    )
 
 
 # Comparisons and sweeps.

@@ -50,8 +50,9 @@ class Worlds(NamedTuple):
 
     Ends: ``settles``: the placement ends in a settled state, because a drive starts from this state, or because the
     state is kept. ``ends_when_lost``: a box that is tilted too far at a check is lost at once, like a box that has
-    dropped (``petmjx.world.job.Job.has_errors``). ``confirm_steps``: a fall is confirmed this number of steps after the
-    first sign of failure (``petmjx.engines.metrics.CONFIRM_S``); ``NEVER`` if the world does more than confirm a fall.
+    dropped (``petmjx.world.job.Job.ends_when_lost``). ``confirm_steps``: a fall is confirmed this number of steps after
+    the first sign of failure (``petmjx.engines.metrics.CONFIRM_S``); ``NEVER`` if the world does more than confirm a
+    fall.
     ``pauses``: when its boxes are at rest, the world waits for further boxes (petmjx/engines/open_world_protocol.py).
     ``ends_when_gone``: the world is a trial, which ends when a box is gone (``petmjx.engines.metrics.GONE_TILT``).
     ``most_steps`` is the number of steps after which the world leaves a GPU (petmjx/engines/warp/long_worlds.py).
@@ -218,7 +219,7 @@ def _rows_of_jobs(jobs: Sequence[Job], profiles: dict[int, int], sim: Simulation
         "driven": np.array([job.drive is not None for job in jobs]),
         "held": np.array([drive.excitation.kind == ACCELERATION for drive in drives]),
         "settles": np.array([job.settles for job in jobs]),
-        "ends_when_lost": np.array([job.has_errors for job in jobs]),
+        "ends_when_lost": np.array([job.ends_when_lost for job in jobs]),
         "confirm_steps": np.array([confirm_steps if job.confirms else NEVER for job in jobs], np.int32),
         "allowed_sway": np.array([drive.allowed_sway_m for drive in drives], np.float32),
         "most_steps": np.full(len(jobs), NEVER, np.int32),

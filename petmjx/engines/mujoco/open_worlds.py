@@ -83,7 +83,7 @@ class OpenWorld(WorldRun):
         its state. With ``until_lost``, the simulation already ends when a box is tilted too far at a sample, or is gone
         (fallen for certain) at a check whether the pallet is quiet."""
         twin = self.fork(grows=self.paused)
-        twin._job, twin._until_gone = replace(twin._job, has_errors=until_lost), until_lost
+        twin._job, twin._until_gone = replace(twin._job, until_lost=until_lost), until_lost
         twin.put(scene)
         twin.go_on()
         snapshot = twin.read()

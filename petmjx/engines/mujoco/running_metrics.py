@@ -103,9 +103,9 @@ class OracleMetrics:
 
     def tells_all(self, job: Job, pos: FloatArray, quat: FloatArray, culprit: int) -> bool:
         """Whether the pallet falls for certain, so that the simulation of its world can end. The pallet falls for
-        certain if a box has dropped. In worlds with errors, the pallet also falls for certain if one of the k placed
-        boxes is tilted too far in these poses. In a drive (motion of the carrier), the pallet also falls for certain if
-        the culprit is tilted too far and has moved too far.
+        certain if a box has dropped. If ``Job.ends_when_lost``, the pallet also falls for certain if one of the k
+        placed boxes is tilted too far in these poses. In a drive (motion of the carrier), the pallet also falls for
+        certain if the culprit is tilted too far and has moved too far.
 
         Args:
             culprit: number of the box that crossed a threshold first, at an earlier check. The number is -1 if no box
@@ -114,7 +114,7 @@ class OracleMetrics:
         if self.any_dropped:
             return True
         lost = tilt_deg(quat) > self._thresholds.tilt_deg
-        if job.has_errors and lost.any():
+        if job.ends_when_lost and lost.any():
             return True
         if self._sway_origin is None or job.drive is None or culprit < 0:
             return False

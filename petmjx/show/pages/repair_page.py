@@ -38,7 +38,11 @@ def repair_page(repairs: Repairs) -> str:
     """
     fell = [repaired for repaired in repairs.each if not repaired.trial_before.stands]
     standing = len(repairs.each) - len(fell)
-    also = f"<p>{count_text(standing, 'plan')} stand as they are.</p>" if standing and fell else ""
+    also = (
+        f"<p>{count_text(standing, 'plan stands as it is', 'plans stand as they are')}.</p>"
+        if standing and fell
+        else ""
+    )
     body = (
         f"<header><h1>Repairs</h1><p>{escaped_html(repairs.summary)}.</p>{also}"
         '<p class="small faint">In both plans, boxes have the numbers of the original plan, from 0. '
