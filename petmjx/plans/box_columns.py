@@ -217,7 +217,7 @@ def _geometry_of(sizes: Sizes, places: Places) -> Geometry:
 
 def distinct_names_in(extraction: ColumnExtraction) -> tuple[list[str] | None, str]:
     """(n,) names of boxes, and the name of their column: the first column whose name is unknown and whose cells are all
-    different texts, which are no dates and times. None and "" if there is no such column."""
+    different texts, but no dates or times. The result is None and "" if there is no such column."""
     for index, meaning in enumerate(extraction.meanings):
         cells = extraction.cells(index)
         texts = {cell for cell in cells if isinstance(cell, str) and cell_number(cell) is None}
@@ -255,8 +255,8 @@ def counting_columns(extraction: ColumnExtraction, used: Collection[str]) -> dic
 
 
 def rotations_in(extraction: ColumnExtraction) -> Turns | None:
-    """The column of rotations. If no column is known to have rotations, and exactly one column of unknown meaning has
-    cells of only yes and no, or of quarter turns in degrees, that column may have the rotations."""
+    """The column of rotations. If no column is known to have rotations, a column of unknown meaning may have them: the
+    only column whose cells are all yes or no, or quarter turns in degrees."""
     index = extraction.first("rotation", "rotation")
     if index is not None:
         return _rotations_of(extraction, index)

@@ -476,8 +476,7 @@ def _odd_densities(plans: Sequence[Plan]) -> dict[str, tuple[Convention, str]]:
 
 
 def _why_dense(density: float, volume_m3: float) -> Convention:
-    """The convention in which the density of boxes and the mean volume of its boxes are closest to the usual
-    values."""
+    """The convention in which the density and the mean volume of a plan's boxes are closest to the usual values."""
 
     def unusual(length: float, mass: float) -> float:
         of_volume = length**3

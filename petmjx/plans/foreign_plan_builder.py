@@ -84,7 +84,7 @@ class PlanBuilder:
             )
         self._note_quantities()
         faults = range_faults(self.columns, reading, candidate)
-        if not self.wishes.exact:  # the user who has written a reading has checked it
+        if not self.wishes.exact:  # a reading that the user has written needs no such check
             faults = edge_faults(self.columns, reading, candidate, plans) | faults
         self.faults = faults | self.faults
         size, low = placed_boxes(self.columns, reading, candidate, plans, self.wishes, self.faults, self.notes)
@@ -177,8 +177,8 @@ class PlanBuilder:
         return names, lost, reading, candidate
 
     def _plans_of_size(self, names: Sequence[str]) -> tuple[dict[str, NDArray[np.int64]], list[RefusedPlan]]:
-        """Name → rows of each plan, but for plans with too many boxes, which are refused before any reading is judged,
-        since this takes time.
+        """Name → rows of each plan, and the refused plans. Plans with too many boxes are refused before any reading is
+        judged, because judging them would take long.
 
         Args:
             names: (n,) the name of each row's plan.

@@ -216,9 +216,9 @@ def _levels_of_plans(
     members: Sequence[NestedBox], articles: Collection[int]
 ) -> list[list[tuple[str, Mapping[str, Any]]]]:
     """The levels of nesting at which members are in several objects that are no layers, stacks or articles. Each level
-    has the object around each member, and the object's path. If several levels divide the members in the same way, as
-    in answers of GraphQL (``edges[0].node.placements``), only those levels count whose objects all have names, or the
-    first level if there are none."""
+    has the object around each member, and the object's path. Several levels may divide the members in the same way, as
+    in answers of GraphQL (``edges[0].node.placements``). Of such levels, only those count whose objects all have names.
+    If there is no level with names, the first one counts."""
     depth = max((len(member.around) for member in members), default=0)
     levels = [
         [member.around[level] if level < len(member.around) else ("", {}) for member in members]
@@ -280,9 +280,9 @@ def _only_name(around: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
 
 
 def _names_of(holders: Sequence[tuple[str, Mapping[str, Any]]]) -> list[str]:
-    """The names of objects around boxes. An object gets its name from the first field of ``_NAMES`` in which it has a
-    text that no other object has in this field. An object without such a field is named by its number in its list, from
-    1, or, outside a list, by the last part of its path."""
+    """The names of objects around boxes. The fields of ``_NAMES`` are tried in order. An object is named by the text of
+    the first field in which no other object has the same text. If there is no such field, a member of a list is named
+    by its number, from 1, and any other object by the last part of its path."""
     names = []
     for (step, _), name in zip(holders, _names_in([holder for _, holder in holders]), strict=True):
         member = re.search(r"\[(\d+)\]$", step)

@@ -187,7 +187,8 @@ def layout_of(
         low[:, 2] -= np.nanmin(low[:, 2], initial=0.0)  # heights are measured from the top of the load
     extents = _container_along(candidate, container or {}, order)
     if candidate.up == "y" and container and container.keys() == {"0", "1", "2"}:
-        listed = np.array([container[axis] for axis in "012"])  # perhaps length, width, height, not x, y, z
+        # the listed sizes may be length, width and height, and not the extents along x, y and z
+        listed = np.array([container[axis] for axis in "012"])
         far = np.nanmax(low + size, axis=0, initial=-math.inf)
         is_listed = (far <= listed).all() and ((far > extents).any() or listed[2] > extents[2])
         extents = listed if is_listed else extents

@@ -365,8 +365,8 @@ def _reversed_piles(judged: Sequence[_Judged]) -> list[_Judged]:
 
 
 def _lies_better(best: _Judged, other: _Judged) -> bool:
-    """Whether another reading is less plausible only because it is rare: no box overlaps or floats in it, unlike in the
-    most plausible reading, and places and units speak clearly for it."""
+    """Whether another reading is less plausible only because it is rare. If so, places and units speak clearly for it:
+    boxes overlap, float or are outside in the most plausible reading, but no box does or is in the other one."""
     of_numbers, of_other_numbers = (one.cost - one.candidate.prior for one in (best, other))
     return best.evidence.n_odd > 0 == other.evidence.n_odd and of_other_numbers + WEAK_LEAD < of_numbers
 
@@ -423,7 +423,7 @@ def _may_be_turned(best: _Judged, other: _Judged) -> bool:
 def _is_doubtful(best: _Judged) -> bool:
     """Whether another axis may be the vertical, or coordinates may describe another corner. This may be so if, in the
     most plausible reading, boxes overlap, float, are outside or are listed from one side to the other. It may also be
-    so if the sizes do not lie along the axes that name them, or a width lies along x."""
+    so if the sizes do not lie along the axes that name them, or if a width lies along x."""
     is_exchanged = best.candidate.geometry.axes == XYZ and best.candidate.pair != (0, 1, 2)
     is_exchanged |= best.candidate.along[:2] == ("width", "length")
     return best.evidence.n_odd > 0 or is_exchanged or best.begin_cost + best.order_cost > 0
@@ -477,7 +477,7 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
                 other = _judge(columns, wishes, scaled, sample)
                 if _unit_of_sizes(other, other.units[0].length) is not None and _within_reach(other):
                     judged.append(other)
-    # of equally plausible readings, which may be the same but for a shift, the more usual one comes first
+    # of equally plausible readings, the more usual one comes first; they may differ only in a shift
     return sorted(judged, key=lambda one: (round(one.cost, 9), one.candidate.prior))
 
 

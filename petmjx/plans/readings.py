@@ -90,7 +90,7 @@ class Evidence:
             count_text(self.n_outside, "box is outside", "boxes are outside") if self.n_outside else "",
         ]
         odd = ", ".join(filter(None, parts)) or "no box overlaps or floats"
-        return f"{odd} of {self.n_boxes:,}"
+        return f"{odd}; {count_text(self.n_boxes, 'box', 'boxes')} in all"
 
 
 @dataclass(frozen=True)

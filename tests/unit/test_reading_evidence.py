@@ -182,7 +182,7 @@ def test_a_rare_reading_in_which_boxes_lie_better_is_asked_about(tmp_path: Path)
     )  # fmt: skip
     content = table("x,y,z,dx,dy,dz,kg", [(*row, 6) for row in rows])
     (refused,) = load(tmp_path, "down.csv", content, units="mm").skipped
-    assert "z upwards (1 box floats of 12), or y downwards (no box overlaps" in refused.message
+    assert "z upwards (1 box floats; 12 boxes in all), or y downwards (no box overlaps" in refused.message
 
 
 def test_a_row_below_0_may_be_a_tower(tmp_path: Path) -> None:
