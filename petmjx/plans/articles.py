@@ -160,15 +160,15 @@ def read_articles(path: str | Path) -> Articles:
 
 
 def _article(where: str, row: Mapping[str, Any]) -> tuple[str, str, Article]:
-    """Check one row of a table of articles. Returns what the row is about (article, product_group or material), its
-    name, and its properties."""
+    """Check one row of a table of articles. Returns three values: "article", "product_group" or "material"; the name of
+    this article, product group or material; and its properties."""
     values = {name.strip().lower(): value for name, value in row.items() if value not in (None, "")}
     unknown = [name for name in values if name not in _FIELDS]
     if unknown:
         raise InputError(f"{where}: unknown field {printable_name(unknown[0])}; there are {', '.join(_FIELDS)}")
     keys = [key for key in _KEYS if key in values]
     if len(keys) == 2 or (not keys and _MATERIAL not in values):
-        raise InputError(f"{where}: must name either an article, a product_group, or a material alone")
+        raise InputError(f"{where}: must name an article or a product_group (not both), or only a material")
     numbers = {field: _number(where, field, values[field]) for field in _NUMBERS if field in values}
     stiffness = numbers.pop(_STIFFNESS, None)
     com = [numbers.pop(field) if field in numbers else None for field in COM_FIELDS]
@@ -311,8 +311,8 @@ def with_articles(plan: Plan, articles: Articles) -> Plan:
     ``plan`` itself is returned.
 
     Raises:
-        InputError: a centre of mass is outside its box. The message begins with ", placement 3: …", to be appended to
-            the name of the plan.
+        InputError: a centre of mass is outside its box. The message begins with ", placement 3: …", so that the caller
+            can put the name of the plan before it.
     """
     groups = plan.product_groups or ("",) * plan.n_boxes
     own_materials = plan.materials or ("",) * plan.n_boxes

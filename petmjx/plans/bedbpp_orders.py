@@ -32,8 +32,8 @@ _MOST_DIGITS: Final = 18
 
 
 def begins_with_plan(data: bytes | bytearray) -> bool:
-    """Whether the first entry of a text in BED-BPP's form is a packing plan. A text whose first entry is damaged does
-    not count."""
+    """Whether the first entry of a text in BED-BPP's form is a packing plan. The result is False if the first entry is
+    damaged."""
     try:
         return any(is_plan_record(entry.value) for entry in islice(scan_plans(data), 1))
     except InputError:

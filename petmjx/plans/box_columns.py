@@ -42,7 +42,7 @@ GROSS: Final = word_set("gross brutto bruttogewicht bruttogew bruto brut lordo")
 """Words for gross weights, which are preferred to net weights."""
 _SECOND_SIZES: Final = 0.5
 """A table may have two sets of columns for the sizes of boxes. A reading with the sizes of the second set costs this
-much more than a reading with the sizes of the first set. A smaller cost is more plausible."""
+much more than a reading with the sizes of the first set. A reading with a smaller cost is more plausible."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,8 +95,8 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str], units: str, masses
 
     Args:
         chosen: role (``ROLES``) → name of the column that has it, or "-".
-        units: the unit that an option sets for all lengths; "" if no such option is given. masses: the same for all
-            masses.
+        units: the unit that an option sets for all lengths; "" if no such option is given.
+        masses: the unit that an option sets for all masses; "" if no such option is given.
 
     Raises:
         InputError: a chosen column does not exist, or cannot have the role. If places or sizes are missing,
@@ -193,7 +193,8 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str], units: str, masses
 
 
 def _leave_blank(extraction: ColumnExtraction, index: int, plan: Sequence[str] | None) -> None:
-    """Remove the faults of blank cells in a column of packing orders from plans in which all its cells are blank."""
+    """Remove the faults of blank cells in a column of packing orders. Only the faults of those plans are removed in
+    which all cells of the column are blank."""
     parts, cells = extraction.source.boxes.parts, extraction.cells(index)
     names = parts if plan is None else [f"{part}\n{name}" for part, name in zip(parts, plan, strict=True)]
     for rows in rows_by_name(names).values():
@@ -216,7 +217,7 @@ def _geometry_of(sizes: Sizes, places: Places) -> Geometry:
 
 def distinct_names_in(extraction: ColumnExtraction) -> tuple[list[str] | None, str]:
     """(n,) names of boxes, and the name of their column: the first column whose name is unknown and whose cells are all
-    different texts, which are no dates and times. None and "" if there is no such column."""
+    different texts, but no dates or times. The result is None and "" if there is no such column."""
     for index, meaning in enumerate(extraction.meanings):
         cells = extraction.cells(index)
         texts = {cell for cell in cells if isinstance(cell, str) and cell_number(cell) is None}
@@ -254,8 +255,8 @@ def counting_columns(extraction: ColumnExtraction, used: Collection[str]) -> dic
 
 
 def rotations_in(extraction: ColumnExtraction) -> Turns | None:
-    """The column of rotations. If no column is known to have rotations, and exactly one column of unknown meaning has
-    cells of only yes and no, or of quarter turns in degrees, that column may have the rotations."""
+    """The column of rotations. If no column is known to have rotations, a column of unknown meaning may have them: the
+    only column whose cells are all yes or no, or quarter turns in degrees."""
     index = extraction.first("rotation", "rotation")
     if index is not None:
         return _rotations_of(extraction, index)

@@ -1,5 +1,5 @@
-"""Cells of other tools' tables: numbers with any decimal sign, marks between thousands and units after them; three
-numbers in one cell; and names."""
+"""Reads cells of other tools' tables. A cell may have a number, with any decimal sign, with marks between thousands,
+and with a unit. A cell may also have three numbers, two corners, or a name."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from petmjx.plans.file_formats import number_hint
 from petmjx.plans.plan_fields import LARGEST_MM
 
 GROUPED: Final = "grouped"
-"""This value replaces the decimal sign of a column in which no number has decimals. In a column without decimals,
-points and commas only separate thousands."""
+"""This value takes the place of a decimal sign if no number has decimals, so that points and commas only separate
+thousands."""
 
 YES_WORDS: Final = frozenset(("true", "yes", "ja", "oui", "si", "sí", "tak", "sim", "y", "j", "1"))
 NO_WORDS: Final = frozenset(("false", "no", "nein", "non", "nie", "nee", "não", "nao", "n", "0"))
@@ -153,7 +153,7 @@ def number_fault_of(cell: Any, decimal: str) -> str:
         return f"must be a number, got {kind}"
     hint = number_hint(cell)
     if not hint and not decimal and _MAYBE.match(cell):
-        hint = f": write {cell.replace('.', '')} or {cell.replace('.', ',')}, whichever it is"
+        hint = f": write {cell.replace('.', '')} or {cell.replace('.', ',')}, whichever is meant"
     if not hint and decimal == "," and "." in cell:
         hint = ": other numbers of this file have decimal commas"
     return f'must be a number, got "{printable_name(cell)}"{hint}'
@@ -269,8 +269,8 @@ def decimal_of(rows: Sequence[Sequence[Any]]) -> str:
     """The decimal sign of numbers that are stored as text. The result is "" if the numbers do not show which sign it
     is, so that "1,200" could be 1200 or 1.2.
 
-    "1,200" has a decimal comma if the other numbers have no mark between their thousands. "1.200" may mean 1200 if the
-    numbers of its column have no decimals.
+    "1,200" has a decimal comma if whole numbers of four or more digits are written without a mark between thousands.
+    "1.200" may mean 1200 if there are no such whole numbers, but its column has whole numbers of three digits.
     """
     commas = points = 0
     maybe = {",": 0, ".": 0}

@@ -47,7 +47,7 @@ from petmjx.plans.turn_columns import letters_of
 XYZ: Final = ("x", "y", "z")
 SIZE_WORDS: Final = ("length", "width", "height", "depth")
 HALF_EXTENTS: Final = "half extents"
-"""Role of a column of sizes, in addition to its own role, if sizes are half extents."""
+"""An additional role of a column of sizes, if the sizes are half extents."""
 LAST_CELLS: Final = "last cells"
 """An additional role of a column of far corners, if boxes stand on a grid and each far corner is the last cell of its
 box. For example, a box from 1 to 40 is 40 cells long."""
@@ -70,7 +70,7 @@ _BEARS: Final = (
     *("nosno", "udzwig", "obciaz", "capac"),
 )
 """Parts of words for what a box can bear, in several languages: Traglast, Belastbarkeit, portata, charge admissible,
-carga soportada, nośność. Masses in such a column are not the weights of boxes either."""
+carga soportada, nośność. A column whose name has one of these parts does not have the weights of boxes."""
 _UNIT_WORDS: Final = word_set("unit units uom einheit masseinheit unite unites unidad unidades unita jednostka")
 _SURE_UNITS: Final = frozenset(("mm", "cm", "kg", "lb", "lbs", "inch", "inches"))
 """Texts that are recognised as units in a column of any name. Other units, such as "m" or "in", may also be words with
@@ -132,14 +132,16 @@ class ColumnExtraction:
             self.fixed[role] = self.table.header.index(name)
 
     def _mean_by_cells(self) -> None:
-        """Determine meanings of columns from their cells. A column "order" has customers' orders, not a packing order,
-        if at most half of its cells are different numbers. A column of sizes whose cells count the rows has running
-        numbers, not sizes: "Br" may mean width ("Breite"), but it is also "number" in Croatian. A column with an
-        unknown name has weights if its name or its cells have a unit of mass, and rotations if its cells are letters
-        such as "WLH" (which size lies along which axis) or angles such as 90°."""
+        """Determine meanings of columns from their cells.
+
+        A column "order" has customers' orders, not a packing order, if it has at most half as many different values as
+        cells. A column of sizes whose cells count the rows has running numbers, not sizes: "Br" may mean width
+        ("Breite"), but it is also "number" in Croatian. A column with an unknown name has weights if its name or its
+        cells have a unit of mass. It has rotations if its cells are angles such as 90°, or letters such as "WLH", which
+        tell the size that lies along each axis."""
         self.row_units: dict[bool, list[str]] = {}
         self.unit_columns: list[str] = []
-        self.axis_columns: dict[str, int] = {}  # "x" or "y" → column with the direction of this axis of each box
+        self.axis_columns: dict[str, int] = {}  # "x" or "y" → column with the directions of the boxes' x or y axes
         if not self.table.has_header:
             return
         kinds = {meaning.kind for meaning in self.meanings if meaning is not None}
@@ -172,7 +174,7 @@ class ColumnExtraction:
                 of_order = meaning.kind == "sequence" and _ORDER_WORDS.intersection(words_of(self.table.header[index]))
                 numbers = [number.value for cell in cells if (number := cell_number(cell, self.table.decimal))]
                 texts = map(cell_text, self.cells(index))
-                distinct = set(zip(self.source.boxes.parts, texts, strict=True))  # plans number their boxes anew
+                distinct = set(zip(self.source.boxes.parts, texts, strict=True))  # each plan may count from 1
                 if of_order and "plan" not in kinds and len(distinct) * 2 <= len(self.table.rows):
                     self.meanings[index] = ColumnMeaning("plan")
                 elif meaning.kind == "size" and _count_rows(numbers):
@@ -252,8 +254,8 @@ class ColumnExtraction:
         name = self.table.header[index]
         if self.table.has_header and (unknown := unknown_density_unit(name)):
             raise InputError(
-                f"{printable_name(name)}: {printable_name(unknown)} is no known unit of density; kg/m3, g/cm3, lb/ft3 "
-                "and their like are"
+                f"{printable_name(name)}: {printable_name(unknown)} is no known unit of density, such as kg/m3, g/cm3 "
+                "or lb/ft3"
             )
         meaning = self.meanings[index]
         unit = meaning.unit if meaning is not None and meaning.kind == "density" else ""
@@ -355,8 +357,9 @@ class ColumnExtraction:
             return np.where(np.isnan(values), np.nanmedian(values) if np.isfinite(values).any() else 1.0, values)
 
     def texts(self, *kinds: str, role: str = "") -> tuple[list[str] | None, str]:
-        """(n,) texts of the column that an option gives the role ``role``, or else of the first column whose meaning is
-        one of ``kinds``; and the name of this column. The result is None and "" if there is no such column."""
+        """(n,) texts of a column, and the name of the column. The column is the one to which an option gives the role
+        ``role``, or else the first column whose meaning is one of ``kinds``. The result is None and "" if there is no
+        such column."""
         index = self.fixed.get(role)
         if index is None:
             columns = (index for kind in kinds for index in self.indices(kind, of_container=True))
@@ -393,8 +396,8 @@ class ColumnExtraction:
         return filled_names
 
     def check_numbers(self, names: list[str] | None, column: str) -> None:
-        """Check the names of plans or orders: if all names but that of a single row are whole numbers, this name is a
-        damaged number. Each number must occur several times.
+        """Check the names of plans or orders. If all rows except one have whole numbers as names, the name of this one
+        row is a damaged number. This applies only if a name occurs in at least two rows on average.
 
         Args:
             names: the name of each row; None: there is no column.

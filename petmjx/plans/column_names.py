@@ -118,7 +118,7 @@ _PLACED: Final = word_set(
     "placed rotated packed oriented final actual effective turned platziert gepackt gedreht place tourne girado"
 )
 _ORIENTED: Final = word_set("orient oriented")
-"""Words for a box in the orientation in which it is placed, beside the letter of a size: "orient_L"."""
+"""Words that stand beside the letter of a size, and say that the size is that of the box as placed: "orient_L"."""
 _DIMENSIONS: Final = word_set(
     "dimension dimensions dims dim size sizes masse abmessung abmessungen abmasse groesse grosse extent extents "
     "dimensiones dimensioni dimensioni wymiary wymiar taille misure medidas shape lxwxh lxbxh lwh lbh whd wdh dwh hwd "
@@ -300,14 +300,15 @@ _IN_OTHER_SCRIPT: Final = re.compile(
     "|".join(rf"(?<!\w){word}(?!\w)" if word[0] < "\u0500" else word for word in sorted(_OTHER_SCRIPTS, key=len)[::-1]),
     re.IGNORECASE,
 )
-"""Words in Cyrillic count only if they are whole words; other scripts have no spaces between words."""
+"""A word in Cyrillic is only recognised as a whole word. A word in another script is also recognised inside a longer
+text, since these scripts put few spaces between words."""
 
 
 def plain_text(text: str) -> str:
     """Text without accents: "Länge" → "Lange", "długość" → "dlugosc", "Maße" → "Masse". Known words in other scripts
     are translated: "длина" → "length", "x坐标" → "x coordinate"."""
     if not text.isascii():
-        # a few letters equal others without regard to case, and yet have no lower case
+        # Without regard to case, a match may have letters whose lower case is not in the table. Such words are kept.
         text = _IN_OTHER_SCRIPT.sub(lambda match: f" {_OTHER_SCRIPTS.get(match[0].lower(), match[0])} ", text).strip()
     text = (
         _NUMBER_SIGN.sub("No ", text)
@@ -504,8 +505,9 @@ def _meanings_of(names: tuple[str, ...]) -> list[ColumnMeaning | None]:
 
 
 def _with_corners(meanings: list[ColumnMeaning | None]) -> list[ColumnMeaning | None]:
-    """The meanings, in which coordinates with the numbers 1 and 2 are those of two corners of a box. If there is only
-    one number, these are coordinates of a corner beside that without a number or with 0 ("x", "x1"), or of a point."""
+    """The meanings, after coordinates with the numbers 1 and 2 ("x1", "x2") have become those of the two corners of a
+    box. If only one of these numbers occurs, and other columns have coordinates without a number or with 0 ("x"), the
+    numbered coordinates are those of the high corner. If there are no other coordinates, they are those of a point."""
     kinds = {meaning.kind for meaning in meanings if meaning is not None}
     is_end = bool(kinds & {"low", "position", "positions"})
     ends: dict[Kind, Kind] = {"first": "low", "second": "high"}
@@ -724,8 +726,8 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
 
 
 def _order_axis(words: set[str], index: int) -> str:
-    """The axis of one member of a list of sizes. In a list called WHD, the second member is the height; in a list
-    without such a name, its axis is "1"."""
+    """The axis of one member of a list of sizes. In a list called WHD, the axis of the second member is "height". In a
+    list without such a name, the axis of the second member is "1"."""
     order = _orders(words)
     return order[index] if index < len(order) else str(index)
 
@@ -825,7 +827,11 @@ def _kind_of(tail: list[str], path: list[str]) -> Kind | None:
 
 
 def limits_in(low: float, high: float, unit: str, units: Mapping[str, float] = LENGTH_UNITS) -> Limits:
-    """Limits of a value in a unit, from the limits in millimetres or kilograms. ``units``: name of a unit → its length
-    in millimetres, or its mass in kilograms."""
+    """Limits of a value in the unit ``unit``.
+
+    Args:
+        low, high: the limits in millimetres or kilograms.
+        units: name of a unit → its length in millimetres, or its mass in kilograms.
+    """
     factor = units[unit]
     return Limits(low / factor, high / factor, UNIT_WORDS.get(unit, unit))

@@ -1,7 +1,8 @@
 """Detects plans in other conventions: centres given as corners, metres as millimetres, or y and z swapped.
 
 A plan is odd if boxes float or overlap. An odd plan is read in other conventions. If the plan is no longer odd in one
-of these conventions, it probably follows that convention. Plans whose boxes really are odd are odd in every convention.
+of these conventions, it probably follows that convention. A plan whose boxes really float or overlap is odd in every
+convention.
 If all lengths or all masses have a wrong unit, the layout looks right; such a unit is recognised by the density of the
 boxes.
 """
@@ -144,7 +145,7 @@ which the load begins closest to the corner of the deck is used."""
 CENTRES: Final = _ANCHORS[0]
 _TURNED: Final = (
     "lengths and widths of boxes that are turned by their orientation look swapped",
-    "give the item's own length and width beside an orientation, or extents along x and y and no orientation",
+    "give the item's own length and width and the orientation, or the extents along x and y without an orientation",
 )
 _YZ: Final = ("y and z look swapped", "give heights as z")
 _MOST: Final = 0.5
@@ -177,7 +178,7 @@ LAYOUTS: Final[tuple[Convention, ...]] = (
     Convention(*_YZ, lambda corner, size: (corner[:, [0, 2, 1]], size[:, [0, 2, 1]]), least_odd=3, least_share=_MOST),
     Convention(
         "length and width look swapped",
-        "give extents along x and y as the boxes stand, or with the orientation",
+        "give the extents of the boxes as they stand along x and y, or also give the orientation",
         lambda corner, size: (corner, size[:, [1, 0, 2]]),
     ),
     *(_scale_convention(unit, sizes=False) for unit in ("cm", "in", "m")),
@@ -398,10 +399,10 @@ def _is_mostly_odd(plan: Plan, least_share: float) -> bool:
 
 
 def _is_wall_lying(plan: Plan, odd: PlanWarnings, extent_mm: tuple[float, float]) -> bool:
-    """Whether the boxes of a plan, which all have z = 0, are a wall (boxes stacked in one plane) with y and z swapped.
-    Two conditions must hold. The plan extends beyond the carrier in y. After y and z are swapped, some boxes lie on
-    others, all boxes have support, and none is outside the carrier. A layer that would fit on the carrier if it were
-    turned by 90° is not taken for a wall."""
+    """Whether the boxes of a plan are a wall (boxes stacked in one plane) with y and z swapped. All boxes must have z =
+    0, and two further conditions must hold. The plan extends beyond the carrier in y. After y and z are swapped, some
+    boxes lie on others, all boxes have support, and none is outside the carrier. A layer that would fit on the carrier
+    if it were turned by 90° is not taken for a wall."""
     if odd.n_floating or odd.n_overlapping_pairs or plan.corner_mm[:, 2].max() > DEFAULT_TOLERANCE_MM:
         return False
     length, width = np.array(extent_mm) + DEFAULT_TOLERANCE_MM
@@ -475,8 +476,7 @@ def _odd_densities(plans: Sequence[Plan]) -> dict[str, tuple[Convention, str]]:
 
 
 def _why_dense(density: float, volume_m3: float) -> Convention:
-    """The convention in which the density of boxes and the mean volume of its boxes are closest to the usual
-    values."""
+    """The convention in which the density and the mean volume of a plan's boxes are closest to the usual values."""
 
     def unusual(length: float, mass: float) -> float:
         of_volume = length**3

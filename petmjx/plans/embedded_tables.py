@@ -32,15 +32,15 @@ _NOT_COLUMNS: Final = frozenset(("PRIMARY", "UNIQUE", "KEY", "INDEX", "CONSTRAIN
 
 
 def rows_of_sql(text: str) -> dict[str, list[list[str]]]:
-    """Name of a table → its rows in a dump of a database, the first of them with the names of the columns. The result
-    is empty if the text has no such rows.
+    """Name of a table → its rows in a dump of a database. The first row of a table has the names of its columns. The
+    result is empty if the text has no rows of tables.
 
     Raises:
         InputError: the names of the columns of a table are missing, or a row is damaged.
     """
     tables: dict[str, list[list[str]]] = {}
     bodies: dict[str, int] = {}
-    if _INSERT.search(text) is not None:  # where CREATE TABLE lists the columns of each table
+    if _INSERT.search(text) is not None:  # find the places at which CREATE TABLE lists the columns of each table
         bodies = {create[1].strip(_QUOTES): create.end() for create in _CREATE.finditer(text)}
     for insert in _INSERT.finditer(text):
         rows = _table_of(tables, insert, text, bodies)
@@ -67,8 +67,8 @@ def rows_of_sql(text: str) -> dict[str, list[list[str]]]:
 def _table_of(
     tables: dict[str, list[list[str]]], statement: re.Match[str], text: str, bodies: Mapping[str, int]
 ) -> list[list[str]]:
-    """The rows, read so far, of the table that a statement names. The first row of a new table has the names of its
-    columns.
+    """The table that a statement names, as the list of the rows that have been read so far. A new table has one row,
+    with the names of its columns.
 
     Args:
         bodies: name of a table → position in the text where the list of its columns begins, in its CREATE TABLE.

@@ -104,8 +104,8 @@ _MARKUP: Final = re.compile(rb"(?:\xef\xbb\xbf)?\s*<")
 
 def looks_like_own_json(data: bytes | bytearray) -> bool:
     """Whether a text has fields of BED-BPP's plans or orders. The first 64 KiB are searched for "item_sequence" and
-    "length/mm". If neither is there, and no length in another unit, the whole text is searched for "flb_coordinates"
-    and "item_sequence"."""
+    "length/mm". If they have neither of these names, and no length in another unit, the whole text is searched for
+    "flb_coordinates" and "item_sequence"."""
     if _OWN_JSON.search(data, 0, _LOOKED_AT_TEXT) is not None:
         return True
     if _OTHER_UNITS.search(data, 0, _LOOKED_AT_TEXT) is not None:
@@ -114,8 +114,8 @@ def looks_like_own_json(data: bytes | bytearray) -> bool:
 
 
 def is_of_other_tools(data: bytes | bytearray) -> bool:
-    """Whether bytes may be a sheet, an array, a scene, XML or a web page of another tool. The bytes are known not to be
-    UTF-8 text in one of petmjx's forms."""
+    """Whether bytes may be a sheet, an array, a scene, XML or a web page of another tool. Callers only pass bytes that
+    are not UTF-8 text in one of petmjx's forms."""
     begin = bytes(data[: 1 << 10])
     if (encoding := wide_encoding(data)) is not None:
         begin = begin.decode(encoding, "ignore").encode()
@@ -155,7 +155,7 @@ def wide_encoding(data: bytes | bytearray) -> str | None:
     for all other bytes."""
     head = bytes(data[:4])
     marked = next((name for mark, name in _MARKS if head.startswith(mark)), None)
-    if marked == "utf-16":  # in Windows-1252, the two bytes of the mark are letters
+    if marked == "utf-16":  # zero bytes must follow the mark, since the mark is two letters in Windows-1252
         return marked if b"\0" in data[2 : 1 << 12] or len(data) == 2 else None
     if marked is not None:
         return marked
@@ -193,7 +193,7 @@ def other_encoding(text: str) -> str:
         return ""  # the text has letters beyond ASCII that are valid UTF-8: it is damaged, not in another encoding
     try:
         read = text.encode("utf-8", "surrogateescape").decode("cp1252")
-    except UnicodeEncodeError:  # a surrogate from an escape in JSON does not stand for a byte of the file
+    except UnicodeEncodeError:  # a JSON escape, "\\ud800", gives a surrogate that stands for no byte of the file
         return ""
     except UnicodeDecodeError:
         return ": save the file as UTF-8"
@@ -210,7 +210,7 @@ def number_hint(text: str) -> str:
     if mark is not None and mark != decimal and (decimal or mark not in ".,"):
         return f": it has marks between its thousands; write {plain.replace(mark, '').replace(',', '.')}"
     if mark == "," and not decimal:
-        return f": write {plain.replace(',', '')} or {plain.replace(',', '.', 1)}, whichever it is"
+        return f": write {plain.replace(',', '')} or {plain.replace(',', '.', 1)}, whichever is meant"
     if _DECIMAL_COMMA.fullmatch(plain):
         return f": it has a decimal comma; write {plain.replace(',', '.')}, or semicolons between the table's columns"
     return ""
@@ -230,5 +230,5 @@ def point_fault(field: str, value: object) -> str | None:
         return f"{fault}: it has marks between its thousands; write {joined_digits}"
     if not has_groups and number_in(plain) is None:
         return None
-    ways = f"{joined_digits} or {with_comma}, whichever it is" if has_groups else with_comma
+    ways = f"{joined_digits} or {with_comma}, whichever is meant" if has_groups else with_comma
     return f"{fault}: other numbers of this file have decimal commas; write {ways}"

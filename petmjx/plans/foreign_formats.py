@@ -74,7 +74,11 @@ def sources_of_bytes(data: bytes | bytearray, path: Path | None = None) -> list[
         if isinstance(value, dict) and value.get("type") == "FeatureCollection" and "features" in value:
             raise InputError("is a map (GeoJSON): petmjx looks for boxes with places and three sizes")
         if not (sources := _sources_of_value(value, "JSON")):
-            raise NoBoxes("holds no box" if value == [] else "has no list of boxes: objects with places and sizes")
+            raise NoBoxes(
+                "holds no box"
+                if value == []
+                else "has no list of boxes: petmjx looks for objects with places and sizes"
+            )
         return sources
     values = python_values(start) if is_printed_object(start) else None
     if sources := _sources_of_value(values, "Python's text"):
@@ -237,7 +241,7 @@ _SIZE_ABOVE: Final = re.compile(
 
 def _containers_above(table: RawTable) -> Mapping[str, Mapping[str, float]]:
     """The size of the carrier from the lines above a table, such as "Palette 1200 x 800". Above a table without a
-    header, the size may be three numbers."""
+    header, the size may also be a line of three numbers."""
     for line in table.above:
         numbers = [cell_number(part, table.decimal) for part in line.split()]
         if not table.has_header and len(numbers) == 3 and all(numbers):

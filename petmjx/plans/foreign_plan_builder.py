@@ -84,7 +84,7 @@ class PlanBuilder:
             )
         self._note_quantities()
         faults = range_faults(self.columns, reading, candidate)
-        if not self.wishes.exact:  # the user who has written a reading has checked it
+        if not self.wishes.exact:  # a reading that the user has written needs no such check
             faults = edge_faults(self.columns, reading, candidate, plans) | faults
         self.faults = faults | self.faults
         size, low = placed_boxes(self.columns, reading, candidate, plans, self.wishes, self.faults, self.notes)
@@ -129,8 +129,9 @@ class PlanBuilder:
         return ForeignPlans(table, tuple(refused), reading)
 
     def _choice(self) -> tuple[list[str], dict[str, tuple[str, str]], Reading, Candidate]:
-        """(n,) the name of each row's plan; the plans that lack rows (``names_with_lost_rows``); and the most plausible
-        reading, with the candidate (a reading before units are chosen) from which it was made.
+        """Choose the most plausible reading. Returns four values: (n,) the name of each row's plan; the plans that lack
+        rows (``names_with_lost_rows``); the reading; and the candidate (a reading without units) from which the reading
+        was made.
 
         Raises:
             InputError: the file can be read in several ways, or no row is good.
@@ -156,7 +157,7 @@ class PlanBuilder:
             reading, candidate = single_reading or choose_reading(self.columns, plans, self.wishes, lost)
         except InputError as error:  # either no row is good, or the good rows alone make no plausible plan
             if isinstance(error, AmbiguousFile) and len({one.far_words for one in error.readings[:2]}) > 1:
-                raise  # boxes that end where they begin may be one cell thick
+                raise  # bad rows may be boxes of one grid cell, which begin and end at the same cell
             if self.boxes.table.lost:
                 place, fault = self.boxes.table.lost[0]
                 raise InputError(f"{place}: {fault}") from None
@@ -167,7 +168,8 @@ class PlanBuilder:
             raise
         apart = unsaid and len(plans) > 1 and not lost
         if apart and self._float(reading, candidate, plans) and search.are_parts_of_one():
-            self.notes.append(f"{first_names(list(plans))} are one plan: some of them would begin above the deck")
+            names_text = first_names(list(plans))
+            self.notes.append(f"{names_text} are read as one plan, since some of them would begin above the deck")
             self._join_parts()
             names = plan_names(self.columns, self.source, self.notes)
             reading, candidate = choose_reading(self.columns, self._plans_of_size(names)[0], self.wishes)
@@ -175,8 +177,8 @@ class PlanBuilder:
         return names, lost, reading, candidate
 
     def _plans_of_size(self, names: Sequence[str]) -> tuple[dict[str, NDArray[np.int64]], list[RefusedPlan]]:
-        """Name → rows of each plan, but for plans with too many boxes, which are refused before any reading is judged,
-        since this takes time.
+        """Name → rows of each plan, and the refused plans. Plans with too many boxes are refused before any reading is
+        judged, because judging them would take long.
 
         Args:
             names: (n,) the name of each row's plan.
@@ -237,8 +239,9 @@ class PlanBuilder:
                 self.notes.append(f"{printable_name(name)} is above 1 in some rows, but each row is read as one box")
 
     def _note_plans_apart(self, plans: Mapping[str, NDArray[np.int64]], size: FloatArray, low: FloatArray) -> None:
-        """Add a note about plans whose rows stand apart in a table, with rows of other plans between them, if boxes of
-        one group of rows overlap those of another: two plans may have the same name."""
+        """Add a note about plans whose rows form several groups in a table, with rows of other plans between the
+        groups. There is a note only if boxes of one group overlap boxes of another group, since the groups may then be
+        two plans with the same name."""
         apart = []
         for name, rows in plans.items():
             group = np.cumsum(np.diff(rows, prepend=rows[0]) > 1)

@@ -1,5 +1,5 @@
-"""Plans in files of other tools (``plans_of_sources``). A reading (a meaning for each column) is chosen for the file,
-and the boxes become a checked table of placements, as in petmjx's own formats."""
+"""Plans in files of other tools (``plans_of_sources``). A reading (an interpretation of the columns and numbers) is
+chosen for the file. With this reading, the boxes become a checked table of placements, as in petmjx's own formats."""
 
 from __future__ import annotations
 
@@ -61,10 +61,10 @@ def plans_of_sources(
 
 
 def _other_plans(sources: Sequence[BoxSource]) -> list[str]:
-    """Lines about lists of boxes that are not read. Only the first list is read. A line is made for each other list
-    that has a header and columns for sizes and places. If the first list has no header, a line is also made for each
-    other list that has no header but as many columns. Lists whose objects contain the boxes of the first list, such as
-    lists of layers, get no line."""
+    """Lines about lists of boxes that are not read. Only the first list is read. Each other list gets a line if it has
+    a header, and columns for sizes and places. A list without a header gets a line if the first list has no header
+    either, and both have the same number of columns. A list gets no line if its objects contain the boxes of the first
+    list, as layers do."""
     lines = []
     first = sources[0].boxes
     for other in sources[1:]:
@@ -74,7 +74,7 @@ def _other_plans(sources: Sequence[BoxSource]) -> list[str]:
         where = printable_name(boxes.table.title or boxes.path or "another table")
         count = count_text(len(boxes.table.rows), "box", "boxes")
         if boxes.has_places and boxes.has_sizes and boxes.table.has_header:
-            lines.append(f"{count} in {where} not read: other columns")
+            lines.append(f"{count} in {where} not read, because the columns differ")
         elif not (boxes.table.has_header or first.table.has_header) and boxes.table.header == first.table.header:
             lines.append(f"{count} in {where} not read: only the list with the most boxes is")
     return lines

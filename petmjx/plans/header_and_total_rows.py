@@ -1,5 +1,5 @@
-"""Recognises headers and rows of totals in raw tables. The module also completes the names in headers with the units
-below them and the merged headings above them, and makes repeated names distinct."""
+"""Recognises headers and rows of totals in raw tables. The module also adds to the names in headers the units below
+them and the merged headings above them. Repeated names are made distinct."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def are_numbers(rows: Sequence[Sequence[Any]], least: int) -> bool:
 
 def geometric_names(header: Sequence[str]) -> tuple[str, ...]:
     """The names of the columns that have sizes or places, sorted. If no column has sizes or places, the names of all
-    columns."""
+    columns are returned."""
     return tuple(sorted(header[index] for index in geometric_columns(header))) or tuple(header)
 
 
@@ -118,7 +118,7 @@ def with_groups(names: list[str], group: Sequence[Any]) -> list[str]:
     for name, cell in zip(names, cells, strict=True):
         heading = cell or heading
         joined.append(f"{heading} {name}".strip() if heading and name and name != cell else name)
-    with_units = []  # a name with a known meaning gets only the unit of the heading above it
+    with_units = []  # as ``joined``, but a name with a known meaning gets only the unit of the heading above it
     for long, name, meaning in zip(joined, names, column_meanings(names), strict=True):
         unit = split_unit(long.removesuffix(name).strip())[1]
         with_unit = f"{name} [{unit}]" if unit and not names_unit(name) else name
@@ -144,7 +144,7 @@ def names_unit(name: str) -> bool:
 
 
 def distinct_names(names: Sequence[str]) -> list[str]:
-    """The names, in which an unknown name that occurs again becomes, for example, "Note again", and an empty name
+    """The names, made distinct: an unknown name that was used before becomes, for example, "Note again". An empty name
     becomes, for example, "column 3".
 
     Raises:
@@ -185,10 +185,10 @@ def computed_row(table: RawTable, rows: Sequence[int]) -> str:
 
     The sizes, places and weights of the last row must all be sums, or all be means. At least two numbers of the row
     must clearly be sums or means. A single sum or mean is not enough. A box on two smaller boxes may have the sum of
-    their lengths, and a box in the middle of a layer of equal boxes has their mean place. A single sum is enough if the
-    row has no sizes and no places. If a table has petmjx's own
-    column names and no places, its last row is never taken for a row of means: it is more likely a medium-sized box. If
-    all rows have articles, the last row is not taken for a row of means either.
+    their lengths, and a box in the middle of a layer of equal boxes has their mean place. But a single sum is enough if
+    the last row has no sizes and no places. The last row is never taken for a row of means if the table has petmjx's
+    own column names and no places, because it is more likely a medium-sized box. The same holds if all rows have
+    articles.
     """
     if len(rows) > 1 and is_total(table.rows[rows[-1]], geometric_columns(table.header)):
         return "the total"

@@ -261,11 +261,11 @@ class _ItemExtraction(ColumnExtraction):
                 self.meanings[index] = ColumnMeaning("article")
 
     def check_pieces(self, quantity: int) -> None:
-        """Refuse a column of quantities that may count pieces, because another column has the number of pieces in each
-        box.
+        """Refuse a column of quantities that may count pieces instead of boxes.
 
         Raises:
-            InputError: the name of the column of quantities has no word for boxes.
+            InputError: the name of the column of quantities has no word for boxes, and another column has the number of
+                pieces in each box.
         """
         name = self.table.header[quantity]
         if set(words_of(name)) & _BOXES:
@@ -277,8 +277,8 @@ class _ItemExtraction(ColumnExtraction):
             if any(number is not None and number.value > 1 for number in numbers):
                 counted, content = printable_name(name), printable_name(content)
                 raise InputError(
-                    f"{TWO_WAYS} {counted} counts boxes, or pieces ({content} of them are in a box); if it counts "
-                    f"boxes, say --columns quantity={counted}"
+                    f"{TWO_WAYS} {counted} counts boxes, or pieces ({content} is the number of pieces in a box); if it "
+                    f"counts boxes, say --columns quantity={counted}"
                 )
 
     @staticmethod
@@ -308,7 +308,7 @@ class _ItemExtraction(ColumnExtraction):
         """A column with an unknown name that may have quantities, because its cells are small whole numbers; "" if
         there is none.
 
-        If articles are repeated, each row is a single box, so no column has quantities.
+        If articles are repeated, and no column names orders, each row is a single box, so no column has quantities.
         """
         articles = next((texts for kind in ("article", "item_id") if (texts := self.texts(kind)[0])), None)
         if (
@@ -331,8 +331,8 @@ class _ItemExtraction(ColumnExtraction):
     def role(
         self, role: str, kind: str, *, within: Collection[int] | None = None, without: Collection[int] = ()
     ) -> int | None:
-        """The column of a role: the column that an option names, else the first column whose name means this role; None
-        if the role has no column."""
+        """The column of a role: the column that an option names for this role, or else the first column whose name
+        means this role. The result is None if the role has no column."""
         name = self.chosen.get(role)
         if name is not None:
             return None if name == IGNORED else self.table.header.index(name)
@@ -444,7 +444,8 @@ def item_columns(
 
     Args:
         chosen: role (``ROLES``, ``ITEM_ROLES``) → name of the column that has it, or "-".
-        units, masses: unit of all lengths and of all masses that an option sets; "": no option.
+        units: the unit that an option sets for all lengths; "" if no such option is given.
+        masses: the unit that an option sets for all masses; "" if no such option is given.
         properties: whether ``BOX_PROPERTIES`` are read.
 
     Raises:

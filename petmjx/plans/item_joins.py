@@ -26,7 +26,7 @@ _LEAST_MATCHED_SHARE: Final = 0.9
 _MEASURES: Final = word_set(
     "size sizes position positions low high quaternion euler weight density volume quantity sequence"
 )
-"""Kinds of columns that cannot name the item of a box. In such columns, a box and an item have equal numbers only by
+"""Kinds of columns that cannot name the item of a box: if a box and an item have equal numbers in such columns, this is
 chance."""
 _OF_WEIGHT: Final = word_set("weight density")
 _OF_ITEMS: Final = re.compile(r"item|article|artikel|sku|product|produkt", re.IGNORECASE)
@@ -71,7 +71,7 @@ def _with_articles_beside(best: BoxSource, path: Path) -> BoxSource:
         try:
             source = sources_of_bytes(bytes_of(file), file)[0]
         except InputError:
-            continue  # this file has no items for the boxes
+            continue  # the file cannot be read, so it has no items
         if source.boxes.has_sizes and (completed := with_items_of(best, source, file.name)) is not None:
             joined.append(completed)
     return joined[0] if len(joined) == 1 else best
@@ -112,8 +112,8 @@ def _with_items_beside(best: BoxSource, path: Path) -> BoxSource:
         joined = with_items_of(best, sources_of_bytes(bytes_of(beside), beside)[0], name, by_number=True)
         if joined is not None:
             return joined
-        return replace(best, notes=(*best.notes, f"{name} beside it has other items, and is not read"))
-    return replace(best, notes=(*best.notes, "no items file is beside it (NAME_items.csv), which would have weights"))
+        return replace(best, notes=(*best.notes, f"{name} in the same folder has other items, and is not read"))
+    return replace(best, notes=(*best.notes, "no weights, because the folder has no file of items (NAME_items.csv)"))
 
 
 def with_items_of(best: BoxSource, items: BoxSource, name: str, by_number: bool = False) -> BoxSource | None:
@@ -130,14 +130,14 @@ def with_items_of(best: BoxSource, items: BoxSource, name: str, by_number: bool 
     added = [index for index, column in enumerate(other.header) if column not in table.header]
     if by_number:
         added = [index for index in added if other.header[index].upper() == "WEIGHT"]
-    if not best.boxes.has_sizes:  # a table of items has the sizes before boxes are turned
+    if not best.boxes.has_sizes:  # the sizes in a table of items are those before boxes are turned
         best = replace(best, form=replace(best.form, sizes=best.form.sizes or "item"))
     return _with_columns(best, other, rows, added, f"{'' if by_number else 'sizes and '}weights from {name}")
 
 
 def _with_weights_of(best: BoxSource, items: BoxSource) -> BoxSource | None:
-    """Boxes that have sizes, with the weights of another list of the same file; None if the names and sizes of both
-    lists do not agree."""
+    """Boxes with the weights of the items in another list of the same file. The boxes have sizes. The result is None if
+    the names or sizes of the boxes and the items do not agree."""
     table, other = best.boxes.table, items.boxes.table
     weights = [index for index, meaning in enumerate(items.boxes.meanings) if meaning and meaning.kind in _OF_WEIGHT]
     rows = _rows_by_name(table, other) if weights and items.boxes.has_sizes else None
@@ -159,7 +159,7 @@ def _with_columns(
 
     def cell(row: int, index: int) -> Any:
         number = cell_number(other.rows[row][index], ",") if other.decimal == "," else None
-        # the text is converted to a number here, since the boxes' own table may have decimal points
+        # a text with a decimal comma becomes a number, since the table of the boxes may have decimal points
         return other.rows[row][index] if number is None or number.unit else number.value
 
     table = best.boxes.table

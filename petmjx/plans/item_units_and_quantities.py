@@ -57,8 +57,9 @@ weights of whole rows may have a cost that is lower by more than this value. Bot
 the file is refused. For example, boxes in rows of ten may have an implausible 1,500 kg/m³ if a weight is the weight of
 one box, and 150 kg/m³ if it is the weight of the row."""
 _FULL: Final = 1.02
-"""Share of an order's target (its carrier). If no column name tells whether a quantity counts the boxes of one layer or
-of all layers, it counts all layers if so many boxes in one layer would cover more than this share."""
+"""Largest share of an order's target (its carrier) that one layer can cover. If no column name tells whether a quantity
+counts the boxes of one layer or of all layers, it counts those of all layers if this number of boxes would cover a
+larger share."""
 
 PG: Final = KnownForm("RoboBPP's pg.xlsx", "cm", "kg")
 DELI: Final = KnownForm("RoboBPP's deli.xlsx", "cm")

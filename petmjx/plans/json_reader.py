@@ -46,7 +46,8 @@ def read_text_bytes(path: Path) -> tuple[bytearray, str | None]:
 
 
 def unpacked_bytes(path: Path) -> tuple[bytearray, str | None]:
-    """The bytes of a file, unpacked if they are gzip; and the text of the error that ended the unpacking, or None.
+    """The bytes of a file, unpacked if they are gzip. The function also returns the text of the error that ended the
+    unpacking; None if there was no error.
 
     Raises:
         OSError, ValueError: as for :func:`read_text_bytes`.
@@ -69,13 +70,13 @@ def _gunzip(packed: bytearray) -> tuple[bytearray, str | None]:
         while not inflate.eof:
             chunk = view[position : position + _GZIP_CHUNK]
             if not chunk:
-                return plain, "the gzip data is cut off; plans up to there are read"
+                return plain, "the gzip data is cut off; the plans before the cut are read"
             before = inflate.copy()
             try:
                 plain += inflate.decompress(chunk)
             except zlib.error as error:
                 _inflate_bytewise(before, chunk, plain)
-                return plain, f"the gzip data is damaged ({error}); plans up to there are read"
+                return plain, f"the gzip data is damaged ({error}); the plans before the damage are read"
             if len(plain) > most:
                 return bytearray(), f"the gzip data unpacks to more than {size(most)}, too much for a plan file"
             position += len(chunk) - len(inflate.unused_data)
@@ -153,7 +154,7 @@ def scan_plans(data: bytes | bytearray, of: str = "plan id → placements", noun
 
     Raises:
         MalformedPlans: a part of the text is not JSON, or the file is empty or has no object. Entries before the
-            damaged part are yielded first. The error does not name the file.
+            damaged part are yielded before the error is raised. The error does not name the file.
     """
     at = _after_space(data, 0)
     if at == len(data):
@@ -203,9 +204,9 @@ def _decoded_id(data: bytes | bytearray, key: re.Match[bytes], where: str) -> An
 def _decoded_value(data: bytes | bytearray, begin: int, window: int, where: str, noun: str) -> tuple[Any, int]:
     """Decode one JSON value. Returns the value and the position of its end.
 
-    The decoder receives a window of the text, and a larger window if the value does not fit. Small windows save time
-    and memory. The decoder's errors count the lines of all text in the window, and text that is not ASCII takes up to
-    four times its size while it is decoded.
+    The decoder receives a window (a part) of the text, and a larger window if the value does not fit. Small windows
+    save time, since the decoder counts all lines of the window for an error. Small windows also save memory, since text
+    that is not ASCII takes up to four times its size while it is decoded.
 
     Args:
         begin: position of the value.
@@ -258,7 +259,8 @@ def _after_space(data: bytes | bytearray, position: int) -> int:
 def _text(data: bytes | bytearray) -> str:
     """Decode bytes to text. Bytes that are not UTF-8 become lone surrogates.
 
-    So the JSON around such bytes can still be read, and a plan whose name has such bytes can be named in errors.
+    As a result, the JSON around such bytes can still be read, and a plan whose name has such bytes can be named in
+    errors.
     """
     return data.decode("utf-8", "surrogateescape")
 

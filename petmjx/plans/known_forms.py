@@ -138,7 +138,7 @@ def _with_form_of_names(boxes: BoxList, kind: str) -> BoxSource:
         return BoxSource(boxes, replace(UNITY, name=f"Unity ({kind})"))
     matrices = any(is_matrix(cell) for cell in boxes.table.rows[0]) if boxes.table.rows else False
     if matrices or any("matrix" in name or "pose" in name or "transform" in name for name in names):
-        # a box of width, height and depth may stand in a scene with y upwards, and so may a box with a "transform"
+        # boxes with a depth or a "transform" may come from a scene with y upwards, so the vertical stays unknown
         any_up = any(name.endswith("depth") or "transform." in name for name in names)
         return BoxSource(boxes, replace(POSES, up="") if any_up else POSES)
     return BoxSource(boxes, KnownForm(kind))
@@ -217,8 +217,8 @@ def _by_pallet_rows(boxes: BoxList) -> tuple[BoxList, str]:
 
 
 def _axis_above(boxes: BoxList, last_of_pallet: Mapping[int, int]) -> str:
-    """The vertical axis, "y" or "z": the only one of the two along which each box has a larger coordinate than its
-    pallet. The result is "" if there is no such axis.
+    """The vertical axis, "y" or "z", as the places of pallets and boxes show it. Along the vertical axis, each box has
+    a larger coordinate than its pallet. The result is "" if this is true of both axes, or of none.
 
     Args:
         last_of_pallet: row of a pallet → the last row of its boxes.
@@ -241,8 +241,8 @@ def _axis_above(boxes: BoxList, last_of_pallet: Mapping[int, int]) -> str:
 
 
 def _name_in(row: Sequence[Any], but: int) -> str:
-    """The first cell of a row that has a text and not a number; "" if there is no such cell. The cell at the index
-    ``but`` is left out."""
+    """The first cell of a row that is a text and no number, except the cell at the index ``but``. The result is "" if
+    there is no such cell."""
     cells = (cell for index, cell in enumerate(row) if index != but)
     return next((cell for cell in cells if isinstance(cell, str) and cell_number(cell) is None), "")
 
@@ -297,7 +297,7 @@ def _certificate(boxes: BoxList) -> BoxSource:
         copies = cell_number(row[upper["COPIES"]]) if "COPIES" in upper else None
         if copies is not None and copies.value > 1:
             notes.append(
-                f"container {cell_text(row[upper['BIN']])} stands for {copies.value:g} alike, and is read once"
+                f"container {cell_text(row[upper['BIN']])} stands for {copies.value:g} equal ones, and is read once"
             )
     if containers and all(sizes == next(iter(containers.values())) for sizes in containers.values()):
         containers = {"": next(iter(containers.values()))}

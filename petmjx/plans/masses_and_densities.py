@@ -30,8 +30,8 @@ _WATER_KG_M3: Final = 1000.0
 _RELATIVE: Final = 1.5
 """If no density in a column without a unit exceeds this value, the densities are relative to the density of water."""
 _LEAST_KG_M3: Final = 25.0
-"""A column without a unit, and with a smaller median density, may be in another unit than kg/m³. Cartons of crisps have
-a density of 30 kg/m³ (1.9 lb/ft³), usual cartons 300 kg/m³ (19 lb/ft³)."""
+"""A column of densities without a unit may be in another unit than kg/m³ if its median is smaller than this value.
+Cartons of crisps have a density of 30 kg/m³ (1.9 lb/ft³), usual cartons 300 kg/m³ (19 lb/ft³)."""
 
 
 def assumed_density(columns: BoxColumns, wishes: Wishes) -> float | None:
@@ -61,8 +61,8 @@ def masses_kg(
         size: (n, 3) sizes of the boxes, mm.
         length_unit: unit of the file's sizes.
         usual_kg_m3: density of boxes without weights if the caller gives none.
-        counts: (n,) number of boxes of each row, if a weight is the weight of all these boxes; None: it is the weight
-            of one box.
+        counts: (n,) number of boxes of each row, if the weight in a row is that of all boxes of the row; None: the
+            weight in a row is that of one box.
 
     Raises:
         InputError: densities have no unit, and may be in kg/m³ or in another unit.
@@ -90,7 +90,7 @@ def masses_kg(
     for row in np.flatnonzero((mass < SMALLEST_KG) | (mass > LARGEST_KG)).tolist():
         fault = positive_fault(name, float(columns.weight[row]), *limits)
         if fault is None and counts is not None:
-            fault = f"{name} must be the weight of {counts[row]:,} boxes"
+            fault = f"{name} must be the weight of all {counts[row]:,} boxes of the row"
         if fault is not None:
             faults.setdefault(row, fault)
     return np.asarray(mass)
@@ -115,7 +115,7 @@ def _density_factor(columns: BoxColumns | ItemColumns, length_unit: str, notes: 
     if imperial or median < _LEAST_KG_M3:
         name = printable_name(columns.columns["density"])
         raise InputError(
-            f"{name} has densities in an unknown unit, {median:g} in the median; write their unit into the name of the "
+            f"{name} has densities in an unknown unit (median: {median:g}); write their unit into the name of the "
             f'column, such as "{name} [kg/m3]" or "{name} [lb/ft3]"'
         )
     notes.append("weights from densities in kg/m³")

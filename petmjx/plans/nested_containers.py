@@ -40,8 +40,8 @@ class NestedBox:
     Attributes:
         value: the object.
         place: its path in the file: "containers[0].boxes[3]".
-        around: the objects that contain this object, outermost first. Each entry of ``around`` is a pair: the last part
-            of the containing object's path, such as "containers[0]", and the containing object.
+        around: the objects that contain this object, outermost first. Each entry of ``around`` is a pair of the last
+            part of a containing object's path, such as "containers[0]", and the containing object.
     """
 
     value: Mapping[str, Any]
@@ -71,9 +71,9 @@ def articles_around(members: Sequence[NestedBox]) -> frozenset[int]:
     of all boxes of the article. Either all members of a list are articles, or none is.
 
     The members of a list with a name such as "items" may also be pallets. The members are articles if they have sizes
-    or a word for articles, and if no member has a word for pallets in its fields or its name. If each member has a box
-    at the place of a box of another member, the members are pallets. If several objects have a list of the same name,
-    the members of all these lists are articles, or none is.
+    or a word for articles, and if no member has a word for pallets in its fields or its name. But if each member has a
+    box at the place of a box of another member, the members are pallets. If several objects have lists of the same
+    name, either the members of all these lists are articles, or none is.
     """
     lists: dict[tuple[int, str], dict[int, dict[int, Mapping[str, Any]]]] = {}
     boxes: dict[int, list[Mapping[str, Any]]] = {}
@@ -216,9 +216,9 @@ def _levels_of_plans(
     members: Sequence[NestedBox], articles: Collection[int]
 ) -> list[list[tuple[str, Mapping[str, Any]]]]:
     """The levels of nesting at which members are in several objects that are no layers, stacks or articles. Each level
-    has the object around each member, and the object's path. If several levels divide the members in the same way, as
-    in answers of GraphQL (``edges[0].node.placements``), only those levels count whose objects all have names, or the
-    first level if there are none."""
+    has the object around each member, and the object's path. Several levels may divide the members in the same way, as
+    in answers of GraphQL (``edges[0].node.placements``). Of such levels, only those count whose objects all have names.
+    If there is no level with names, the first one counts."""
     depth = max((len(member.around) for member in members), default=0)
     levels = [
         [member.around[level] if level < len(member.around) else ("", {}) for member in members]
@@ -243,8 +243,8 @@ def _levels_of_plans(
 
 
 def repeated_ids(members: Sequence[NestedBox], articles: Collection[int]) -> list[str]:
-    """Ids that several plans have, with the names of their fields ("id 7"). Such plans are named by their numbers. If
-    pallets are in several orders, they may have the same ids in each order, so the list is empty."""
+    """Ids that several plans have, with the names of their fields ("id 7"). Such plans are named by their numbers. The
+    list is empty if pallets are in several orders, because each order may have pallets with the same ids."""
     levels = _levels_of_plans(members, articles)
     if len(levels) != 1:
         return []
@@ -272,7 +272,7 @@ def _only_name(around: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
             if (text := _name_text(holder.get(name))) != "":
                 return text
     for step, holder in reversed(around):
-        if step.endswith("]") or not step or holder == {"id": step}:  # {"id": step}: a list named after a plan
+        if step.endswith("]") or not step or holder == {"id": step}:  # {"id": step}: the list has the name of the plan
             for name in ("id", "ID", "name", "bin", "partno"):
                 if (text := _name_text(holder.get(name))) != "":
                     return text
@@ -280,9 +280,9 @@ def _only_name(around: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
 
 
 def _names_of(holders: Sequence[tuple[str, Mapping[str, Any]]]) -> list[str]:
-    """The names of objects around boxes. An object gets its name from the first field of ``_NAMES`` in which it has a
-    text that no other object has in this field. An object without such a field is named by its number in its list, from
-    1, or, outside a list, by the last part of its path."""
+    """The names of objects around boxes. The fields of ``_NAMES`` are tried in order. An object is named by the text of
+    the first field in which no other object has the same text. If there is no such field, a member of a list is named
+    by its number, from 1, and any other object by the last part of its path."""
     names = []
     for (step, _), name in zip(holders, _names_in([holder for _, holder in holders]), strict=True):
         member = re.search(r"\[(\d+)\]$", step)

@@ -22,9 +22,10 @@ _LEAST_COLUMNS: Final = 5
 
 
 def rows_by_column(value: Mapping[str, Any]) -> list[dict[str, Any]] | None:
-    """The rows of an object that stores a table. There are three forms: a list for each column; an object for each
-    column, with one value per row; or the names of all columns in one field, and in another field a list of values for
-    each row (such as ``columns`` and ``data`` of pandas). The result is None if the object has another form.
+    """The rows of an object that stores a table. An object may have one of three forms. It may have a list for each
+    column. It may have an object for each column, with one value per row. Or one field has the names of all columns,
+    and another field has a list of values for each row (such as ``columns`` and ``data`` of pandas). The result is None
+    if the object has another form.
 
     Raises:
         InputError: one of the lists for sizes and places has one value more or fewer than the others.
@@ -182,8 +183,8 @@ _UNITS: Final = frozenset(
         "jednostka",
     )
 )
-"""Names of the two fields in objects such as {"value": 400, "unit": "mm"}: of the field with the number, and of the
-field with the unit."""
+"""Names of the fields in objects such as {"value": 400, "unit": "mm"}. ``_VALUES`` are names of the field with the
+number, ``_UNITS`` are names of the field with the unit."""
 
 
 def _quantity(value: Mapping[str, Any]) -> Any:
@@ -199,8 +200,8 @@ def _quantity(value: Mapping[str, Any]) -> Any:
 
 
 CORNER_NOISE: Final = 0.01
-"""Largest error of the corners of a box, as a share of the box's smallest side. Corners have errors if a camera has
-measured them, or because floating-point numbers are rounded."""
+"""Largest error of the corners of a box, as a share of the box's smallest side. Corners have errors because a camera
+has measured them, or because numbers are rounded."""
 
 
 def _ends_of_vertices(value: Sequence[Any]) -> tuple[list[Any], list[Any]] | None:
@@ -219,7 +220,7 @@ def _ends_of_vertices(value: Sequence[Any]) -> tuple[list[Any], list[Any]] | Non
         odd = [cell for cell in column if cell_number(cell) is None]
         low, high = (0.0, 0.0) if odd else (median(numbers[:4]), median(numbers[4:]))
         if not odd and max(numbers[3] - numbers[0], numbers[7] - numbers[4]) > noise:
-            odd = [f"{column[0]}, …, which are no level box"]
+            odd = [f"{column[0]}, …, which are not the corners of a level box"]
         ends[0].append(odd[0] if odd else low)
         ends[1].append(high if not odd else max(numbers, default=None))
     return ends

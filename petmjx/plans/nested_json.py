@@ -216,8 +216,8 @@ def _joined(group: Sequence[BoxList], names: Sequence[str]) -> BoxList:
 
 
 def _by_lines(boxes: BoxList, lines: Sequence[int]) -> BoxList:
-    """Replace, in the places of boxes in JSON lines, the index of a value by the number of its line: "[4].items[2]" →
-    "line 5, items[2]"."""
+    """Change the places of boxes in JSON lines: the number of a line replaces the index of the value in this line, so
+    that "[4].items[2]" becomes "line 5, items[2]"."""
     places = []
     for place in boxes.table.places:
         member = re.match(r"\[(\d+)\]\.?", place)
@@ -296,10 +296,10 @@ _FORM_WORDS: Final = word_set(
 
 def _is_plan_key(value: Mapping[str, Any]) -> bool:
     """Whether the names of an object's fields are names of plans. Every field must hold a list. All lists must have
-    similar members with the same fields for sizes and places; if only some lists have places, the others are lists of
-    items. A list may be empty if its name differs from the name of another list only in its number. No name may say
-    that boxes are not placed. If only one list is not empty, or if the lists have rows of numbers, no name may have a
-    word of ``_FORM_WORDS``."""
+    similar members, with the same fields for sizes and places: if only some lists have places, the other lists are
+    lists of items, and not plans. A list may be empty if its name differs from the name of another list only in its
+    number. No name may say that boxes are not placed. If only one list is not empty, or if the lists have rows of
+    numbers, no name may have a word of ``_FORM_WORDS``."""
     lists = [inner for inner in value.values() if isinstance(inner, list) and inner]
     if not lists or not all(isinstance(inner, list) for inner in value.values()):
         return False
@@ -359,7 +359,7 @@ def _box_list(path: str, members: Sequence[NestedBox]) -> BoxList | None:
     table = RawTable(header, rows, places, decimal_of(rows) or "", title=path, has_header=not numbered)
     parts = plan_names_of([members[number] for number in box_members], articles)
     if ids := repeated_ids([members[number] for number in box_members], articles):
-        notes.append(f"plans are numbered: several have {first_names(ids)}")
+        notes.append(f"plans are numbered, because several have {first_names(ids)}")
     containers: dict[str, Mapping[str, float]] = {}
     for number, part in zip(box_members, parts, strict=True):
         if part not in containers:
@@ -471,7 +471,7 @@ def _with_zeros(flat: list[dict[str, Any]]) -> list[str]:
     numbers = [[cell_number(row.get(name)) for row in flat] for name in columns]
     is_zero = any(number is not None and number.value == 0 for column in numbers for number in column)
     n_lacking = [sum(name not in row for name in columns) for row in flat]
-    # if no box lacks only one or two coordinates, the boxes that lack all three may have no place
+    # a box that lacks all three coordinates may have no place, so there must also be a box that lacks one or two
     in_part = any(0 < count < 3 for count in n_lacking)
     if len(columns) < 3 or is_zero or not in_part or not all(any(name not in row for row in flat) for name in columns):
         return []
@@ -482,9 +482,9 @@ def _with_zeros(flat: list[dict[str, Any]]) -> list[str]:
 
 
 def _mark_long_lists(flat: list[dict[str, Any]]) -> None:
-    """Mark sizes and places that are lists of four numbers, if fewer than half of the rows have such lists: in "[38.5,
-    22.7, 41,6]", a decimal comma has divided the third number. The third number of a marked list becomes a text that is
-    no number, so its row is reported as bad."""
+    """Mark sizes and places that are lists of four numbers, if fewer than half of the rows have such lists. The fourth
+    number may come from a decimal comma: in "[38.5, 22.7, 41,6]", a comma has divided the number 41.6. The third number
+    of a marked list becomes a text that is no number, so its row is reported as bad."""
     names = {name for row in flat for name in row if name.endswith("[3]")}
     for name in _named(sorted(names), ("size", "position", "low", "high")):
         long = [row for row in flat if name in row]

@@ -32,8 +32,8 @@ DISTINCT_SHARE = (0.35, 0.7)
 """Range of the number of distinct articles, as a share of the number of boxes of the order."""
 
 FILL_BUDGET = 0.55
-"""Largest share of the room above a target, up to 2 m, that the boxes of an order may fill, since a warehouse's orders
-fit on their targets."""
+"""Largest share of the space above a target, up to a height of 2 m, that the boxes of an order may fill. A warehouse's
+orders fit on their targets."""
 
 CATALOGUE_SIZE = 800
 FIRST_ARTICLE_ID = 100_001

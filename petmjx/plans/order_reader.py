@@ -22,7 +22,9 @@ from petmjx.plans.order import Order
 if TYPE_CHECKING:
     from petmjx.plans.item_units_and_quantities import ForeignOrders, OrderReading
 
-_CONVERT: Final = "petmjx convert {file} --orders -o orders.json takes it, and writes orders that all commands read"
+_CONVERT: Final = (
+    "petmjx convert {file} --orders -o orders.json takes this option, and writes orders that all commands read"
+)
 """Advice that is appended to an error about two possible readings, for commands that have no options for reading
 orders."""
 _FRAME: Final = "orders"
@@ -38,7 +40,7 @@ def read_orders(
     """Yield (order id, order) for each order of a file, gzipped or not. Items are sorted by sequence number.
 
     Orders in BED-BPP's form are read directly. A file of plans, or of another form, is read by
-    ``petmjx.plans.foreign_orders``, and a ``PlanWarning`` states how.
+    ``petmjx.plans.foreign_orders``. A ``PlanWarning`` then states how the file was read.
 
     Args:
         on_bad_order: function that is called with the error of a bad order, which is then skipped; None: the error is

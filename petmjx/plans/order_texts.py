@@ -154,8 +154,8 @@ def _thpack(lines: Sequence[_Line]) -> BoxSource:
     The line of a box type has the number of the type, length, mark, width, mark, height, mark and quantity. The mark
     after a size is 1 if this size may be vertical, otherwise 0. In ``wtpack``, types have no numbers, and the quantity
     is followed by the weight in kg and by load-bearing strengths. petmjx turns boxes only about the vertical axis, so
-    it must choose which size is vertical. It chooses the first of height, width and length that has the mark 1; if none
-    has, the height.
+    it must choose which size is vertical. It chooses the first of height, width and length that has the mark 1. If no
+    size has the mark 1, it chooses the height.
     """
     weighted = any(len(line) - (_flags_at(line) or 0) >= 8 and _flags_at(line) == 0 for line in lines)
     rows = _Rows(("type", "length", "width", "height", "quantity", *(("weight per box",) if weighted else ())))
@@ -211,11 +211,11 @@ def _thpack(lines: Sequence[_Line]) -> BoxSource:
         )
     notes = []
     if laid:
-        notes.append(f"{count_text(laid, 'type')} laid on a permitted side, since the height may not be upright")
+        notes.append(f"{count_text(laid, 'type')} laid on a permitted side, since the height must not be vertical")
     if free:
         notes.append(
             f"{count_text(free, 'type')} may also stand on other sides, which petmjx does not use: it turns boxes "
-            "about the vertical alone"
+            "only about the vertical"
         )
     return rows.source(THPACK, notes)
 

@@ -96,8 +96,9 @@ def _deck_heights(
 
 def rows_below_deck(low: FloatArray, plans: Mapping[str, NDArray[np.int64]], size: FloatArray) -> set[int]:
     """Numbers of the rows of boxes below the deck, whose heights are probably wrong. A plan's deck is taken to be at
-    height 0 if the boxes below 0 cannot carry the boxes at 0: if they have, together, less than half of the base area
-    of the boxes at 0, or if there are fewer of them, and the top of none is at 0."""
+    height 0 if the boxes below 0 cannot carry the boxes at 0. This is so in two cases: all boxes below 0 together have
+    less than half of the base area of the boxes at 0; or there are fewer boxes below 0 than at 0, and no box below 0
+    has its top at 0."""
     below: set[int] = set()
     area = size[:, 0] * size[:, 1]
     for rows in plans.values():
@@ -127,7 +128,7 @@ def _move(
     notes = []
     if abs(bottom) > _LEVEL * float(np.nanmedian(size[used, 2])):
         low[rows, 2] -= bottom
-        notes.append(f"heights count from the lowest box, {bottom:g} mm")
+        notes.append(f"heights are measured from the lowest box, at {bottom:g} mm")
     elif bottom:
         low[rows, 2] = np.where(np.abs(low[rows, 2]) <= abs(bottom), 0.0, low[rows, 2])
     begin = np.nanmin(low[used, :2], axis=0)
@@ -162,8 +163,8 @@ def pallet_rows(
 
 
 def named_decks(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]]) -> tuple[set[int], str]:
-    """Numbers of the rows that describe pallets, one for each plan, and the vertical axis that they show, "y" or "z".
-    The numbers are empty, and the axis is "", if a plan has no such row, or if rows do not show one axis.
+    """Numbers of the rows that describe pallets, one for each plan, and the vertical axis that these rows show, "y" or
+    "z". If a plan has no such row, or if the rows do not show exactly one axis, the set is empty and the axis is "".
 
     The row of a pallet is named as a pallet, is flat, and has the largest base of its plan. Along the vertical axis,
     and only along this axis, all boxes of the plan have larger coordinates than the pallet.
@@ -284,9 +285,13 @@ def _touches_next(low: FloatArray, size: FloatArray, box: int, axis: int, tolera
 def edge_faults(
     columns: BoxColumns, reading: Reading, candidate: Candidate, plans: Mapping[str, NDArray[np.int64]]
 ) -> dict[int, str]:
-    """Row → fault, for the only box of a plan with a negative x or y, if most of it is beyond the edge of the load and
-    it touches no box at this edge (if the origin is the middle of a side, a sound plan may have a box beside it); and
-    for a box that is farther from all others than these extend."""
+    """Row → fault, for two kinds of boxes.
+
+    The first kind is the only box of a plan with a negative x or y. It is bad if most of it is beyond the edge of the
+    load, and it touches no box at this edge. (If the origin is the middle of a side, a box of a sound plan may stand
+    beyond the edge and touch a box there.) The second kind is a box that is farther from all other boxes than these
+    extend together.
+    """
     faults: dict[int, str] = {}
     names = _place_names(reading.columns)
     far = _FAR_MM / LENGTH_UNITS[reading.length_units[1]]
@@ -311,7 +316,8 @@ def edge_faults(
 
 
 def _far_boxes(low: FloatArray, high: FloatArray, least: float) -> list[int]:
-    """Indices of the boxes that are farther from all others along an axis than these extend.
+    """Indices of the boxes that are far from all other boxes along an axis: the distance is larger than the extent of
+    all other boxes together.
 
     Args:
         low, high: (n,) where the boxes begin and end.

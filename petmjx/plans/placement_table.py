@@ -52,9 +52,9 @@ _NUMBER: Final = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"
 _SHORT_WHOLE: Final = r"^[+-]?(\d{1,18}|[1-8]\d{18})$"
 _WHOLE: Final = re.compile(r"[+-]?[0-9]+")
 _MOST_EXACT: Final = 2.0**53
+"""Largest n for which float64 represents all whole numbers from 0 to n exactly."""
 WIDE_STEP: Final = 10
 """Programs such as SAP number rows 10, 20, 30 …, so that rows can be inserted later."""
-"""Largest n for which float64 represents all whole numbers from 0 to n exactly."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -171,7 +171,7 @@ def com_fault(field: str, value: Any, size: float) -> str | None:
     """
     fault = number_fault(field, value)
     if fault is None and not 2 * abs(value) < size:
-        return f"{field} must be inside the box, less than half of its {size:g} from the middle, got {kind(value)}"
+        return f"{field} must be inside the box, less than half of {size:g} from the middle, got {kind(value)}"
     return fault
 
 

@@ -111,7 +111,8 @@ def load_plans(
         up: the vertical axis in files of other tools; "-y" or "-z": heights are counted downwards; None: the most
             plausible axis. ``up`` and all arguments after it apply only to files of other tools.
         sizes: ``placed``: sizes of boxes as placed; ``item``: sizes before boxes are turned.
-        columns: role (``length``, ``x``, ``weight`` …, see docs/plan-format.md) → name of its column, or "-".
+        columns: role (``length``, ``x``, ``weight`` …, see docs/plan-format.md) → name of its column; "-": no column
+            has the role.
         density: density of boxes that have no weight, kg/m³; None: 300.
         items: file with the sizes and weights of items, for files that contain only places.
         reading: how a file was read earlier: ``PlanSet.readings``, or a file that ``petmjx info --write-as`` wrote.

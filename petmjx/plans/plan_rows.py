@@ -31,7 +31,7 @@ _MANY_OVERLAP: Final = 0.3
 _LEAST_OF_PALLETS: Final = 4
 """Smallest number of boxes in a file for which petmjx searches for a column that names the pallets."""
 _LARGEST_NUMBER: Final = 2**53
-"""Largest number of a packing order. Larger numbers of this type may be rounded."""
+"""Largest number of a packing order. Larger whole numbers may have been rounded, since they are stored as float64."""
 _OF_STACKS: Final = frozenset(("stack", "stacks", "stack id", "stack_id", "stack no", "stack_no", "stackid"))
 """Names of columns that may name pallets, or stacks of one pallet."""
 
@@ -50,12 +50,12 @@ class PalletSearch:
 
     def columns_with_pallets(self) -> tuple[BoxColumns, tuple[str, ...]]:
         """The columns of the file, and notes. If boxes would overlap as one plan, or the packing order repeats numbers,
-        the file has several pallets. The column that separates the pallets then becomes the column of plans, and a note
-        tells this. Exactly one column must separate the pallets.
+        the file has several pallets. If a column separates the boxes into pallets without these faults, this column
+        becomes the column of plans, and a note tells this.
 
         Raises:
-            InputError: the column does not have a word for pallets in its name, or several columns separate the
-                pallets.
+            InputError: it is unclear which column separates the pallets. It is clear only if exactly one of the
+                possible columns has a word for pallets in its name.
         """
         columns = self.columns
         rows = np.arange(columns.n_boxes)
@@ -144,8 +144,9 @@ class PalletSearch:
 
 def plan_names(columns: BoxColumns, source: str, notes: list[str]) -> list[str]:
     """(n,) the name of the plan of each row. If the names are numbers of containers, the file's name comes before
-    them, so that plans of different files have different names. Numbers are the numbers of containers if a column has
-    them (its name has a word for containers), or if they count without gaps from 0 or 1. Other numbers are ids.
+    them, so that plans of different files have different names. Numbers are taken for numbers of containers if they
+    count without gaps from 0 or 1, or if they are in a column whose name is not "plan" or "order". Other numbers are
+    ids.
     """
     parts, column = columns.source.boxes.parts, columns.plan
     if column is not None and len(set(column)) * 2 > columns.n_boxes + 2 and len(set(column)) > 1:

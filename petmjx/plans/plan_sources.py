@@ -158,8 +158,8 @@ def _idle_rows(articles: Articles, plans: Sequence[Plan], name: str) -> list[str
     every row matches a box.
 
     Args:
-        plans: the plans before and after the table is applied. A row about a material may match only the plans after
-            it, if another row of the table gives this material to boxes.
+        plans: the plans before and after the table is applied. Another row of the table may give a material to boxes.
+            So a row about this material may match a box only after the table is applied.
     """
     from petmjx.plans.articles import material_key
 
@@ -210,7 +210,7 @@ def _distinct_plan_ids(plan_set: PlanSet, options: RunOptions) -> PlanSet:
         verb = "repeats an id and is" if len(renamed) == 1 else "repeat ids and are"
         notes.append(f"{count_text(len(renamed), 'plan')} {verb} called {first_names(renamed)}")
     numbers = {plan.plan_id: number for number, plan in enumerate(plans)}
-    skipped = [replace(skip, number=None) for skip in plan_set.skipped]  # plans are numbered without the skipped ones
+    skipped = [replace(skip, number=None) for skip in plan_set.skipped]  # skipped plans get no numbers here
     return replace(plan_set, plans=plans, skipped=skipped, notes=notes, numbers=numbers)
 
 
@@ -249,7 +249,8 @@ def without_narrow_walls(
 
 
 def without_built_plans(plan_set: PlanSet, built: int, strict: bool = False) -> PlanSet:
-    """Skip plans of which no box is left to place if the first ``built`` boxes stand already.
+    """Skip plans that have at most ``built`` boxes. If the first ``built`` boxes already stand, no box of such a plan
+    is left to place.
 
     Raises:
         InputError: no plan is left; or, with ``strict``, a plan would be skipped.

@@ -250,7 +250,8 @@ def _gaps(
 ) -> FloatArray:
     """(…, n) gap between each box and its support, mm.
 
-    The support of a box is the highest box whose bottom is below its own, or the carrier's top.
+    The support of a box is the highest top of the boxes under it; if no box is under it, the carrier's top. A box is
+    under another box if the two overlap when seen from above, and if its bottom is below the bottom of the other box.
 
     If a box reaches into another box from below, the upper box counts as overlapping, not as floating. A box that is
     placed before the box under it counts as floating, because it would fall before that box arrives.

@@ -53,7 +53,7 @@ def statics_of(plans: Sequence[Plan], deck_mm_of: Callable[[Plan], FloatArray | 
     usually gets the value of another plan.
 
     Args:
-        deck_mm_of: function that returns the carrier's boards under a plan, as the argument ``deck_mm`` of
+        deck_mm_of: function that returns the carrier's boards under a plan, in the form of the argument ``deck_mm`` of
             ``loose_and_ties``.
     """
     examined = (

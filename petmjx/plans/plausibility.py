@@ -26,7 +26,8 @@ _TOLERANCE: Final = 0.01
 """Largest gap at which boxes touch, as a share of the median of the boxes' smallest sides: 2 mm for cartons of 200 mm.
 Boxes that touch may have a gap in a file, because centres are often rounded to centimetres or half millimetres."""
 _SMALL_LOAD: Final = 160
-"""Largest number of boxes that are used to judge a plan: its first boxes in packing order, from the ground up."""
+"""Largest number of boxes that are used to judge a plan: the lowest boxes for overlaps and supports, the first boxes in
+the list for the order of boxes."""
 _CARTON_MM, _CARTON_SPREAD = 280.0, 0.75
 """Geometric mean of a carton's sides, and the standard deviation of its natural logarithm, from BED-BPP's boxes."""
 _CARTON_KG_M3, _DENSITY_SPREAD = 250.0, 1.1
@@ -84,7 +85,7 @@ def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]
         extent = float(((low + size).max(axis=0) - low.min(axis=0))[:2].max())
         offset = 1.0 if 0 < bottom < max(1.2 * float(np.median(size[:, 2])), _HIGHEST_DECK * extent) else 4.0
         if abs(bottom - float(np.median(size[heights <= tolerance, 2])) / 2) <= tolerance:
-            offset = 3.0  # heights are rather those of centres
+            offset = 3.0  # heights are probably those of centres
         half = layout.container[2] / 2
         if not np.isnan(half) and abs(bottom + half) <= 2 * tolerance:
             offset = 0.8
@@ -225,9 +226,8 @@ of the top, if y is the vertical axis."""
 
 
 def vote_for_other_points(layout: Layout, mm: float, point: FloatArray) -> int:
-    """1 if coordinates that were read as those of one point of each box, such as a corner, are probably those of
-    another point of each box; −1 if they are probably those of the given point; 0 if unknown. The vertical axis may be
-    z or y.
+    """A vote on the point of a box that coordinates describe. The vote is −1 if they probably describe the given point,
+    such as a corner; 1 if they probably describe another point; 0 if unknown. The vertical axis may be z or y.
 
     The result is 1 under two conditions. If coordinates are read as those of the other point, the load begins at a
     corner of the deck, or is symmetric to the origin, along both horizontal axes. If coordinates are read as those of
@@ -265,9 +265,10 @@ def order_cost(layouts: Sequence[Layout]) -> float:
 
     Packers mostly place boxes from the ground up. From one box to the next, the height falls in 14 % of the steps in
     plans of the packer ``baseline``, and in 25 % in plans of the packer ``balanced``. Each level coordinate falls in 30
-    % and 39 % of the steps (200 plans each, ``petmjx samples -n 200 --seed 33901``). If a level coordinate falls less
-    often than the height, its axis may be the vertical. A box is hardly ever placed below a box that is listed before
-    it. In lists in any other order, such as the order of articles, all axes have about the same cost.
+    % of the steps in plans of ``baseline``, and in 39 % in plans of ``balanced`` (200 plans each, ``petmjx samples -n
+    200 --seed 33901``). If a level coordinate falls less often than the height, its axis may be the vertical. A box is
+    hardly ever placed below a box that is listed before it. In lists in any other order, such as the order of articles,
+    all axes have about the same cost.
     """
     return min(_cost_in_order(layouts, 1), _cost_in_order(layouts, -1))
 

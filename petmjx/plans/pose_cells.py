@@ -146,7 +146,8 @@ def _are_rotations(matrices: FloatArray) -> NDArray[np.bool_]:
 
 
 def _replaced(table: RawTable, name: str, indices: Sequence[int], cells: Sequence[Any]) -> RawTable:
-    """A table in which one column, at the place of the first of several columns, replaces these columns."""
+    """A table in which one new column replaces several columns. The new column stands at the place of the first of
+    these columns."""
     first, others = indices[0], {*indices[1:]}
     kept = [index for index in range(len(table.header)) if index not in others]
     header = tuple(name if index == first else table.header[index] for index in kept)

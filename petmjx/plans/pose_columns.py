@@ -133,7 +133,7 @@ def _angles(extraction: ColumnExtraction) -> list[_Rotations]:
     listed = turned if {*"012"} <= turned.keys() else quaternions if {*"012"} <= quaternions.keys() else {}
     if listed:
         named = {axis: listed[str(number)][0] for number, axis in enumerate(XYZ)}
-    elif {*XYZ} <= quaternions.keys():  # angles: "orientation.x", "orientation.y" … without a column for w
+    elif {*XYZ} <= quaternions.keys():  # without a column for w, "orientation.x" … are angles
         named = {axis: quaternions[axis][0] for axis in XYZ}
     elif named and "z" not in named:
         yaws = [index for index in turned.get("", ()) if "yaw" in words_of(extraction.table.header[index])]
@@ -196,7 +196,7 @@ def _turned(extraction: ColumnExtraction, geometry: Geometry, rotation: FloatArr
         cosine = np.abs(rotation[row]).max(axis=1)
         degrees = np.degrees(np.arccos(np.clip(cosine.min(), 0, 1)))
         is_rotation_of_box = cosine.max() <= 1 + _ROUNDED_SCALE
-        fault = f"is turned by {degrees:.3g}° out of right angles: only level boxes at right angles"
+        fault = f"is turned by {degrees:.3g}° out of right angles: boxes must be level and at right angles"
         extraction.bad(int(row), index, fault if is_rotation_of_box else "is no rotation")
     return replace(geometry, placed=True, turn=np.rint(rotation))
 

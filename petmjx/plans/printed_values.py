@@ -50,7 +50,7 @@ _SPACE: Final = re.compile(r"\s*")
 _QUOTED: Final = re.compile(r"""\\?(?:"((?:\\.|[^"\\])*)"|'((?:\\.|[^'\\])*)'|`([^`]*)`)""")
 _NAME: Final = re.compile(
     r""":([A-Za-z][\w.?!/-]*)(?=\s)"""  # EDN
-    r"""|\[\s*+['"]?([^\]\[\n'"]{1,200}+)['"]?\s*+\]\s*+=>?"""  # PHP, Lua; possessive against slow backtracking
+    r"""|\[\s*+['"]?([^\]\[\n'"]{1,200}+)['"]?\s*+\]\s*+=>?"""  # PHP, Lua; possessive, to avoid slow backtracking
     r"""|:?['"]?([A-Za-z_$][\w$.-]*)['"]?\s*(?:=>|=(?!=)|:(?!:))"""
 )
 _EMPTY: Final = re.compile(r"[ \t]+(?=[A-Za-z_]\w{0,99}[:=](?:[^\s,;]++(?!\s*[,;])|[ \t]{1,9}[A-Za-z_]\w{0,99}[:=]))")
@@ -254,7 +254,7 @@ def values_of_blocks(text: str) -> Any:
         else:
             pairs |= _fields_of_title(title)
     n_known = len(known_meanings(boxes[0])) if len(boxes) > 1 and len(boxes[0]) <= MOST_COLUMNS else 0
-    # too few names of fields of a box: for example, "[Pallet 1]" may be the title of a section of a table
+    # if fewer fields are known, blocks may be something else: "[Pallet 1]" may be the title of a section of a table
     if n_known < _LEAST_PAIRS:
         return None
     if fault:
@@ -279,8 +279,9 @@ def _value(text: str, at: int, depth: int, decimal_marks: str = "") -> tuple[Any
 
 
 def _value_of_name(text: str, at: int, depth: int, decimal_marks: str = "") -> tuple[Any, int]:
-    """The value behind a name and the sign after the name (":", "=" or "=>"); "" if the line ends there, or the next
-    name follows. Brackets and quoted texts may stand on the next line.
+    """The value that follows a name and the sign after the name (":", "=" or "=>"). The value is "" if the line ends
+    after the sign, or if the next name follows. Brackets and quoted texts may stand on the next line. The function also
+    returns the position behind the value.
 
     Args:
         decimal_marks: letters that may end a number without being a unit.
@@ -354,7 +355,7 @@ def _check_alike(text: str, places: Sequence[int], items: Sequence[Any], least: 
     item would be lost."""
     others = [place for place, item in zip(places, items, strict=True) if not (item is None or _has_objects(item))]
     if others and sum(isinstance(item, dict) for item in items) >= least:
-        raise _fault(text, others[0], "it is no object, unlike others in its list")
+        raise _fault(text, others[0], "this value is no object, unlike others in its list")
 
 
 def _has_objects(value: Any) -> bool:

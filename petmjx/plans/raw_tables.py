@@ -87,8 +87,12 @@ def united(tables: Sequence[RawTable]) -> RawTable:
 
 
 def with_names_of(table: RawTable, first: RawTable) -> RawTable:
-    """The table, in which a column whose name has the same meaning as that of another table's column gets the other
-    name ("Pos. X [mm]" → "X [mm]"). The meaning must be known, and no further column of the two tables may have it."""
+    """The table, after columns have got the names that another table uses ("Pos. X [mm]" → "X [mm]"). A column is
+    renamed if its name has a known meaning, and if exactly one column of each table has this meaning.
+
+    Args:
+        first: the other table.
+    """
     meanings, others = (
         [meaning and replace(meaning, letter=False) for meaning in column_meanings(header)]
         for header in (table.header, first.header)

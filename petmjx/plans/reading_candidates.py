@@ -48,8 +48,8 @@ _TURNED_ARRAY: Final = 0.6
 """Cost of a reading with the sizes of boxes before they are turned, for an array without column names. Arrays mostly
 come from programs that train packers, and have sizes as placed."""
 _PLACED_POINT_COST: Final = 0.8
-"""Cost of a reading in which coordinates of poses are those of a corner, or of the centre of the base or the top, of
-the box as placed. By its definition, a pose turns a box about the point that its coordinates describe."""
+"""Cost of a reading in which coordinates of poses describe a point of the box as placed (a corner, or the centre of the
+base or the top). By its definition, a pose turns a box about the point that its coordinates describe."""
 _FIRM_COST: Final = 3.0
 """Cost of a reading that contradicts what is known from the form of the file, the names of its columns, or the
 rotations."""
@@ -172,7 +172,7 @@ def layout_of(
     place = candidate.geometry.place
     order = _UP[candidate.up]
     if candidate.rule == POSES[1] and (turn := candidate.geometry.turn) is not None:
-        # from the point of the box before it is turned to the same point of the box as placed
+        # move each place from the point of the box before it is turned to the same point of the box as placed
         point = np.empty(3)
         point[list(order)] = candidate.point
         if candidate.up.startswith("-"):
@@ -187,7 +187,8 @@ def layout_of(
         low[:, 2] -= np.nanmin(low[:, 2], initial=0.0)  # heights are measured from the top of the load
     extents = _container_along(candidate, container or {}, order)
     if candidate.up == "y" and container and container.keys() == {"0", "1", "2"}:
-        listed = np.array([container[axis] for axis in "012"])  # perhaps length, width, height, not x, y, z
+        # the listed sizes may be length, width and height, and not the extents along x, y and z
+        listed = np.array([container[axis] for axis in "012"])
         far = np.nanmax(low + size, axis=0, initial=-math.inf)
         is_listed = (far <= listed).all() and ((far > extents).any() or listed[2] > extents[2])
         extents = listed if is_listed else extents
@@ -429,9 +430,9 @@ def _sizes_by_article(columns: BoxColumns, geometry: Geometry) -> str:
 
 
 _LEAST_BY_LENGTH: Final = 3
-"""Least number of turned boxes, and of unturned boxes, with different lengths and widths; of kinds of such boxes, if no
-kind is both turned and unturned. With fewer of them, lengths and widths do not show whether sizes are given for placed
-boxes or for items."""
+"""Lengths and widths show whether sizes are given for placed boxes or for items only if there are at least this number
+of turned boxes, and of unturned boxes, whose lengths and widths differ. If no kind of boxes is both turned and
+unturned, kinds are counted instead of boxes."""
 _LONGER_SHARE: Final = 0.9
 """Lengths and widths show whether sizes are given for placed boxes or for items only if the length exceeds the width in
 at least this share of the unturned boxes."""
@@ -463,8 +464,8 @@ def _sizes_by_length(columns: BoxColumns, geometry: Geometry) -> str:
 
 _OF_ITEMS: Final = word_set("item article sku product original nominal unrotated")
 _OF_YAWS: Final = word_set("yaw theta heading azimuth psi rx ry rz x y z")
-"""Words in names of sizes, and in the name of a column of rotations, that mean sizes before the box is turned. An angle
-about an axis ("rz", "rot_z") turns a box whose sizes are known without it."""
+"""Words that mean sizes before the box is turned: ``_OF_ITEMS`` in the names of sizes, ``_OF_YAWS`` in the name of a
+column of rotations. An angle about an axis ("rz", "rot_z") turns a box whose sizes are known without this angle."""
 
 
 def _sizes_by_name(columns: BoxColumns, geometry: Geometry) -> str:

@@ -74,9 +74,9 @@ _OTHER_POINT_COST: Final = 3.6
 (``vote_for_other_points``). For a reading with coordinates of centres, the cost is half as large: such coordinates may
 be those of the middles of tops, if y is the vertical axis."""
 _WALL_COST: Final = 2.0
-"""Cost of a reading in which boxes form a wall (``is_wall``) in all plans; if some plans are walls, their share of the
-cost. If y is as likely to be the vertical as z, and the file has more than a few boxes, the reading as a flat layer
-wins; else the user is asked for the vertical axis."""
+"""Cost of a reading in which boxes form a wall (``is_wall``) in all plans. If only some plans are walls, the cost is
+multiplied by their share. If y is as likely to be the vertical as z, and the file has more than a few boxes, the
+reading as a flat layer wins. Otherwise, the user is asked for the vertical axis."""
 _MOST_BOXES: Final = 400
 _MOST_PLANS: Final = 12
 """Largest number of boxes, and largest number of plans, that are used to judge readings. The chosen reading applies to
@@ -333,8 +333,9 @@ def choose_reading(
 
 
 def _without_last_cells(judged: Sequence[_Judged]) -> _Judged:
-    """The most plausible reading. If it takes far corners for the last cells of boxes, and a reading as ends is about
-    as plausible and gives the same piles but for the size of a cell, that reading is returned instead."""
+    """The most plausible reading. A far corner may be the end of a box, or the last grid cell inside the box. If the
+    most plausible reading takes far corners for last cells, another reading is returned if it takes them for ends, is
+    about as plausible, and gives the same piles in other units."""
     best = judged[0]
     if LAST_CELLS not in best.candidate.geometry.columns:
         return best
@@ -349,8 +350,9 @@ def _without_last_cells(judged: Sequence[_Judged]) -> _Judged:
 
 
 def _reversed_piles(judged: Sequence[_Judged]) -> list[_Judged]:
-    """The readings in which the pile of the most plausible reading is upside down, if its boxes are listed from the top
-    down, and if the boxes of the reversed pile lie as well."""
+    """The readings in which the pile of the most plausible reading is upside down. There are such readings only if the
+    boxes of the pile are listed from the top down, and if no more boxes are odd (overlap, float or are outside) in the
+    reversed pile."""
     best = judged[0]
     return [
         other
@@ -363,15 +365,16 @@ def _reversed_piles(judged: Sequence[_Judged]) -> list[_Judged]:
 
 
 def _lies_better(best: _Judged, other: _Judged) -> bool:
-    """Whether another reading is less plausible only because it is rare: no box overlaps or floats in it, unlike in the
-    most plausible reading, and places and units speak clearly for it."""
+    """Whether another reading is less plausible only because it is rare. If so, places and units speak clearly for it:
+    boxes overlap, float or are outside in the most plausible reading, but no box does or is in the other one."""
     of_numbers, of_other_numbers = (one.cost - one.candidate.prior for one in (best, other))
     return best.evidence.n_odd > 0 == other.evidence.n_odd and of_other_numbers + WEAK_LEAD < of_numbers
 
 
 def _along_further_axes(judged: Sequence[_Judged], two: Sequence[_Judged]) -> list[_Judged]:
-    """The most plausible reading for each of the axes x, y and z that is the vertical in neither of two readings, if
-    its boxes lie as well as theirs."""
+    """Further readings beside two given ones: for each of the axes x, y and z that is the vertical in neither of the
+    two, the most plausible reading. A reading is left out if more boxes are odd in it (overlap, float or are outside)
+    than in the two, or if its layout is less plausible."""
     axes = {"-y", "-z", *(one.candidate.up for one in two)}
     further = []
     for other in judged:  # most plausible first
@@ -406,7 +409,7 @@ def _may_be_turned(best: _Judged, other: _Judged) -> bool:
     axis."""
     is_known = not np.isnan(best.layouts[0].container[:2]).any()
     firm, other_firm = (one.layout_cost + one.begin_cost + is_known * one.units[0].cost for one in (best, other))
-    rarer = WEAK_LEAD if other.candidate.up.startswith("-") else TIE  # if no height is above 0, it may be a depth
+    rarer = WEAK_LEAD if other.candidate.up.startswith("-") else TIE  # if no height is above 0, heights may be depths
     return (
         other.candidate.up != best.candidate.up
         and other.candidate.prior <= best.candidate.prior + rarer
@@ -420,7 +423,7 @@ def _may_be_turned(best: _Judged, other: _Judged) -> bool:
 def _is_doubtful(best: _Judged) -> bool:
     """Whether another axis may be the vertical, or coordinates may describe another corner. This may be so if, in the
     most plausible reading, boxes overlap, float, are outside or are listed from one side to the other. It may also be
-    so if the sizes do not lie along the axes that name them, or a width lies along x."""
+    so if the sizes do not lie along the axes that name them, or if a width lies along x."""
     is_exchanged = best.candidate.geometry.axes == XYZ and best.candidate.pair != (0, 1, 2)
     is_exchanged |= best.candidate.along[:2] == ("width", "length")
     return best.evidence.n_odd > 0 or is_exchanged or best.begin_cost + best.order_cost > 0
@@ -431,14 +434,15 @@ _LEAST_OVERLAPPING: Final = 6
 
 
 _LARGEST_PRIOR: Final = 7.0
-"""A reading with a vertical other than z and y is not taken if it costs at least this before any numbers are
-considered: then its points are unusual, too, or it contradicts names. It may be the most plausible reading because a
-number is damaged."""
+"""A reading whose vertical axis is neither z nor y is not taken if it costs at least this before any numbers are
+considered. Such a reading also has an unusual anchor, or contradicts names. It may seem the most plausible reading only
+because a number is damaged."""
 
 
 def _is_impossible(best: _Judged, columns: BoxColumns, wishes: Wishes) -> bool:
-    """Whether more than half of the boxes overlap in the most plausible reading, or the reading is unusual
-    (``_LARGEST_PRIOR``); and neither the form nor the caller says which point of a box coordinates describe."""
+    """Whether the most plausible reading must be refused, because more than half of the boxes overlap in it, or because
+    it is unusual (``_LARGEST_PRIOR``). The result is False if the caller gives the anchor or a written reading, or if
+    the form gives the anchor and the vertical axis."""
     n_overlapping = best.evidence.n_overlapping
     form = columns.source.form
     is_said = bool(wishes.anchor or wishes.exact or (form.anchor and form.up))
@@ -473,7 +477,7 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
                 other = _judge(columns, wishes, scaled, sample)
                 if _unit_of_sizes(other, other.units[0].length) is not None and _within_reach(other):
                     judged.append(other)
-    # of equally plausible readings, which may be the same but for a shift, the more usual one comes first
+    # of equally plausible readings, the more usual one comes first; they may differ only in a shift
     return sorted(judged, key=lambda one: (round(one.cost, 9), one.candidate.prior))
 
 

@@ -33,13 +33,13 @@ ROTATION_RULES: Final = {
     "swap": "1 swaps the two level sizes",
     "swap back": "0 swaps the two level sizes",
     "degrees": "90 and 270 degrees swap the two level sizes",
-    "letters": "letters mean which size lies along x, y and z",
+    "letters": "letters tell which size lies along x, y and z",
     "py3dbp": "0 WHD, 1 HWD, 2 HDW, 3 DHW, 4 DWH, 5 WDH",
     "py3dbp from 1": "1 WHD, 2 HWD, 3 HDW, 4 DHW, 5 DWH, 6 WDH",
     "permutations": "0 XYZ, 1 XZY, 2 YXZ, 3 YZX, 4 ZXY, 5 ZYX",
     "permutations from 1": "1 XYZ, 2 XZY, 3 YXZ, 4 YZX, 5 ZXY, 6 ZYX",
-    "pose": "poses give the points of turned boxes",
-    "pose about point": "poses turn boxes about these points",
+    "pose": "coordinates describe points of the turned boxes",
+    "pose about point": "coordinates describe points, and poses turn boxes about these points",
 }
 """Rule of rotation → its description."""
 POSES: Final = ("pose", "pose about point")
@@ -90,7 +90,7 @@ class Evidence:
             count_text(self.n_outside, "box is outside", "boxes are outside") if self.n_outside else "",
         ]
         odd = ", ".join(filter(None, parts)) or "no box overlaps or floats"
-        return f"{odd} of {self.n_boxes:,}"
+        return f"{odd}; {count_text(self.n_boxes, 'box', 'boxes')} in all"
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,9 @@ class Reading:
             parts.append(self.pose_words)
         if self.origin != "given":
             parts.append(
-                {"middle": "origin in the middle of the carrier", "floor": "heights from below the deck"}[self.origin]
+                {"middle": "origin in the middle of the carrier", "floor": "heights measured from below the deck"}[
+                    self.origin
+                ]
             )
         return f"read as {'; '.join([*filter(None, parts), *self.notes])}"
 

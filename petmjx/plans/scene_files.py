@@ -40,12 +40,11 @@ _NO_BOX: Final = re.compile(r"pallet|palette|carrier|floor|ground|table|deck|wal
 
 
 def source_of_scene(text: str) -> BoxSource:
-    """The boxes of a MuJoCo scene: free bodies whose only colliding geom is a box; bodies without joints if no box is
-    free. MuJoCo itself parses the text.
+    """The boxes of a MuJoCo scene: the free bodies whose only colliding geom is a box. If no free body is a box, bodies
+    without joints are taken. Bodies that are named as pallets are ignored. MuJoCo itself parses the text.
 
     Raises:
-        InputError: MuJoCo cannot parse the text, a free body is not a single box, or there are no boxes. Bodies that
-            are named as pallets are ignored.
+        InputError: MuJoCo cannot parse the text, a free body is not a single box, or there are no boxes.
     """
     import mujoco  # MuJoCo itself interprets all of MJCF: defaults, angles, densities
 
@@ -100,7 +99,7 @@ def source_of_scene(text: str) -> BoxSource:
         raise InputError("is a MuJoCo scene in which no free body consists of exactly one box geom")
     notes = []
     if pallets:
-        notes.append(f"{count_text(pallets, 'body', 'bodies')} named as a pallet or floor left out")
+        notes.append(f"left out: {count_text(pallets, 'body', 'bodies')} named as a pallet or floor")
     table = RawTable(("name", "size_x", "size_y", "size_z", "matrix", "mass"), rows, places)
     axis = int(np.argmin(model.opt.gravity))  # gravity points downwards
     up = "xyz"[axis] if model.opt.gravity[axis] < 0 else SCENE.up
@@ -168,9 +167,9 @@ class _Scene:
         rows = [tuple(box.get(name) for name in header) for box in self.boxes]
         notes = []
         if self.n_pallets:
-            notes.append(f"{count_text(self.n_pallets, 'mesh', 'meshes')} named as a pallet or floor left out")
+            notes.append(f"left out: {count_text(self.n_pallets, 'mesh', 'meshes')} named as a pallet or floor")
         if self.n_others:
-            notes.append(f"{count_text(self.n_others, 'mesh that is no box', 'meshes that are no boxes')} left out")
+            notes.append(f"left out: {count_text(self.n_others, 'mesh that is no box', 'meshes that are no boxes')}")
         return BoxSource(BoxList(RawTable(header, rows, self.places)), form, tuple(notes))
 
 

@@ -133,9 +133,9 @@ def sizes_in(extraction: ColumnExtraction) -> Sizes | None:
 
 
 def other_sizes_in(extraction: ColumnExtraction, first: Sizes) -> Sizes | None:
-    """A second set of sizes, such as "size_1" … beside "sp_size_1" …, if no name shows which set has the sizes of the
-    placed boxes. The result is None if there is no second set, if a cell of the second set is bad, or if both sets are
-    equal."""
+    """The second of two sets of sizes, such as "sp_size_1" … and "size_1" …, if no name shows which set has the sizes
+    of the placed boxes. The result is None if there is no second set, if a cell of the second set is bad, or if both
+    sets are equal."""
     if first.placed or any(role_of(axis) in extraction.fixed for axis in first.axes) or "sizes" in extraction.fixed:
         return None
     faults = dict(extraction.faults)
@@ -300,8 +300,9 @@ def corners_in(extraction: ColumnExtraction) -> Geometry | None:
 
 
 def _lists_beyond(extraction: ColumnExtraction, near: Mapping[str, int]) -> dict[str, int]:
-    """x, y and z → the columns of the only list of three numbers of an unknown meaning, if its numbers are beyond the
-    near corners of nearly all boxes; else empty.
+    """x, y and z → the columns of a list of three numbers whose meaning is unknown, and which may be far corners. The
+    result is empty unless there is exactly one such list, and its numbers are beyond the near corners of nearly all
+    boxes.
 
     Args:
         near: x, y and z → the columns of the near corners.
@@ -317,7 +318,8 @@ def _lists_beyond(extraction: ColumnExtraction, near: Mapping[str, int]) -> dict
     begin, end = (
         np.array([extraction.numbers_or_median(columns[axis]) for axis in XYZ]) for columns in (near, lists[0])
     )
-    is_beyond = _mostly(np.asarray((end > begin).all(axis=0))) and np.ptp(end, axis=1).any()  # colours may be equal
+    # numbers that are the same for all boxes may be a colour
+    is_beyond = _mostly(np.asarray((end > begin).all(axis=0))) and np.ptp(end, axis=1).any()
     return lists[0] if is_beyond else {}
 
 
@@ -346,7 +348,7 @@ def _eight_corners(extraction: ColumnExtraction) -> Geometry | None:
     for row in np.flatnonzero(~ends.all(axis=(0, 1))).tolist():
         axis, corner = np.argwhere(~ends[:, :, row])[0].tolist()
         index = names[f"{XYZ[axis]}{corner + 1}"]
-        extraction.bad(row, index, f"must be {low[row, axis]:g} or {high[row, axis]:g}, as of the other corners")
+        extraction.bad(row, index, f"must be {low[row, axis]:g} or {high[row, axis]:g}, like the other corners")
     columns = {axis: header[names[f"{axis}1"]] for axis in XYZ}
     columns |= {f"{axis} (far)": header[names[f"{axis}8"]] for axis in XYZ}
     columns |= {
@@ -491,8 +493,8 @@ def array_extras(extraction: ColumnExtraction, geometries: Sequence[Geometry]) -
     column of weights, and whether the weights are densities.
 
     A column of whole numbers from 0 to 5, some of them 0, holds rotations. A column of numbers up to ``_DENSEST`` holds
-    densities relative to water. A column of larger numbers holds weights; if densities in
-    kg/m³ are more plausible, it holds these.
+    densities relative to water. A column of larger numbers holds densities in kg/m³ if these are more plausible than
+    weights; otherwise, it holds weights.
     """
     header = extraction.table.header
     used = {header.index(name) for name in geometries[0].columns.values()} if geometries else set()

@@ -31,7 +31,7 @@ _ENCODINGS: Final = {
     "Windows-1252": "cp1252", "Windows-1250": "cp1250", "Windows-1254": "cp1254", "Windows-1251": "cp1251",
     "GB18030": "gb18030", "Shift JIS": "cp932", "EUC-KR": "cp949", "Big5": "big5",
 }  # fmt: skip
-"""Encodings without a mark that tells them → their names in Python."""
+"""Encodings that have no mark at the beginning of a text → their names in Python."""
 
 
 def decoded_text(data: bytes | bytearray) -> tuple[str, str]:
@@ -108,7 +108,7 @@ def tables_of_text(data: bytes | bytearray) -> list[RawTable]:
         raise InputError(f"has more than {MOST_ROWS:,} rows")
     if len(rows) > 1 and not text.endswith("\n") and len(rows[-1]) < len(rows[-2]):
         words = " ".join(rows[-1]).split()
-        if len(words) == 1:  # the beginning of a row; a remark has more words
+        if len(words) == 1:  # one word may be the beginning of a row; a remark has more words
             lost.append((f"row {len(rows) - 1 + begin}", f"is no box: {printable_name(words[0])}; truncated?"))
             del rows[-1]
     tables = tables_of_rows(rows, begin, lost=lost)

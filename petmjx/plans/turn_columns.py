@@ -101,7 +101,8 @@ def are_yes_or_no(cells: Sequence[Any]) -> bool:
 
 
 def may_be_turns(cells: Sequence[Any]) -> bool:
-    """Whether cells are yes or no, or all but one, which may be damaged, are 0, 90, 180 or 270 degrees."""
+    """Whether cells are yes or no, or are quarter turns in degrees (0, 90, 180, 270 or −90), some of them 0 and some
+    not. One cell may have any other value, since it may be damaged."""
     numbers = [None if number is None else number.value for number in map(cell_number, cells)]
     n_turned, n_unturned = sum(number in (90, 180, 270, -90) for number in numbers), numbers.count(0)
     return are_yes_or_no(cells) or (min(n_turned, n_unturned) > 0 and n_turned + n_unturned >= max(2, len(cells) - 1))

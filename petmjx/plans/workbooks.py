@@ -1,5 +1,5 @@
-"""Reads workbooks (.xlsx, .ods), web pages and tables of any other file (``read_raw_tables``): bytes become raw tables.
-The module also reads XML, as the nested values that JSON has."""
+"""Reads the tables of workbooks (.xlsx, .ods), web pages and text files (``read_raw_tables``): bytes become raw tables.
+The module also turns XML into nested values like those of JSON."""
 
 from __future__ import annotations
 

@@ -59,7 +59,8 @@ class _Line(NamedTuple):
 
 
 def nested_format(text: str, path: Path | None) -> str | None:
-    """The format of a text: "TOML", "YAML", or None for others. The first lines decide, then the name of the file."""
+    """The format of a text: "TOML", "YAML", or None for others. If the lines of the text do not show the format, the
+    name of the file decides."""
     if _is_toml(text):
         return "TOML"
     if _is_yaml(text):
@@ -131,7 +132,7 @@ class _Reader:
     def document(self) -> Any:
         value = self._block(self.lines[0].indent, 0)
         if self.next < len(self.lines):
-            raise self._fault(self.lines[self.next], "it fits no line above")
+            raise self._fault(self.lines[self.next], "its indent fits no line above")
         return value
 
     def _fault(self, line: _Line, why: str) -> InputError:
@@ -177,7 +178,7 @@ class _Reader:
             line = self.lines[self.next]
             match = _KEY.match(line.text)
             if match is None:
-                raise self._fault(line, "is no key and value")
+                raise self._fault(line, "it is no key with a value")
             key, rest = self._plain(line, match[1]), (match[2] or "").strip()
             if key in values:
                 raise self._fault(line, f"{key} occurs twice")
@@ -266,7 +267,7 @@ class _Reader:
             if end == "}":
                 match = _FLOW_KEY.match(text, at)
                 if match is None:
-                    raise self._fault(line, "is no key and value")
+                    raise self._fault(line, "it is no key with a value")
                 name = self._plain(line, match[1])
                 if name in pairs:
                     raise self._fault(line, f"{name} occurs twice")

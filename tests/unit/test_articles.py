@@ -101,7 +101,7 @@ def test_plans_say_it_themselves() -> None:
         np.testing.assert_array_equal(more.mass_center_mm, [(-10, 50, -20), (0, 0, 0), (0, 0, 30), (7, 0, 0)])
     text = Path("a.csv").read_text().replace("-20", "-100")
     write(Path("a.csv"), text)
-    fault = "com_height_mm must be inside the box, less than half of its 200 from the middle, got -100"
+    fault = "com_height_mm must be inside the box, less than half of 200 from the middle, got -100"
     assert str(petmjx.load_plans("a.csv").skipped[0]) == f"a.csv: plan p, row 2: {fault}"
 
 

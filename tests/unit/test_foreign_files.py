@@ -80,7 +80,7 @@ KINDS = {
 
 
 MIXED = {
-    "one group": ("1.200", "write 1200 or 1,200, whichever it is"),
+    "one group": ("1.200", "write 1200 or 1,200, whichever is meant"),
     "a decimal point": ("1.5", "other numbers of this file have decimal commas; write 1,5"),
     "several groups": ("1.234.567", "it has marks between its thousands; write 1234567"),
 }

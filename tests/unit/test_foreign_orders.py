@@ -149,7 +149,7 @@ def test_names_of_columns_that_only_orders_have(header: str, tmp_path: Path) -> 
 def test_a_quantity_of_pieces_or_boxes_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("sku,L,B,H,weight (kg),Qty,Units per case\ns,400,300,200,6.5,24,12\nl,600,400,250,12,6,6\n")
-    message = "Qty counts boxes, or pieces (Units per case of them are in a box); if it counts boxes, say --columns"
+    message = "Qty counts boxes, or pieces (Units per case is the number of pieces in a box); if it counts boxes, say"
     with pytest.raises(InputError, match=re.escape(message)):
         dict(read_orders(path))
     (order,) = read(path, columns={"quantity": "Qty"}).values()
@@ -318,7 +318,7 @@ def test_container_loading_problems(tmp_path: Path) -> None:
     (tmp_path / "thpack1.txt").write_text(THPACK)
     orders = read(
         tmp_path / "thpack1.txt",
-        "1 type laid on a permitted side, since the height may not be upright.*container, 5,870 × 2,330 mm, is no",
+        "1 type laid on a permitted side, since the height must not be vertical.*container, 5,870 × 2,330 mm, is no",
     )
     assert list(orders) == ["thpack1-1", "thpack1-2"]
     sizes = [box[:3] for box in boxes_of(orders["thpack1-1"])]
@@ -561,7 +561,7 @@ def test_orders_are_written_as_bed_bpps(
     options for other formats."""
     monkeypatch.chdir(tmp_path)
     Path("items.csv").write_text("sku,length,width,height,qty\na,30,20,15.1,4\nb,20,20,20,1\n")
-    hint = "items.csv: can be read in two ways: .*; petmjx convert items.csv --orders -o orders.json takes it"
+    hint = "items.csv: can be read in two ways: .*; petmjx convert items.csv --orders -o orders.json takes this option"
     with pytest.raises(InputError, match=hint):
         list(read_orders(Path("items.csv")))
     convert = ["convert", "items.csv", "--orders", "-o", "orders.json", "--units", "cm", "--target", "1200x1000"]

@@ -990,7 +990,7 @@ def test_eight_corners_may_have_small_errors(tmp_path: Path) -> None:
         assert np.abs(one.size_mm - np.array(PILE)[:, 3:6]).max() < 1
     boxes[0]["corners"][0][0] += 4.5  # less than a hundredth of the longest side, but not of the shortest one
     (skipped,) = load(tmp_path, "pile.json", json.dumps(boxes)).skipped
-    assert "which are no level box" in skipped.message
+    assert "which are not the corners of a level box" in skipped.message
 
 
 def test_cells_of_a_grid(tmp_path: Path) -> None:
@@ -1065,7 +1065,7 @@ def test_a_written_reading_keeps_that_parts_are_one_plan(tmp_path: Path) -> None
     boxes = boxes_by(plain)
     groups = [{"name": "lower", "places": boxes[:4]}, {"name": "upper", "places": boxes[4:]}]
     plan_set = load(tmp_path, "pile.json", json.dumps({"containers": groups}), up="z", units="mm")
-    assert "are one plan: some of them would begin above the deck" in notes_of(plan_set)
+    assert "are read as one plan, since some of them would begin above the deck" in notes_of(plan_set)
     check_pile(plan_set.plans[0])
     check_pile(load_again(tmp_path / "pile.json", plan_set))
 
@@ -1127,7 +1127,7 @@ def test_text_of_bp3d_has_letters_of_rotations_and_empty_bins(tmp_path: Path) ->
 def test_scenes_without_weights_or_with_meshes_that_are_scaled(tmp_path: Path) -> None:
     plan_set = load(tmp_path, "scene.json", json.dumps(three_js(instances=True)))
     check_pile(plan_set.plans[0], weights=False)
-    assert "1 mesh that is no box left out" in notes_of(plan_set)
+    assert "left out: 1 mesh that is no box" in notes_of(plan_set)
     check_pile(load(tmp_path, "scene.gltf", json.dumps(gltf())).plans[0])
 
 
@@ -1368,7 +1368,7 @@ def test_fractions_of_inches(cell: str, value: float, unit: str) -> None:
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
-        ("boxes:\n- x: 1\n  y: 2\n - z: 3\n", "not YAML at line 4 (it fits no line above)"),
+        ("boxes:\n- x: 1\n  y: 2\n - z: 3\n", "not YAML at line 4 (its indent fits no line above)"),
         ("a: 1\nb: [1, {c: 2\nd: 3\n", "not YAML at line 2 (a bracket is not closed)"),
         ("a: 1\nb: 2\nb: 3\n", "not YAML at line 3 (b occurs twice)"),
         ('a: 1\nb: "\\q"\nc: 3\n', "not YAML at line 2 (unknown escape \\q)"),
@@ -1422,7 +1422,7 @@ def test_short_yaml_and_toml_are_recognised_by_the_name_of_the_file(name: str, t
     [
         ("pile.yaml", f"boxes:\n- {{z: 0, {FLOW}, weight: 7}}\n", "not YAML at line 2 (weight occurs twice)"),
         ("pile.yaml", f"boxes: [{{z: 0, {FLOW}}}\n", "not YAML at line 1 (a bracket is not closed)"),
-        ("pile.yml", "x,y,z\n0,0,0\n", "not YAML at line 2 (it fits no line above)"),
+        ("pile.yml", "x,y,z\n0,0,0\n", "not YAML at line 2 (its indent fits no line above)"),
         ("pile.toml", "boxes = [\n  {x = 0},\n", "not TOML: Invalid value (at line 2, the end of the file)"),
         ("pile.toml", "boxes = [\n  {x = 0, y},\n]\n", "(at line 2, column "),
         ("pile.toml", f"boxes = {'[' * 20_000}", "not TOML: lists or tables are nested too deeply"),
@@ -1588,7 +1588,7 @@ def test_what_is_not_read_is_noted(tmp_path: Path) -> None:
     other = [["box", *(f"{name} [cm]" for name in FIELDS[:6])], *(row[:7] for row in BOX_ROWS[1:])]
     twice = [["box", "box", *FIELDS], *([row[0], *row] for row in BOX_ROWS[1:])]
     line = notes_of(load(tmp_path, "load.xlsx", sheets(A=BOX_ROWS, B=other, C=twice)))
-    assert "8 boxes in B not read: other columns" in line
+    assert "8 boxes in B not read, because the columns differ" in line
     assert "sheet C not read: column box occurs twice" in line
     quantities = table(f"box,x,y,z,{SIZES},weight,qty", lambda k, box: [*named(k, box), 2 if k == 3 else 1])
     assert "qty is above 1 in some rows, but each row is read as one box" in notes_of(
@@ -1683,9 +1683,9 @@ def test_densities_are_read_in_their_unit(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize(
     ("header", "density", "message"),
     [
-        ("density [lb/gal]", 1.4, "density [lb/gal]: lb/gal is no known unit of density; kg/m3, g/cm3, lb/ft3"),
-        ("density", 10.4, "density has densities in an unknown unit, 10.4 in the median; write their unit into"),
-        ("density,unit", 167, "density has densities in an unknown unit, 167 in the median"),
+        ("density [lb/gal]", 1.4, "density [lb/gal]: lb/gal is no known unit of density, such as kg/m3, g/cm3"),
+        ("density", 10.4, "density has densities in an unknown unit (median: 10.4); write their unit into"),
+        ("density,unit", 167, "density has densities in an unknown unit (median: 167)"),
     ],
 )
 def test_densities_in_an_unknown_unit_are_refused(tmp_path: Path, header: str, density: float, message: str) -> None:
@@ -1966,9 +1966,9 @@ def test_pallets_behind_empty_values_of_printed_boxes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("other", "fault"),
     [
-        ("Box(400, 0, 0, 400, 300, 200)", "line 3, column 1 (it is no object, unlike others in its list)"),
-        ("...", "line 3, column 1 (it is no object, unlike others in its list)"),
-        ("17", "line 3, column 1 (it is no object, unlike others in its list)"),
+        ("Box(400, 0, 0, 400, 300, 200)", "line 3, column 1 (this value is no object, unlike others in its list)"),
+        ("...", "line 3, column 1 (this value is no object, unlike others in its list)"),
+        ("17", "line 3, column 1 (this value is no object, unlike others in its list)"),
         ("/* {x: 1}", "line 3, column 1 (a comment has no end)"),
     ],
 )
@@ -1982,7 +1982,7 @@ def test_other_values_among_printed_boxes_are_named(other: str, fault: str, tmp_
 def test_other_values_among_lines_of_printed_boxes_are_named(tmp_path: Path) -> None:
     text = three_printed("Box " + OBJECT) + "Box(400, 0, 0, 400, 300, 200)\n"
     (skipped,) = load(tmp_path, "a.txt", text).skipped
-    assert skipped.message.endswith("line 4, column 1 (it is no object, unlike others in its list)")
+    assert skipped.message.endswith("line 4, column 1 (this value is no object, unlike others in its list)")
 
 
 def test_decimal_numbers_of_printed_boxes(tmp_path: Path) -> None:

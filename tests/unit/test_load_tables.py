@@ -80,8 +80,8 @@ def test_the_article_counts_before_its_group() -> None:
         ("milk,,1_0,,,", 'strength_n must be a number ≥ 0.01 and at most 1e+09, got "1_0"'),
         ('"milk,,5,,,\njam,,5,,,', "has an unclosed quotation mark"),
         ("milk,,900,,,0.5", 'safety_factor must be a number ≥ 1 and at most 1000, got "0.5"'),
-        ("milk,dairy,900,,,", "must name either an article, a product_group, or a material alone"),
-        (",,900,,,", "must name either an article, a product_group, or a material alone"),
+        ("milk,dairy,900,,,", "must name an article or a product_group (not both), or only a material"),
+        (",,900,,,", "must name an article or a product_group (not both), or only a material"),
         ("milk,,,5,,", "needs strength_n, or ect_kn_m, thickness_mm and safety_factor; of these thickness_mm and "),
         (
             "milk,,,,,",

@@ -64,7 +64,7 @@ FIELD_FAULTS = [
     (
         [*ITEM, "com_height/mm"],
         1e6,
-        "com_height/mm must be inside the box, less than half of its 220 from the middle, got 1000000.0",
+        "com_height/mm must be inside the box, less than half of 220 from the middle, got 1000000.0",
     ),
     ([*ITEM, "id"], {}, "id must be a string, got an object"),
     ([*ITEM, "sequence"], 1.0, "sequence must be an integer, got 1.0"),
@@ -166,7 +166,7 @@ FILE_FAULTS = [
     (b"{}", "p.json: holds no plan"),
     (b"{", "p.json: not JSON at line 1, column 2 (the file ends too early; truncated?)"),
     (b"[]", "p.json: holds no box"),
-    (b"[1, 2]", "p.json: has no list of boxes: objects with places and sizes"),
+    (b"[1, 2]", "p.json: has no list of boxes: petmjx looks for objects with places and sizes"),
     (b"3", "p.json: the top level must be an object of plan id → placements, got a number"),
     (b"hello", "p.json: not JSON at line 1, column 1 (expected {)"),
     (b"{\n  hello", "p.json: not JSON at line 2, column 3 (Expecting property name enclosed in double quotes)"),

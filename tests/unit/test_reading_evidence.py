@@ -182,7 +182,7 @@ def test_a_rare_reading_in_which_boxes_lie_better_is_asked_about(tmp_path: Path)
     )  # fmt: skip
     content = table("x,y,z,dx,dy,dz,kg", [(*row, 6) for row in rows])
     (refused,) = load(tmp_path, "down.csv", content, units="mm").skipped
-    assert "z upwards (1 box floats of 12), or y downwards (no box overlaps" in refused.message
+    assert "z upwards (1 box floats; 12 boxes in all), or y downwards (no box overlaps" in refused.message
 
 
 def test_a_row_below_0_may_be_a_tower(tmp_path: Path) -> None:
@@ -339,7 +339,7 @@ def test_a_repeated_id_of_plans_is_noted(tmp_path: Path) -> None:
     box = dict(zip(("x", "y", "z", "length", "width", "height", "kg"), PILE[0], strict=True))
     content = json.dumps([{"id": "p", "boxes": [box]}, {"id": "p", "boxes": [box, {**box, "z": 300}]}])
     reading = load(tmp_path, "a.json", content, units="mm", up="z").readings[str(tmp_path / "a.json")]
-    assert "plans are numbered: several have id p" in reading.notes
+    assert "plans are numbered, because several have id p" in reading.notes
     rows = [(name, *PILE[0]) for name in "ABA"]
     content = table("plan,x,y,z,length,width,height,kg", rows)
     reading = load(tmp_path, "a.csv", content, units="mm", up="z").readings[str(tmp_path / "a.csv")]

@@ -245,7 +245,7 @@ def test_orders_become_plans_and_half_millimetres_survive(tmp_path: Path) -> Non
         ({"id": None}, "item 2: id must be a string, got null"),
         (
             {"com_height/mm": -101},
-            "item 2: com_height/mm must be inside the box, less than half of its 200.5 from the middle, got -101",
+            "item 2: com_height/mm must be inside the box, less than half of 200.5 from the middle, got -101",
         ),
     ],
 )

@@ -331,7 +331,7 @@ def test_files_that_end_too_early() -> None:
     Path("plans.csv.gz").write_bytes(packed[: len(packed) // 2])
     plan_set = load_plans("plans.csv.gz")
     first, last = messages(plan_set)
-    assert first == "plans.csv.gz: the gzip data is cut off; plans up to there are read"
+    assert first == "plans.csv.gz: the gzip data is cut off; the plans before the cut are read"
     assert last == f"plans.csv.gz: plan P{len(plan_set)}: the file ends inside this plan; truncated?"
     assert all(plan.n_boxes == 40 for plan in plan_set)
     for cut in (f"{row('A')}\n{row('B')}\nB,2,car", f"{row('A')}\n{row('B')}\nB"):
