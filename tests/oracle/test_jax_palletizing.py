@@ -134,7 +134,7 @@ def test_specs_fit_and_what_is_wrong_is_one_line(env: petmjx.jax.Palletizing, re
     for options, message in (
         ({"mask": "centre"}, "unknown mask 'centre'"),
         ({"orders": TABLE[1:2]}, "orders: no box of any order fits on the empty carrier"),
-        ({"carrier": "footprint"}, "carrier: footprint depends"),
+        ({"carrier": "footprint"}, "carrier: the size of footprint depends"),
         ({"rewards": {"plced": 1}}, "rewards: unknown term 'plced'"),
         ({"look_ahead": 0}, "look_ahead must be at least 1"),
         ({"actions": "candidate"}, "unknown actions 'candidate'; did you mean candidates"),

@@ -319,7 +319,7 @@ def test_what_is_wrong_is_one_line(tmp_path: Path) -> None:
         ({"orders": tmp_path / "bad.txt"}, "bad.txt: line 1: must have three lengths"),
         ({"orders": tmp_path / "none.json"}, "none.json: cannot be read"),
         ({"orders": [order((2000, 2000, 100))]}, "orders: none of 100 orders drawn has a box with a legal place"),
-        ({"carrier": "footprint"}, "carrier: footprint depends"),
+        ({"carrier": "footprint"}, "carrier: the size of footprint depends"),
         ({"render_mode": "window"}, "render_mode must be None or rgb_array or human"),
         ({"masks": "x"}, "unknown option masks"),
     ):
