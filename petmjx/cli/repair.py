@@ -87,14 +87,16 @@ def repair(
     print_skipped(result.skipped)
     if out is not None:
         result.save(out)
+    if as_json:
+        print(json.dumps({"plans": to_json(result.table), "changes": to_json(result.changes)}, indent=2))
+    else:
+        print_renderables(repair_tables(result), results_console())
     if html is not None:
         from petmjx.show.pages.repair_page import write_repair_page
 
         write_repair_page(result, html)
-    if as_json:
-        print(json.dumps({"plans": to_json(result.table), "changes": to_json(result.changes)}, indent=2))
-    else:
-        print_renderables([*repair_tables(result), *_written(result, out, html)], results_console())
+    if not as_json:
+        print_renderables(_written(result, out, html), results_console())
     if interrupted:
         how_far = f"{len(result.each):,} of {count_text(watcher.total or 0, 'plan')} were searched to the end"
         raise RunInterrupted(f"{how_far}; the results contain only these plans")

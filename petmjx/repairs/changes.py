@@ -220,7 +220,7 @@ class Exchange(Change):
 
     Attributes:
         corners_mm: the new corner of each of the two boxes.
-        turns: whether each of the two is turned by 90° from its orientation in the plan, after the exchange.
+        turned: whether each of the two is turned by 90° from its orientation in the plan, after the exchange.
         differ: whether each of the two is turned by the exchange.
     """
 
@@ -228,13 +228,13 @@ class Exchange(Change):
     first: int
     second: int
     corners_mm: tuple[tuple[float, float, float], tuple[float, float, float]]
-    turns: tuple[bool, bool]
+    turned: tuple[bool, bool]
     differ: tuple[bool, bool] = (False, False)
 
     def applied(self, draft: Draft) -> Draft | None:
         if self.first not in draft.order or self.second not in draft.order:
             return None
-        for box, turned in zip(self.boxes, self.turns, strict=True):
+        for box, turned in zip(self.boxes, self.turned, strict=True):
             draft = draft.with_turn(box, turned)
         swap = {self.first: self.second, self.second: self.first}
         draft = draft.with_places(self.boxes, np.array(self.corners_mm))
@@ -323,7 +323,7 @@ def with_turns_told(draft: Draft, changes: Sequence[Change]) -> tuple[Change, ..
             change = replace(change, differs=bool(draft.turned[change.box]) != change.turned)
         elif isinstance(change, Exchange):
             first, second = (bool(draft.turned[box]) for box in change.boxes)
-            change = replace(change, differ=(first != change.turns[0], second != change.turns[1]))
+            change = replace(change, differ=(first != change.turned[0], second != change.turned[1]))
         told.append(change)
         draft = change.applied(draft) or draft
     return tuple(told)

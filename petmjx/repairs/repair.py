@@ -22,7 +22,7 @@ from petmjx.plans.plan import Plan
 from petmjx.plans.plan_sources import PathArgument, PlanSource, usable_plans, without_built_plans
 from petmjx.plans.plan_writer import save_plans
 from petmjx.repairs.candidates import State
-from petmjx.repairs.changes import Change, Kind, applied, cost_of, with_turns_told
+from petmjx.repairs.changes import Change, Film, Kind, applied, cost_of, with_turns_told
 from petmjx.repairs.drafts import Draft
 from petmjx.repairs.expected_time import size_of
 from petmjx.repairs.repair_options import RepairOptions
@@ -115,7 +115,7 @@ class Repaired:
     def film_turns(self) -> float | None:
         """Turns of film that the repair needs; None: no film. The repaired plan itself does not contain the turns of
         film."""
-        return next((change.turns for change in reversed(self.changes) if hasattr(change, "turns")), None)
+        return next((change.turns for change in reversed(self.changes) if isinstance(change, Film)), None)
 
     def undone(self, number: int) -> Plan | None:
         """The plan with all changes but one; None if the other changes are impossible without this change.

@@ -34,6 +34,8 @@ def repair_tables(repairs: Repairs) -> Iterator[RenderableType]:
     if standing and len(standing) < len(repairs.each):
         yield ""
     yield line(repairs.summary, style="bold")
+    if any(repaired.changes for repaired in repairs.each):
+        yield line("boxes have the numbers of the original plan, from 0", style="dim")
     for note in repairs.notes:
         yield line(f"note: {note}", style="yellow")
 

@@ -1525,3 +1525,11 @@ def test_a_change_says_that_it_turns_a_box_although_an_earlier_turn_was_dropped(
     assert (first, second) == (turn, place)
     assert isinstance(third, Exchange)
     assert third.differ == (False, True)
+
+
+def test_only_film_counts_as_turns_of_film() -> None:
+    """An exchange of boxes may turn the boxes; the page of repairs took this for turns of film."""
+    exchange = Exchange(1, 2, ((0.0, 0.0, 100.0), (0.0, 0.0, 200.0)), (True, True))
+    result = replace(repaired(COUNTERWEIGHT, trials=3), changes=(exchange,))
+    assert result.film_turns is None
+    assert replace(result, changes=(Film(2.0), exchange)).film_turns == 2.0
