@@ -241,22 +241,22 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
          "shift_y_m": "y of final centre - planned centre; 0 if |y| < shift_floor_m; null if the box was never placed",
          "shift_z_m": "z of final centre - planned centre; 0 if |z| < shift_floor_m; null if the box was never placed"},
         SampleAt.END,
-        "c − c_planned, with c the box's centre; a component with a magnitude below `shift_floor_m` is set to 0; if "
-        "boxes have a stiffness, the descent that is expected under the plan's loads does not count as shift",
+        "c − c_planned, where `c` is the box's centre; a component with a magnitude below `shift_floor_m` is set to 0; "
+        "if boxes have a stiffness, the descent that is expected under the plan's loads does not count as shift",
         of_world=WorldReduction(
             "max_shift_m", Reduction.LARGEST, "largest |x|, |y| or |z| component of any box's shift"
         ),
     ),
     _largest(
         "max_tilt_deg", "deg", SampleAt.LOOKS,
-        "max 2·asin √(x² + y²), with (w, x, y, z) the box's unit quaternion",
+        "max 2·asin √(x² + y²), where (w, x, y, z) is the box's unit quaternion",
         of_box="largest angle between the box's z axis and the world's z axis",
         of_world="largest angle between any box's z axis and the world's z axis",
     ),
     BoxMetric(
         "dropped", TEXT, {"dropped": "whether the box fell off the carrier"}, SampleAt.LOOKS,
-        "true once c_z < 0, or once the box's lowest point c_z − Σⱼ |R_zj|·hⱼ is below `drop_hull_z_m`; c is the box's "
-        "centre, R its rotation matrix, h its half sizes",
+        "true once c_z < 0, or once the box's lowest point c_z − Σⱼ |R_zj|·hⱼ is below `drop_hull_z_m`; `c` is the "
+        "box's centre, R its rotation matrix, h its half sizes",
         dtype=np.bool_, of_world=WorldReduction("n_dropped", Reduction.COUNT, "number of boxes that dropped"),
     ),
     BoxMetric(
@@ -278,7 +278,7 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     ),
     _largest(
         "max_top_force_n", "N", SampleAt.STEPS,
-        "max F, with F the force on the box's top (defined below), or `rest_top_force_n` if that is larger",
+        "max F, where F is the force on the box's top (defined below); or `rest_top_force_n` if that is larger",
         of_box="largest force on the box's top in any step, at least the force at rest",
         of_world="largest force on the top of any box in any step, at least the force at rest", relative=True,
     ),
@@ -308,7 +308,7 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
         SampleAt.PLAN,
         "the smaller of two distances from the edge of the box's supports: the distance of the box's own weight, and "
         "the distance of its total load (own weight and all boxes on it). Exception: if only the own weight is beyond "
-        "the edge, the distance of the total load",
+        "the edge, the value is the distance of the total load",
         compared=False,
     ),
     BoxMetric(
@@ -323,7 +323,8 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     BoxMetric(
         "max_sway_m", "m",
         {"max_sway_m": "largest horizontal distance of the box from its place at the beginning of the profile"},
-        SampleAt.LOOKS, "max √(Δx² + Δy²), with Δx and Δy the motion of the box's centre since the profile's beginning",
+        SampleAt.LOOKS,
+        "max √(Δx² + Δy²), where (Δx, Δy) is the horizontal motion of the box's centre since the profile's beginning",
         driven_only=True,
     ),
     BoxMetric(
