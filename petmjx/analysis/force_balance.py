@@ -297,12 +297,13 @@ class _VerticalSystem:
         self._upper = contacts.upper
         self._weight = contacts.mass_kg / contacts.mass_kg.mean()
         self._share = even_share(contacts, self._weight)
-        # (2, c) the upper and the lower body of each contact; the value is CARRIER for bodies without equations: the
-        # carrier, and boxes with all four corners on it
+        # (2, c) the upper and the lower body of each contact. In ``_body``, CARRIER stands for all bodies without
+        # equations: for the carrier, and for boxes with all four corners on the carrier.
         body = np.stack([contacts.upper, contacts.lower])
         self._body = np.where((body == CARRIER) | contacts.grounded[body], CARRIER, body)
         arm = (contacts.corners_mm - contacts.centre_mm[self._body, None, :2]) / MM_PER_M
-        # (2, c, 3, 4), indexed by body, contact, row and corner
+        # (2, c, 3, 4) factors of the forces at the corners in the equations, indexed by body, contact, equation and
+        # corner
         self._value = np.stack([np.ones(arm.shape[:-1]), arm[..., 0], arm[..., 1]], axis=2)
         self._value[1] *= -1
 

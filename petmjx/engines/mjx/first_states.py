@@ -84,8 +84,8 @@ def started_states(jobs: Sequence[Job], fresh: State) -> State:
         return stacked
 
     stacked = jax.tree.map(stack, fresh, *starts)
-    # A world also counts the steps that it takes over from a paused placement, or from its time on a GPU. A world does
-    # not count the steps of a settled placement from which it starts.
+    # ``steps_done`` includes the steps of a paused placement, and the steps that a world took on a GPU before it left
+    # the GPU. It does not include the steps of a settled placement from which a world starts.
     left = stacked.status == Status.LEFT
     stacked = stacked._replace(
         steps_done=np.where(left | (stacked.status == Status.PAUSED), stacked.steps_done, 0),

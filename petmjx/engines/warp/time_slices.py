@@ -280,7 +280,9 @@ class TableSlices:
             rollout.finish(self._table)  # the started slices have no running world
             return
         self._keep_under_way(rollout)
-        if live.sum() > rollout.launcher.blocks:  # meanwhile, the device works on the started slices
+        # Worlds wait in the queues only if there are more live worlds than blocks. The queues are examined while the
+        # device works on the started slices.
+        if live.sum() > rollout.launcher.blocks:
             self._queues.examine(self._table.jobs, live)
 
     def _join(self, *, wait: bool = False) -> bool:
