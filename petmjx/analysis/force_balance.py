@@ -444,7 +444,7 @@ def _points(
         )
     ]
     if sides is not None:
-        stands = np.append(boxes, True)  # the last entry, CARRIER, stands for the walls
+        stands = np.append(boxes, True)  # the last entry is for the walls, whose number is CARRIER (−1)
         indices = np.flatnonzero(stands[sides.first] & stands[sides.second])
         ends = (sides.first[indices], sides.second[indices], sides.axis[indices], _side_corners(sides, indices))
         parts.append((*ends, np.zeros(len(indices)), np.full(len(indices), friction.sides)))

@@ -346,6 +346,6 @@ def outcomes_of(
         if continued is not None:
             yield from continued.last()
     finally:
-        progress.at_hand = None  # after an error, no outcome follows, whatever the count was
+        progress.at_hand = None  # after an error, no further outcome is ready, whatever was counted before
         if continued is not None:
             continued.close()
