@@ -158,8 +158,9 @@ class PlanBuilder:
             reading, candidate = single_reading or choose_reading(self.columns, plans, self.wishes, lost)
         except InputError as error:  # either no row is good, or the good rows alone make no plausible plan
             if isinstance(error, AmbiguousFile) and len({one.far_words for one in error.readings[:2]}) > 1:
-                # Far corners may be the last grid cells of boxes. If so, a box of one cell begins and ends at the same
-                # cell, so a row that looks bad may be right: the user is asked.
+                # Two readings are about equally plausible: columns hold the ends of boxes, or the last grid cells of
+                # boxes. In the second reading, a box that begins and ends at the same cell is no fault. So the user is
+                # asked for the reading.
                 raise
             if self.boxes.table.lost:
                 place, fault = self.boxes.table.lost[0]

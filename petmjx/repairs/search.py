@@ -331,7 +331,7 @@ class Search(Candidates):
         while self.n_trials < last and not self._stands:
             nodes.sort(key=lambda node: node.key)
             useful = nodes
-            if standing:  # only repairs with fewer changes are of use
+            if standing:  # only repairs with fewer changes than the repairs found so far are of use
                 fewest = len(standing[0].changes)
                 limit = fewest + (SURPLUS if is_widened else 0.0)
                 useful = [n for n in nodes if len(n.state.changes) < fewest - 1 and n.n_promised < limit]
