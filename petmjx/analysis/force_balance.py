@@ -302,8 +302,7 @@ class _VerticalSystem:
         body = np.stack([contacts.upper, contacts.lower])
         self._body = np.where((body == CARRIER) | contacts.grounded[body], CARRIER, body)
         arm = (contacts.corners_mm - contacts.centre_mm[self._body, None, :2]) / MM_PER_M
-        # (2, c, 3, 4) factors of the forces at the corners in the equations, indexed by body, contact, equation and
-        # corner
+        # (2, c, 3, 4) coefficients of the corner forces in the equations, indexed by body, contact, equation and corner
         self._value = np.stack([np.ones(arm.shape[:-1]), arm[..., 0], arm[..., 1]], axis=2)
         self._value[1] *= -1
 

@@ -458,8 +458,8 @@ class Candidates:
         """Whether a draft with this key must fall like a draft that was judged before: both begin with the same
         placements, and the judged draft fell before its next box was placed."""
         # A draft without a further box after these placements need not fall in the same way, because the wait after the
-        # last box is longer than other waits. So that the key of such a draft does not match, its last byte is left
-        # out.
+        # last box is longer than other waits. The last byte of the key is left out, and then the key of such a draft
+        # does not match.
         longer = key[:-1]
         return longer.startswith((*self._falls,))
 

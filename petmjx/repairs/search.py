@@ -350,7 +350,8 @@ class Search(Candidates):
                 last = min(end, self.n_trials + int(PAIRS * most_trials))
             n_anew += is_late and may_rebuild
             if n_anew > ROUNDS_ANEW:
-                # end the search as if all trials were used up, since there may be other ways to build plans anew
+                # let the search count as one that has used up its trials, since there may be further ways to build
+                # plans anew
                 last = self.n_trials
                 break
             queues = self._queues(useful, kinds, anew=is_late)
