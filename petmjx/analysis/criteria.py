@@ -295,7 +295,8 @@ def load_points(contacts: PlanContacts) -> dict[str, float]:
         ]
     )
     middle = edges.mean(axis=0) if on_carrier.any() else np.full(2, np.inf)
-    # (n, 2) the share of each box's base that is on the lower side of the footprint's middle, along x and along y
+    # (n, 2) along x and along y: the share of each box's base whose coordinates are smaller than those of the
+    # footprint's middle
     left = np.clip((middle - low[:, :2]) / contacts.size_mm[:, :2], 0.0, 1.0)
     quadrants = [contacts.mass_kg @ (x * y) for x in (left[:, 0], 1 - left[:, 0]) for y in (left[:, 1], 1 - left[:, 1])]
     above = ~np.isin(np.arange(contacts.n_boxes), contacts.upper[on_carrier])

@@ -146,7 +146,7 @@ def best_thresholds(
         published = criterion.threshold
         number = joined_plans[f"{criterion.name}_slack"].to_numpy(dtype=np.float64) + published
         threshold, mcc = best_threshold(number[first_half], stands[first_half])
-        # if no threshold was found, there is nothing to test
+        # without a threshold (NaN), no plan of the second half is judged
         judged = ~first_half if np.isfinite(threshold) else np.zeros_like(first_half)
         as_published = confusion(joined_plans[criterion.name].to_numpy(dtype=bool)[~first_half], stands[~first_half])
         row: dict[str, object] = {"criterion": criterion.name, "number": criterion.number, "unit": criterion.unit}

@@ -66,7 +66,7 @@ def with_crush_shares(boxes: pd.DataFrame, time_factors: tuple[float, float]) ->
         np.fmax(rest, sustained) if name not in boxes else boxes[name].fillna(rest)
         for name in ("rest_top_force_low_n", "rest_top_force_high_n")
     )
-    if SUSTAINED in boxes:  # intervals of forces exist only for the end of the chain; SUSTAINED covers earlier legs
+    if SUSTAINED in boxes:  # in chains, ``most`` is only about the end of the chain; SUSTAINED covers earlier legs
         most = np.fmax(most, sustained)
     low, high = boxes["strength_low_n"], boxes["strength_high_n"]
     shortest, longest = time_factors

@@ -297,12 +297,12 @@ class _VerticalSystem:
         self._upper = contacts.upper
         self._weight = contacts.mass_kg / contacts.mass_kg.mean()
         self._share = even_share(contacts, self._weight)
-        # (2, c) the upper and the lower body of each contact; the value is CARRIER for bodies without equations: the
-        # carrier, and boxes with all four corners on it
+        # (2, c) the upper and the lower body of each contact. In ``_body``, CARRIER stands for all bodies without
+        # equations: for the carrier, and for boxes with all four corners on the carrier.
         body = np.stack([contacts.upper, contacts.lower])
         self._body = np.where((body == CARRIER) | contacts.grounded[body], CARRIER, body)
         arm = (contacts.corners_mm - contacts.centre_mm[self._body, None, :2]) / MM_PER_M
-        # (2, c, 3, 4), indexed by body, contact, row and corner
+        # (2, c, 3, 4) coefficients of the corner forces in the equations, indexed by body, contact, equation and corner
         self._value = np.stack([np.ones(arm.shape[:-1]), arm[..., 0], arm[..., 1]], axis=2)
         self._value[1] *= -1
 
@@ -443,7 +443,7 @@ def _points(
         )
     ]
     if sides is not None:
-        stands = np.append(boxes, True)  # the last entry, CARRIER, stands for the walls
+        stands = np.append(boxes, True)  # the last entry is for the walls, whose number is CARRIER (−1)
         indices = np.flatnonzero(stands[sides.first] & stands[sides.second])
         ends = (sides.first[indices], sides.second[indices], sides.axis[indices], _side_corners(sides, indices))
         parts.append((*ends, np.zeros(len(indices)), np.full(len(indices), friction.sides)))

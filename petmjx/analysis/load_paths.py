@@ -113,7 +113,7 @@ def strength_slack(contacts: PlanContacts, strength_n: FloatArray | None, sharin
         return slack
     on_box = _loads_on_boxes(contacts, sharing)[..., 0]
     bears, boxes = on_box != 0, np.arange(contacts.n_boxes)
-    on_box[boxes, boxes] = 0.0  # the box's own weight is subtracted, because a box does not press on its own top
+    on_box[boxes, boxes] = 0.0  # the diagonal has the boxes' own weights, which do not press on their own tops
     borne = on_box.cumsum(axis=1)
     built = building_loads_of(bearing_of(contacts), [contacts.n_boxes]) if sharing is even_bedding else None
     if built is not None and _pulls(contacts, built):

@@ -182,7 +182,7 @@ def _knife_edge(story: Story) -> str:
     nearest = nearest_edge(table_edges, outcome.verdict)
     if nearest is None:  # the tables do not have the nearest edge, for example if the load is a box's own weight
         nearest = nearest_edge(recomputed_edges, outcome.verdict) or nearest_edge([*table_edges, *recomputed_edges])
-    else:  # the tables do not tell whether the load is the box's own weight
+    else:  # unlike the tables, the recomputed edges tell whether the load is the box's own weight
         nearest = next((edge for edge in recomputed_edges if is_same_edge(edge, nearest)), nearest)
     if nearest is None:
         return "A load acts at the edge of its support: a tenth of a millimetre may change the verdict."

@@ -274,7 +274,8 @@ def _flags_of(signature: inspect.Signature) -> dict[str, str]:
     for name, parameter in signature.parameters.items():
         for entry in getattr(parameter.annotation, "__metadata__", ()):
             if isinstance(entry, OptionInfo):
-                words = (entry.default, *(entry.param_decls or ()))  # typer may store a flag as the default
+                # typer may store a flag as the default, so the default is examined, too
+                words = (entry.default, *(entry.param_decls or ()))
                 names = [word.partition("/")[0] for word in words if isinstance(word, str) and word.startswith("-")]
                 usual = f"--{name.replace('_', '-')}"
                 flags[name] = next((text for text in names if text.startswith("--")), names[0] if names else usual)

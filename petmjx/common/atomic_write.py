@@ -62,7 +62,7 @@ def atomic_write(file: Path) -> Iterator[Path]:
             yield temporary
             if not direct:
                 os.replace(temporary, target)
-    except InputError as error:  # the message names the hidden file instead of the user's file
+    except InputError as error:  # the message names the temporary file instead of the user's file
         raise InputError(str(error).replace(str(temporary), str(file))) from error
     finally:
         if not direct:

@@ -159,7 +159,7 @@ class AttemptRunner(Generic[AnyWorld]):
                     raise
                 refused = isinstance(error, PetmjxError) or self.engines.fallback is None
                 if self.attempt.number == 1 and refused:
-                    raise  # The user must change the worlds, or the engine, which has no fallback.
+                    raise  # only the user can help: by other worlds, or, without a fallback engine, by another engine
                 if not stream.taken:
                     # The engine would refuse the same jobs again, so all of them go to the fallback engine.
                     stream.take(sys.maxsize, least=1)

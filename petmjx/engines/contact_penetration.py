@@ -106,8 +106,8 @@ def contact_penetration_m(scene: Scene, physics: Physics, top_force_n: FloatArra
         return of_boxes * top_n / mass / CONTACTS_PER_FACE, own_per_kg * (top_n + mass * gravity)
 
     def is_enough(top_n: FloatArray) -> bool:
-        # the depth of a contact grows less than proportionally to A · f, so the depth is at most the sum of the depths
-        # for the two parts that ``pulls`` returns
+        # The depth of a contact depends on the product A · f, which is the sum of the two parts that ``pulls`` returns.
+        # The depth grows less than proportionally to A · f, so it is at most the sum of the depths for the two parts.
         return bool(base + sum(depth_m(physics, part).sum() for part in pulls(top_n)) <= enough_m)
 
     if is_enough(top_force_n):

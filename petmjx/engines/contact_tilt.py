@@ -104,7 +104,9 @@ def contact_tilt_of(bearing: Bearing, load: FloatArray, edge_m: FloatArray, phys
         return turned
 
     own_lean = np.nan_to_num(angle(np.clip(edge_m / width, 0.0, 0.5)))
-    own_lean[edge_m < -BEYOND_M] = 0.0  # a box whose load acts beyond the edge also tips over on hard contacts
+    # A box whose load acts beyond the edge would tip over on hard contacts, too. So its tilt is not due to soft
+    # contacts.
+    own_lean[edge_m < -BEYOND_M] = 0.0
     below, shift = _tilt_from_below(bearing, own_lean)
     tipping = (SHARES[:, None] * width + angle(SHARES[:, None]) * height).min(axis=0)
     return ContactTilt(tipping + below * height, below + own_lean, shift)
@@ -179,7 +181,8 @@ def contact_tilt_suspects(
         beyond = bool((edges < -BEYOND_M).any())
         reach = (SURE if beyond else most_safety) * tipping
         least = BEYOND_M
-        if not (beyond or has_errors):  # ``ROCKING_M`` is only for boxes at their planned places
+        # the value ``ROCKING_M`` only holds if all boxes were placed at their planned places
+        if not (beyond or has_errors):
             reach, least = np.maximum(reach, ROCKING_M), 0.0
         return bool(((edges > least) & (edges <= reach)).any())
 

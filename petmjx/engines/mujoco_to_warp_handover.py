@@ -203,7 +203,7 @@ class _Shared(Generic[Faster]):
                 stream.put(ready_for(engine.name, job), (stream_number, job))
 
         feed()
-        stream.close()  # ``feed`` still adds jobs, but only between two outcomes
+        stream.close()  # closed for other sources: from now on, only ``feed`` adds jobs, between two outcomes
         with closing(outcomes_of_stream(engine, stream, self._sim, self._progress, sys.maxsize)) as outcomes:
             for outcome in outcomes:
                 job = None

@@ -191,8 +191,8 @@ class _AttemptRun(Generic[AnyWorld]):
             elif not self.retry_queue and self.attempt_tasks.unanswered:
                 n_unanswered = self.attempt_tasks.unanswered
                 self.engines.progress.message = f"simulating {count_text(n_unanswered, 'world')} again on CPU threads"
-                # Further worlds may follow before the attempts on CPU threads end, such as the packings of the next
-                # order.
+                # If further worlds may follow before the attempts on CPU threads end, such as the packings of the next
+                # order, the loop does not wait for these attempts.
                 yield from self._task_results(wait=self.following is None)
                 if self.following is not None:
                     time.sleep(ATTEMPT_WAIT_S)

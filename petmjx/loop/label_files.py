@@ -129,8 +129,8 @@ def write_labels(
         if (card := check()) is not None:
             return card
     except InputError:
-        # if another process is writing into the folder, the error about this process is raised instead of the error of
-        # the check
+        # if another process is writing into the folder, the lock raises an error about that process, which is more
+        # useful than the error of the check
         with suppress(OSError), held_folder_lock(folder):
             pass
         raise

@@ -49,7 +49,8 @@ class PalletWorlds:
         # for each box, the arguments ``error`` and ``error_strength`` of ``petmjx.Pallets.place``
         self._error: NDArray[np.int64] = np.zeros((n, most_boxes), np.int64)
         self._strength: FloatArray = np.zeros((n, most_boxes))
-        # number of boxes in world n + i; -1 if this world is not used
+        # (n,) number of boxes in world n + i, which has pallet i as it was before its last box; -1 if world n + i is
+        # not used
         self._before: NDArray[np.int64] = np.full(n, -1, np.int64)
         self.worlds = engine.open([EmptyCarrier(sim).scene] * (2 * n + 1), sim, most_boxes)
         self.worlds.go_on()

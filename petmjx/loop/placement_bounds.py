@@ -155,13 +155,14 @@ class Bounds:
     def __init__(self, stock: BoxTable, friction: float) -> None:
         n = len(stock.count)
         self._stock, self._friction = stock, friction
-        self._boxes: NDArray[np.int64] = np.zeros(n, np.int64)  # number of each pallet's boxes in the tables.
-        # The tables have the shape (n, k, …) for k boxes on each pallet. The tables start with k = 1, because few
-        # pallets need them.
+        # number of each pallet's boxes for which the tables below hold data
+        self._boxes: NDArray[np.int64] = np.zeros(n, np.int64)
+        # Each table below has the shape (n, k, …), with k rows for the boxes of each pallet. At first, k is 1, because
+        # few pallets need more rows.
         self._bearers: NDArray[np.int64] = np.full((n, 1, MOST_BEARERS), NOTHING)
         self._shares: FloatArray = np.zeros((n, 1, MOST_BEARERS, 3, 3))
-        self._edges: FloatArray = np.zeros((n, 1, MOST_CORNERS, 3))  # edges of each bearing, as in _Rests.
-        # (n, k) smallest distance, mm, at which the load of each box must act inside the edges of the box's bearing
+        self._edges: FloatArray = np.zeros((n, 1, MOST_CORNERS, 3))  # in the form of ``_Rests.edges``
+        # (n, k) the load of each box must act at least this far inside the edges of the area on which the box lies, mm
         self._least: FloatArray = np.zeros((n, 1))
 
     def cut(self, pallets: NDArray[np.int64], count: NDArray[np.int64]) -> None:

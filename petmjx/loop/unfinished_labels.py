@@ -77,8 +77,8 @@ class LabelParts:
             self.n_labels, self.next_episode = entries["labels"], entries["next_episode"]
             self._tables = Tables(folder, _CheckedParts.of(folder, entries))
             self._check_parts()
-            # Only whole episodes are kept, so the parts may have more labels than the set needs. So the count of the
-            # earlier command is always allowed.
+            # Parts hold only whole episodes, so they may have more labels than the earlier command asked for. The
+            # ``count`` of that command is still allowed.
             if count < self.n_labels and count != entries["count"]:
                 raise InputError(
                     f"{folder}: holds {count_text(self.n_labels, 'label')}; pass {option('-n', python='count')} "

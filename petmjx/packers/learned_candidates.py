@@ -56,8 +56,8 @@ class MirroredCandidates(Candidates):
     def __init__(self, base: FloatArray, height: FloatArray, extent_mm: tuple[float, float], most_boxes: int) -> None:
         super().__init__(base, height, extent_mm, most_boxes)
         self.corners, self.rests = np.zeros((0, 2)), np.zeros(0)
-        # _lows, _highs: corners of the boxes in each mirror image; _points: the corner points of all mirror images;
-        # _in: whether x and y are mirrored in the mirror image to which each point belongs
+        # ``_lows``, ``_highs``: corners of the boxes in each mirror image. ``_points``: the corner points of all mirror
+        # images. ``_in``: for each point, whether x and y are mirrored in the mirror image to which the point belongs.
         self._lows, self._highs = np.zeros((2, len(MIRRORS), most_boxes, 3))
         self._points = np.zeros((len(MIRRORS), 2))
         self._in = np.array(MIRRORS)

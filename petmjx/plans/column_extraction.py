@@ -110,7 +110,7 @@ class ColumnExtraction:
             self.meanings[upper["ID"]] = ColumnMeaning("article")
             self.meanings[upper["TYPE"]] = None
             self.meanings[upper.get("COPIES", upper["TYPE"])] = None
-        if source.form == BED_BPP:  # item.sequence numbers the items of the order: it is no packing order
+        if source.form == BED_BPP:  # ``item.sequence`` counts the items of the order; it is not the packing order
             for index in self.indices("sequence", of_container=True):
                 self.meanings[index] = None
         eulers = self.indices("euler", of_container=True)
@@ -174,7 +174,8 @@ class ColumnExtraction:
                 of_order = meaning.kind == "sequence" and _ORDER_WORDS.intersection(words_of(self.table.header[index]))
                 numbers = [number.value for cell in cells if (number := cell_number(cell, self.table.decimal))]
                 texts = map(cell_text, self.cells(index))
-                distinct = set(zip(self.source.boxes.parts, texts, strict=True))  # each plan may count from 1
+                # pairs of plan and text, since each plan may count from 1
+                distinct = set(zip(self.source.boxes.parts, texts, strict=True))
                 if of_order and "plan" not in kinds and len(distinct) * 2 <= len(self.table.rows):
                     self.meanings[index] = ColumnMeaning("plan")
                 elif meaning.kind == "size" and _count_rows(numbers):

@@ -308,7 +308,7 @@ def plain_text(text: str) -> str:
     """Text without accents: "Länge" → "Lange", "długość" → "dlugosc", "Maße" → "Masse". Known words in other scripts
     are translated: "длина" → "length", "x坐标" → "x coordinate"."""
     if not text.isascii():
-        # Without regard to case, a match may have letters whose lower case is not in the table. Such words are kept.
+        # The pattern ignores case. If the lower case of a matched word is not in ``_OTHER_SCRIPTS``, the word is kept.
         text = _IN_OTHER_SCRIPT.sub(lambda match: f" {_OTHER_SCRIPTS.get(match[0].lower(), match[0])} ", text).strip()
     text = (
         _NUMBER_SIGN.sub("No ", text)
@@ -659,7 +659,8 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
     if compact is not None and not words & _POSITION:
         letter = compact[2] if compact[2] in _AXES else compact[1]
         if last[1:] == "w" or last[:-1] == "w":
-            return None  # the name is an angular velocity (wx), or another kind of word
+            # a name such as "wx" is an angular velocity, not a size
+            return None
         return ColumnMeaning("size", letter, placed=last[0] in "l" or placed, half=half)
     point = re.fullmatch(
         r"(r|rot|c|p|pos|m|ctr|cen|center|centre|mid|start|min|max|lo|hi|end|t|q|flb|loc|coor|coord|koord)([xyz])", last
@@ -788,7 +789,7 @@ def _kind_of(tail: list[str], path: list[str]) -> Kind | None:
             if kind == "volume" and words & {"id", "nr", "no", "number"}:
                 return "item_id"  # "Volume nº" is the number of a parcel
             if kind == "sequence" and words & _UNLOADING:
-                return None  # the order in which boxes leave the pallet
+                return None  # this is the order in which boxes leave the pallet, not the packing order
             if kind == "weight" and words & _NO_WEIGHT:
                 return None
             if kind == "rotation" and words & {"allowed", "possible", "keep", "updown"}:

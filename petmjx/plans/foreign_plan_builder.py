@@ -84,7 +84,8 @@ class PlanBuilder:
             )
         self._note_quantities()
         faults = range_faults(self.columns, reading, candidate)
-        if not self.wishes.exact:  # a reading that the user has written needs no such check
+        # ``exact`` has the columns of a reading that the user has written down; only a guessed reading needs this check
+        if not self.wishes.exact:
             faults = edge_faults(self.columns, reading, candidate, plans) | faults
         self.faults = faults | self.faults
         size, low = placed_boxes(self.columns, reading, candidate, plans, self.wishes, self.faults, self.notes)
@@ -157,7 +158,10 @@ class PlanBuilder:
             reading, candidate = single_reading or choose_reading(self.columns, plans, self.wishes, lost)
         except InputError as error:  # either no row is good, or the good rows alone make no plausible plan
             if isinstance(error, AmbiguousFile) and len({one.far_words for one in error.readings[:2]}) > 1:
-                raise  # bad rows may be boxes of one grid cell, which begin and end at the same cell
+                # Two readings are about equally plausible: columns hold the ends of boxes, or the last grid cells of
+                # boxes. In the second reading, a box that begins and ends at the same cell is no fault. So the user is
+                # asked for the reading.
+                raise
             if self.boxes.table.lost:
                 place, fault = self.boxes.table.lost[0]
                 raise InputError(f"{place}: {fault}") from None

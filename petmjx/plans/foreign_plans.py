@@ -56,7 +56,8 @@ def plans_of_sources(
             ways.append(_plans_of(_with_decimal(chosen, decimal), sources, path, source, wishes))
     ways.sort(key=lambda plans: plans.reading.cost)
     if not ways or (len(ways) == 2 and ways[1].reading.cost - ways[0].reading.cost < TIE):
-        return _plans_of(chosen, sources, path, source, wishes)  # this call raises the error about the ambiguous number
+        # this call raises the error, which says that the decimal mark is ambiguous
+        return _plans_of(chosen, sources, path, source, wishes)
     return ways[0]
 
 

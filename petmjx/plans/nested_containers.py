@@ -272,7 +272,8 @@ def _only_name(around: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
             if (text := _name_text(holder.get(name))) != "":
                 return text
     for step, holder in reversed(around):
-        if step.endswith("]") or not step or holder == {"id": step}:  # {"id": step}: the list has the name of the plan
+        # {"id": step} stands for a list whose key is the name of the plan
+        if step.endswith("]") or not step or holder == {"id": step}:
             for name in ("id", "ID", "name", "bin", "partno"):
                 if (text := _name_text(holder.get(name))) != "":
                     return text

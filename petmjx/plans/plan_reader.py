@@ -428,7 +428,8 @@ class _PlanLoader:
             return
         if fault is not None:
             self._skip(source, None, f"{source}: {fault}")
-        if is_csv(path) or (regular_file(path) != path and looks_like_table(data)):  # the name of a pipe has no suffix
+        # A pipe's name has no suffix, so the content shows whether the data are a table.
+        if is_csv(path) or (regular_file(path) != path and looks_like_table(data)):
             if looks_like_json(data):
                 self._skip(source, None, f"{source}: is JSON: it is read as such if its name ends in .json")
                 return

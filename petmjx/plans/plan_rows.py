@@ -150,7 +150,7 @@ def plan_names(columns: BoxColumns, source: str, notes: list[str]) -> list[str]:
     """
     parts, column = columns.source.boxes.parts, columns.plan
     if column is not None and len(set(column)) * 2 > columns.n_boxes + 2 and len(set(column)) > 1:
-        column = None  # nearly every row has another name, so the column does not name plans
+        column = None  # nearly every row has a different name, so the column does not name plans
     stem = Path(source).name.split(".")[0] or "plan"
     names = ["/".join(filter(None, (part, "" if column is None else column[row]))) for row, part in enumerate(parts)]
     if not any(names):

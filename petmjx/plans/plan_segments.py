@@ -82,7 +82,7 @@ def segments_of(file: Path, count: int) -> list[Segment]:
             if cut is not None and bounds[-1] < at + cut.start(1):
                 bounds.append(at + cut.end(1))
     bounds.append(end + 1)
-    # between two segments there is a comma
+    # the byte before each further segment is a comma, which belongs to no segment
     return [Segment(file, begin, next_begin - 1) for begin, next_begin in pairwise(bounds)]
 
 

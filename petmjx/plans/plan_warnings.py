@@ -257,7 +257,8 @@ def _gaps(
     placed before the box under it counts as floating, because it would fall before that box arrives.
     """
     bottom, top = low[2], high[2]
-    # Rows are supporting boxes, columns are upper boxes. Supporting boxes come earlier in packing order.
+    # Rows are supporting boxes, columns are upper boxes. With ``in_order``, a supporting box must come earlier in
+    # packing order.
     below = side_by_side & (bottom[..., :, None] < bottom[..., None, :])
     if in_order:
         below &= ~np.tri(bottom.shape[-1], dtype=bool)

@@ -78,7 +78,8 @@ def _writer_for(file: Path) -> Callable[[Sequence[Plan], Path], None]:
     for endings, write in ((_JSON, _write_json), (_CSV, _write_csv), (_PARQUET, _write_parquet)):
         if name.endswith(endings):
             return write
-    if str(file.absolute()).startswith("/dev/") or file.is_fifo():  # the name of a pipe tells no format
+    # the name of a pipe or device does not tell a file format, so JSON is written
+    if str(file.absolute()).startswith("/dev/") or file.is_fifo():
         return _write_json
     endings_known = ", ".join((*_JSON, *_CSV, *_PARQUET))
     raise InputError(f"{printable(str(file))}: the name must end in one of {endings_known}")

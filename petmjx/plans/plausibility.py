@@ -248,7 +248,9 @@ def vote_for_other_points(layout: Layout, mm: float, point: FloatArray) -> int:
     for level in ((0, 1), (0, 2)):
         low, size = layout.low[:, level], layout.size[:, level]
         shifts = point[list(level)] - np.vstack([point[list(level)], _POINTS])
-        corners = low + size * shifts[:, None]  # (7, n, 2): as the given point, and as each other point
+        # (7, n, 2) low corners of the boxes, if coordinates describe the given point, and if they describe each of 6
+        # other points
+        corners = low + size * shifts[:, None]
         begin, end = corners.min(axis=1), (corners + size).max(axis=1)
         is_symmetric = np.abs(begin + end).max(axis=1) <= tolerance
         begins_a_deck = (np.abs(begin[:, None] + half_decks).max(axis=2) <= tolerance).any(axis=1)

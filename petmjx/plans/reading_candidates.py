@@ -172,7 +172,8 @@ def layout_of(
     place = candidate.geometry.place
     order = _UP[candidate.up]
     if candidate.rule == POSES[1] and (turn := candidate.geometry.turn) is not None:
-        # move each place from the point of the box before it is turned to the same point of the box as placed
+        # Coordinates describe a point of the box before it is turned. Convert them to the coordinates of the same point
+        # of the turned box.
         point = np.empty(3)
         point[list(order)] = candidate.point
         if candidate.up.startswith("-"):
@@ -227,7 +228,8 @@ def candidates(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
                     for anchor, anchor_prior in _anchors(geometry, form.anchor, wishes):
                         prior = geometry.prior + up_prior + pair_prior + rule_prior + anchor_prior
                         if rule == "degrees":
-                            prior += pair_prior  # angles are counted from boxes whose length lies along x
+                            # angle 0 means that the length lies along x, so another pairing costs twice as much
+                            prior += pair_prior
                         if geometry.turn is not None and not wishes.rule:
                             if anchor == "centre" or (geometry.turn == np.eye(3)).all():
                                 if rule == POSES[1]:
@@ -348,7 +350,7 @@ def _pairs(
             usual_level = ["length", "width"] if "length" in level and "width" in level else ["width", "depth"]
             if "length" in level and "depth" in level:
                 usual_level = ["length", "depth"]
-            # with y upwards, graphics list the width before the length
+            # with y upwards, graphics programs list the width before the length
             is_listed = up == "y" or (listed.index(level[0]) < listed.index(level[1]))
             prior = 0.0 if level == usual_level else 0.8 if is_listed else 2.0
         elif pair == (0, 1, 2):  # this pairing follows the order of the axes, not the names of the sizes

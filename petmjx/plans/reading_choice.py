@@ -409,7 +409,9 @@ def _may_be_turned(best: _Judged, other: _Judged) -> bool:
     axis."""
     is_known = not np.isnan(best.layouts[0].container[:2]).any()
     firm, other_firm = (one.layout_cost + one.begin_cost + is_known * one.units[0].cost for one in (best, other))
-    rarer = WEAK_LEAD if other.candidate.up.startswith("-") else TIE  # if no height is above 0, heights may be depths
+    # A reading in which heights are counted downwards has a higher prior (a cost), even if no height is above 0. So its
+    # prior may exceed that of the best reading by more.
+    rarer = WEAK_LEAD if other.candidate.up.startswith("-") else TIE
     return (
         other.candidate.up != best.candidate.up
         and other.candidate.prior <= best.candidate.prior + rarer

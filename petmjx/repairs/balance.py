@@ -174,7 +174,8 @@ def _balances(
     end the number of all boxes."""
     order = np.concatenate([draft.rows for draft in drafts])
     rows = (loads.least_mm < 0).nonzero()[0]
-    rows = rows[np.lexsort((order[loads.box[rows]], loads.step[rows]))]  # drafts stay in order, as their steps do
+    # steps are numbered over all drafts, so drafts stay in order
+    rows = rows[np.lexsort((order[loads.box[rows]], loads.step[rows]))]
     depth_mm, steps = -loads.least_mm[rows], loads.step[rows].astype(np.intp)
     weight = np.where(loads.is_sure[rows], 1.0, PERHAPS) * (1 + np.minimum(depth_mm / DEEP_MM, 1.0))
     box, cause, last_mm = order[loads.box[rows]], order[steps], loads.last_mm[rows]

@@ -457,8 +457,9 @@ class Candidates:
     def _falls_early(self, key: bytes) -> bool:
         """Whether a draft with this key must fall like a draft that was judged before: both begin with the same
         placements, and the judged draft fell before its next box was placed."""
-        # Without its last byte, the key of a draft that has no further box does not match. Such a draft need not fall
-        # in the same way, because the wait after the last box is longer than other waits.
+        # A draft without a further box after these placements need not fall in the same way, because the wait after the
+        # last box is longer than other waits. The last byte of the key is left out, and then the key of such a draft
+        # does not match.
         longer = key[:-1]
         return longer.startswith((*self._falls,))
 

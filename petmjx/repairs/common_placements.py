@@ -98,7 +98,7 @@ class CommonPlacements(Generic[Tag]):
         if len(worlds) == 1:
             yield Placement(replace(worlds[0].job, start=start), worlds, worlds[0].job.scene.n_boxes)
         elif (len(worlds) - 1) * (n_common - n_placed) >= LEAST_SAVED:
-            # the world with the most boxes has the largest ``Job.iteration_limit``
+            # take the job of the world with the most boxes, because it has the largest ``Job.iteration_limit``
             largest = max((world.job for world in worlds), key=lambda job: job.scene.n_boxes)
             job = replace(largest, start=start, pauses_after=n_common)
             yield Placement(job, worlds, n_common)

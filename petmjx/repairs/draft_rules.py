@@ -104,7 +104,8 @@ class _Layouts(NamedTuple):
     def of(cls, drafts: Sequence[Draft]) -> _Layouts:
         low = np.stack([draft.corner_mm for draft in drafts])
         high = low + np.stack([draft.size_mm for draft in drafts])
-        with_order = {id(draft.order): draft for draft in drafts}  # one draft per order, which determines the rank
+        # one draft for each packing order, since the order determines the rank
+        with_order = {id(draft.order): draft for draft in drafts}
         rank = np.stack([with_order[id(draft.order)].rank for draft in drafts])
         return cls.between(low, high, rank, np.stack([draft.turned for draft in drafts]))
 

@@ -373,8 +373,8 @@ def _exchanged_places(draft: Draft, pairs: IntArray) -> tuple[Places, BoolArray]
     is_possible = ~uneven | draft.is_bare[pairs].all(axis=1)
     alike = (differ <= TOLERANCE_MM).all(axis=1) & (np.abs(mass[:, 0] / mass[:, 1] - 1) < 0.01)
     pairs = pairs[is_possible & ~alike]
-    # axes of these arrays: pair; way to turn the two boxes; end of the places at which both stand; box of the pair; x,
-    # y and z
+    # Axes of these arrays: pair; which of the two boxes are turned; whether both boxes stand at the low or the high
+    # ends of their new places; box of the pair; x, y and z.
     turns = np.array([[False, False], [False, True], [True, False], [True, True]])[:, None]
     before, size = draft.size_mm[pairs][:, None, None], draft.size_mm[pairs][:, None, None]
     size = np.where(turns[..., None], size[..., [1, 0, 2]], size)
@@ -446,7 +446,8 @@ def _places_of(draft: Draft, places: Sequence[Place]) -> Places:
     is_box = boxes == boxes[:, :1]
     turns = is_box & np.array([place.differs for place in places], bool)[:, None]
     last = np.array([np.nan if place.neighbour is None else draft.rank[place.neighbour] for place in places])[:, None]
-    # the boxes of a change are placed directly after its neighbour, and among themselves in the same order as before
+    # The boxes of a change are placed directly after ``place.neighbour``, and in the same order among themselves as
+    # before.
     in_turn = 1 + rank / len(draft.order)
     return Places(
         boxes,

@@ -222,8 +222,8 @@ class Search(Candidates):
         elif trial.culprit is not None and max(trial.culprit + 1, trial.n_placed) <= self.rules.built:
             yield from self._begun_with_built(trial)
         if not (self._stands or self.built_falls):
-            # a plan that fell when judged is changed where it fell in this judged trial, not where it fell in its
-            # score, because its changed plans are judged as well
+            # Changes begin where the plan fell. If the plan fell both when it was judged and in its score, the judged
+            # trial counts, because the changed plans are judged as well.
             known = trial if is_scored and not trial.stands else self.before or trial
             try:
                 yield from self._mended(State(self._start, (), known))
@@ -276,8 +276,8 @@ class Search(Candidates):
             fewest = len(self.repairs[0].changes)
             if self.options.worlds:
                 yield from self._strengthened()
-            # On a GPU, it is enough that plans are judged (``MOST_UNDONE``). With a profile, each trial is already a
-            # score.
+            # Needless changes are also taken back according to scores, except in two cases. On a GPU, scores would keep
+            # all searches waiting (``MOST_UNDONE``). With a profile, each trial has already been a score.
             is_enough = self.is_wide or self.options.profile is not None
             if not is_enough and len(self.repairs[0].changes) == fewest <= MOST_UNDONE:
                 (shorter,) = yield from self._pruned(self.repairs[:1], judged=False)
@@ -324,13 +324,14 @@ class Search(Candidates):
         doubtful: list[State] = []  # states that may fall when scored (``_is_doubtful``)
         is_late = is_widened = False
         n_anew, may_rebuild = 0, Kind.PLACE in kinds and options.profile is None
-        # Boxes may be left out only after many rounds in which no box was left out, so the count begins with these.
+        # Boxes may be left out only after a search of many rounds in which no box was left out. The count of rounds
+        # continues from there.
         n_rounds = len(WIDE_AT_ONCE) if Kind.LEAVE_OUT in kinds else 0
         queues: list[list[Candidate]] = []
         while self.n_trials < last and not self._stands:
             nodes.sort(key=lambda node: node.key)
             useful = nodes
-            if standing:  # only repairs with fewer changes are of use
+            if standing:  # only repairs with fewer changes than the repairs found so far are of use
                 fewest = len(standing[0].changes)
                 limit = fewest + (SURPLUS if is_widened else 0.0)
                 useful = [n for n in nodes if len(n.state.changes) < fewest - 1 and n.n_promised < limit]
@@ -349,7 +350,9 @@ class Search(Candidates):
                 last = min(end, self.n_trials + int(PAIRS * most_trials))
             n_anew += is_late and may_rebuild
             if n_anew > ROUNDS_ANEW:
-                last = self.n_trials  # as if the trials were spent: other ways to build plans anew may remain
+                # let the search count as one that has used up its trials, since there may be further ways to build
+                # plans anew
+                last = self.n_trials
                 break
             queues = self._queues(useful, kinds, anew=is_late)
             # one trial is kept for the score of a repair
@@ -363,7 +366,7 @@ class Search(Candidates):
             states, *_ = yield Together(parts)
             if any(state.trial.stands for state in states):  # judge further candidates: they may stand more often
                 if not self.is_wide:
-                    # one trial is kept, as above
+                    # one trial is kept for the score of a repair
                     count = min(last - self.n_trials, self._n_left - 1)
                     next_candidates = self._rivals(queues, states, count)
                     batch, states = batch + next_candidates, states + (yield from self._judged(next_candidates))

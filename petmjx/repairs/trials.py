@@ -248,13 +248,15 @@ class Question:
             number: _trial(worlds.loc[str(number)], fallen.get(str(number), ()), drafts[number].order)
             for number in numbers
         }
-        # a further attempt that is spent leaves the world its verdict
+        # If a further attempt reaches the iteration limit, its world keeps the reason of an earlier attempt. So the
+        # reasons of all attempts are examined.
         simulations = pd.concat([results.worlds[["plan_id", "reason"]], results.attempts[["plan_id", "reason"]]])
         spent = {*simulations.plan_id[simulations.reason == Reason.ITERATION_LIMIT.value]} & changed
         for number in map(int, spent):
             limit = limit_of(len(drafts[number].order), SCORED_ITERATIONS)
             if self.sim.iteration_limit is None or limit < self.sim.iteration_limit:
-                # as for judged drafts: the search has set the limit, so the trial is valid
+                # The search has set this limit, not the user. So the trial is valid: the draft counts as one that
+                # falls.
                 trials[number] = trials[number]._replace(verdict=Verdict.UNSTABLE.value)
         return trials
 
@@ -511,8 +513,8 @@ class TrialStream:
         """
         request = _Request(ticket, drafts)
         self._n_open += 1
-        # Later runs of the engine have room for the plans of all searches: a search whose drafts are being scored may
-        # soon request judged drafts again, and tables with few different sizes need few programs.
+        # Tables of the engine have room for the largest plan of any search, even while its drafts are being scored: the
+        # search may soon request judged drafts again, and programs are compiled for each size of a table.
         self._most_boxes = max(self._most_boxes, *(one.draft.plan.n_boxes for one in drafts))
         numbered: dict[object, list[tuple[int, Job | None]]] = {}
         for number, (one, job) in enumerate(zip(drafts, self._question.jobs(drafts), strict=True)):

@@ -134,7 +134,8 @@ def resume_state(
             warnings.append(f"resumed with {name} {version}; earlier worlds were simulated with {before or 'none'}")
     parts = parts.with_worlds()
     lacking = parts.lacking_boxes() if info["config"].get("keep") != WORLDS else []
-    if lacking:  # an interrupted merge of petmjx before 0.3 left a folder in which parts of the table boxes are missing
+    # An interrupted merge of petmjx before 0.3 left a folder in which parts of the table ``boxes`` are missing.
+    if lacking:
         if parts.files("frames"):
             raise InputError(
                 f"{folder / 'boxes' / part_name(lacking[0])}: missing, although the table worlds has a part of this "

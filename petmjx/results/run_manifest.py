@@ -165,7 +165,9 @@ def differing_settings(was: Any, now: Any, path: str = "") -> Iterator[tuple[str
     if isinstance(was, Mapping) and isinstance(now, Mapping):
         for name in dict.fromkeys((*was, *now)):
             if name == "errors" and not path and not (name in was and name in now):
-                continue  # if only one run has ``errors``, ``confidence`` also differs, and only it is listed
+                # If only one run has the setting ``errors``, the runs also differ in ``confidence``. Only
+                # ``confidence`` is listed.
+                continue
             inner = f"{path}.{name}" if path else str(name)
             yield from differing_settings(was.get(name, _NOTHING), now.get(name, _NOTHING), inner)
     elif _are_tables(was) and _are_tables(now) and len(was) == len(now):

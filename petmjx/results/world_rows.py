@@ -131,7 +131,8 @@ class Row:
                 cells[name] = None
         cells |= params
         block = np.full((layout.n_rows, n), np.nan)
-        placed = slice(outcome.n_placed)  # in boolean columns, NaN means "no"
+        # the values of boxes that were not placed stay NaN, which becomes "no" in boolean columns
+        placed = slice(outcome.n_placed)
         for rows, values in zip(layout.block_rows, layout.block_of(outcome.boxes), strict=True):
             block[rows, placed] = np.asarray(values)[placed].T
         if interval_n is not None:

@@ -486,7 +486,8 @@ class SweepRun:
         if any(
             bracket.stands_at_rest and not bisection.next_tests(which) for which, bracket in enumerate(bisection.items)
         ):
-            return False  # if the search has only one level, no row shows whether the placement stood
+            # a search with a single level tests no level, so no recorded row shows whether the placement stood
+            return False
         tested: dict[Test, Probe] = {}
         for which in range(len(bisection.items)):
             while tests := bisection.next_tests(which):

@@ -122,7 +122,7 @@ def sweep_of_run(run: RunResults) -> Sweep:
         sweep_file = sweep_path if sweep_path.is_file() else find_sweep(sweep_path.stem)
     except InputError:
         raise InputError(f"{run.path}: the sweep file from which the run was made no longer exists") from None
-    has_both_ways = PLACING in config["sweep"].get("axes", {})  # the option exact_too adds the axis placing
+    has_both_ways = PLACING in config["sweep"].get("axes", {})  # the option ``exact_too`` adds the axis ``placing``
     sweep = (
         chain_sweep(sweep_file, worlds, changes)
         if is_chain(run.info) and worlds

@@ -180,7 +180,7 @@ class PaddedModel:
 
     def _top_force(self, contact: Any, forces: Float[Array, "world constraint"]) -> Float[Array, "world box"]:
         """Force that presses on each box's top in the step, N."""
-        # a contact has the same rows in every world; inactive contacts have no force
+        # each contact has fixed entries in ``forces``, the same in every world; the forces of inactive contacts are 0
         rows = forces.reshape(len(forces), len(self._boxes), -1)
         rows = jnp.pad(rows, ((0, 0), (0, 0), (0, 4 - rows.shape[-1])))
         force = contact_force_z(rows, contact.frame[..., 2], contact.friction[..., :2], pyramidal=self.pyramidal)

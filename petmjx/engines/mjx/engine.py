@@ -232,8 +232,8 @@ class MjxJaxEngine(Engine):
             drives.append(job.drive.excitation.kind)
         phases = []
         for drive in drives:
-            # the placement needs no profiles; with the table of profiles as an argument, its program would be compiled
-            # again for each shape of the table
+            # The placement needs no profiles. If its program had the table of profiles as an argument, the program
+            # would be compiled again for each shape of the table.
             profiles = jnp.zeros((1, 1, 3)) if drive is None else batch.profiles
             phases.append(Phase(self._program(batch, sim, drive, profiles, progress), drive, profiles))
         return phases

@@ -208,7 +208,8 @@ def _cut(
     part = here / jnp.where(crosses, here - ahead, 1.0)
     points = jnp.stack([corners, corners + part[:, None] * (corners[following] - corners)], axis=1)
     stay = jnp.stack([kept & (here >= 0), crosses], axis=1).reshape(-1)
-    row = jnp.where(stay, jnp.cumsum(stay) - 1, k + 1)  # points that do not stay get no row
+    # points that are cut off get a row beyond the end, and are dropped
+    row = jnp.where(stay, jnp.cumsum(stay) - 1, k + 1)
     left = jnp.zeros((k + 1, 2)).at[row].set(points.reshape(-1, 2), mode="drop")
     return left, jnp.arange(k + 1) < stay.sum()
 

@@ -63,8 +63,8 @@ def started_states(jobs: Sequence[Job], fresh: State) -> State:
         fresh: the states of the worlds before their first step (``world_state.fresh_state``). If all jobs start from
             settled states, an argument with shapes and types but without values is enough.
     """
-    # A drive (the motion of the carrier in a test) that directly follows its placement starts from a state on the
-    # device. The boxes of a state on the device cannot be moved to other poses.
+    # Only the boxes of a kept state can be moved to ``Job.poses``. A drive (the motion of the carrier in a test) that
+    # directly follows its placement has no kept state: its state is on the device.
     assert all(job.poses is None or isinstance(job.start, State) for job in jobs)
     starts = list({id(job.start): job.start for job in jobs if isinstance(job.start, State)}.values())
     if not starts:
@@ -84,8 +84,8 @@ def started_states(jobs: Sequence[Job], fresh: State) -> State:
         return stacked
 
     stacked = jax.tree.map(stack, fresh, *starts)
-    # A world also counts the steps that it takes over from a paused placement, or from its time on a GPU. A world does
-    # not count the steps of a settled placement from which it starts.
+    # ``steps_done`` includes the steps of a paused placement, and the steps that a world took on a GPU before it left
+    # the GPU. It does not include the steps of a settled placement from which a world starts.
     left = stacked.status == Status.LEFT
     stacked = stacked._replace(
         steps_done=np.where(left | (stacked.status == Status.PAUSED), stacked.steps_done, 0),

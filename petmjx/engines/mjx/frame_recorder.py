@@ -117,7 +117,7 @@ class Recorder:
         }
         driven_from = None if world.driven_from == NEVER else int(world.driven_from)
         pose = parts["pose"].astype(np.float64)
-        with np.errstate(invalid="ignore"):  # boxes that are not yet placed have NaN
+        with np.errstate(invalid="ignore"):  # the poses of boxes that are not yet placed are NaN
             pose[..., :3] = job.scene.middles(pose[..., :3], pose[..., 3:])
         return history_of(
             job,

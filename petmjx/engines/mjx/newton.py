@@ -283,7 +283,7 @@ class BlockSolver:
             cost, slope, newton, flat = jax.vmap(at)(steps)
             better = cost < before.cost
             gentle = jnp.abs(slope) <= -ENOUGH_SLOPE * first
-            # where the slope is negative, the cost has decreased, although rounding may hide it
+            # where the slope is still negative, the cost has decreased, even if rounding hides the decrease
             ends = flat | (gentle & (better | (slope <= 0)))
             best = jnp.where(ends.any(), ends.argmax(), jnp.where(better, cost, jnp.inf).argmin())
             low = jnp.maximum(before.low, jnp.where(slope < 0, steps, 0.0).max())

@@ -40,10 +40,10 @@ class Status:
 class State(NamedTuple):
     """The states of worlds between two steps. Steps are counted from the end of the soft start."""
 
-    # MuJoCo's arrays of free bodies, with boxes and carrier in separate arrays. The arrays are poses, velocities,
-    # accelerations of the last step, and accelerations from which mjx-warp's solver starts in the next step. On
-    # mjx-warp, there are also the remainders of positions that single precision cannot hold; on mjx-jax, these are 0.
-    # Other solvers start from the accelerations of the last step.
+    # MuJoCo's arrays of free bodies, with boxes and carrier in separate arrays. ``qpos``: poses. ``qpos_remainder``: on
+    # mjx-warp, the part of positions that single precision cannot hold; on mjx-jax, 0. ``qvel``: velocities. ``qacc``:
+    # accelerations of the last step. ``qacc_warmstart``: accelerations from which mjx-warp's solver starts in the next
+    # step; mjx-jax's solver starts from ``qacc`` instead.
     qpos: Float[Array, "world box 7"]
     qpos_remainder: Float[Array, "world box 3"]
     qvel: Float[Array, "world box 6"]
@@ -55,8 +55,8 @@ class State(NamedTuple):
     carrier_qacc: Float[Array, "world 6"]
     carrier_qacc_warmstart: Float[Array, "world 6"]
 
-    # Positions of bodies in the system of equations, for a solver that orders them (mjx-warp): a permutation of the
-    # placed bodies. A newly placed box comes last.
+    # The index of each placed body in the system of equations of mjx-warp's solver, which sorts the bodies. A newly
+    # placed box comes last.
     position: Int[Array, "world box"]
     carrier_position: Int[Array, " world"]
 
@@ -65,9 +65,10 @@ class State(NamedTuple):
     placed: Int[Array, " world"]
     last_placed_at: Int[Array, " world"]
 
-    # Carrying: the step after which a hand took up the box placed last, or NEVER; the step after which it began to set
-    # the box down, or NEVER; the number of steps of the box's path; and the ends of the path, for the origin of the
-    # box's frame.
+    # Carrying, for the box that was placed last. ``carried_from``: the step after which a hand took up the box, or
+    # NEVER. ``lowered_from``: the step after which the hand began to set the box down, or NEVER. ``carried_steps``: the
+    # number of steps of the box's path. ``way_begin``, ``way_end``: the origin of the box's frame at the ends of the
+    # path.
     carried_from: Int[Array, " world"]
     lowered_from: Int[Array, " world"]
     carried_steps: Int[Array, " world"]
@@ -84,9 +85,10 @@ class State(NamedTuple):
     film_home: Float[Array, "world box 3"]
     film_anchor: Float[Array, "world box 3"]
 
-    # For the rules: the step after which the wait for the next event began; the number of steps for which all boxes
-    # have been quiet, and the boxes' speeds at the first of these steps; and the first step of the present series of
-    # violent samples.
+    # For the rules. ``waits_since``: the step after which the wait for the next event began. ``quiet_steps``: the
+    # number of steps for which all boxes have been quiet. ``quiet_speed``: the boxes' speeds at the first of these
+    # steps. ``violent_since``: the first step of the present series of violent samples (accelerations above the
+    # thresholds).
     waits_since: Int[Array, " world"]
     quiet_steps: Int[Array, " world"]
     quiet_speed: Float[Array, "world box"]
@@ -102,15 +104,16 @@ class State(NamedTuple):
     tremble_qpos: Float[Array, "world box 7"]
 
     # Future events, as steps or NEVER: the start of the drive, the start of the rest window, and the end of the world.
-    # Also: the poses at the step from which on boxes must be still, shortly before the end.
+    # In the last steps before the end, boxes must be still: ``still_qpos`` has the poses at the first of these steps.
     driven_from: Int[Array, " world"]
     rest_from: Int[Array, " world"]
     end: Int[Array, " world"]
     still_qpos: Float[Array, "world box 7"]
     status: Int[Array, " world"]
 
-    # For the outcome: bits of Flag, the number of steps simulated in this run of jobs, the number of iterations of the
-    # solver since the beginning of the placement or of the drive, and the metrics.
+    # For the outcome. ``flags``: bits of Flag. ``steps_done``: number of simulated steps, without the steps of a
+    # settled placement from which the world started. ``iterations_done``: number of iterations of the solver since the
+    # beginning of the placement or of the drive.
     flags: Int[Array, " world"]
     steps_done: Int[Array, " world"]
     iterations_done: Int[Array, " world"]

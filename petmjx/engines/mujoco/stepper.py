@@ -61,8 +61,9 @@ class Stepper:
                 return number - first
             placed, self._placed = self._placed, live.n_placed
             if placed != live.n_placed or (number - 1) % self._poll_steps == 0:
-                # In a recorded world, each frame ends a call, but the results must be the same as without recording. So
-                # the number of steps per call must not decide which steps count for the largest forces.
+                # ``_restless`` decides which steps count for the largest forces. It is updated every ``_poll_steps``
+                # steps, not in every call: in a recorded world, each frame ends a call, but the results must be the
+                # same as without recording.
                 self._restless = placed != live.n_placed or not _is_calm(live)
             last = min(end, number + self._poll_steps - (number - 1) % self._poll_steps)
             counts = metrics if self._looks and live.n_placed and (acts or self._restless) else None

@@ -200,7 +200,7 @@ class WorkerPool(Engine):
         if stream.ended:
             return
         least = LEAST.get(self.name)
-        # mjx-jax cannot take further jobs while it simulates, so it begins with as many as a worker may hold
+        # mjx-jax cannot take further jobs while it simulates, so it begins with as many jobs as a worker may hold
         begin_with = MOST_ON_DEVICE if self.name == "mjx-jax" else min(stream.begin_with, MOST_ON_DEVICE)
         with self._running:
             progress = progress if progress is not None else Progress()

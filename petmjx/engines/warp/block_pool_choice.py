@@ -46,8 +46,8 @@ class BlockPools:
         usual = self.buffers.growth(run, run.needs.sizes[-1]) == 1
         # There is no block pool for small worlds if buffers are enlarged: each of the many lanes of such a pool would
         # need an enlarged buffer. There is no block pool for small worlds with stiff contacts either. With stiff
-        # contacts, a step takes five times as many iterations. In some worlds, a step takes many more, and the other
-        # worlds of the block would have to wait.
+        # contacts, a step takes five times as many iterations. In some worlds, a step takes even more iterations, and
+        # the other worlds of the block would have to wait.
         if usual and not is_stiff(run.sim.physics):
             worlds = int((np.asarray(table.table.placed)[: len(table.jobs)] <= FEW_BOXES.most_boxes).sum())
             few = small_world_pool(pools[-1], worlds, self._lanes)

@@ -73,7 +73,7 @@ def tail_queues(
         order: the queues. Each row lists the numbers of worlds, padded with negative numbers.
         steps, running, lanes: see ``expected_tail``.
     """
-    # rows of a table that belong to no queue may have any state
+    # only worlds in queues are counted, since rows of the table that belong to no queue may have any state
     few = ((order >= 0) & running[order]).sum() <= last.lanes
     chosen = (running & few) | expected_tail(order, steps, running, lanes)
     queue = order[-1]

@@ -280,7 +280,9 @@ class TableSlices:
             rollout.finish(self._table)  # the started slices have no running world
             return
         self._keep_under_way(rollout)
-        if live.sum() > rollout.launcher.blocks:  # meanwhile, the device works on the started slices
+        # Worlds wait in the queues only if there are more live worlds than blocks. The queues are examined while the
+        # device works on the started slices.
+        if live.sum() > rollout.launcher.blocks:
             self._queues.examine(self._table.jobs, live)
 
     def _join(self, *, wait: bool = False) -> bool:
@@ -344,6 +346,6 @@ def outcomes_of(
         if continued is not None:
             yield from continued.last()
     finally:
-        progress.at_hand = None  # after an error, no outcome follows, whatever the count was
+        progress.at_hand = None  # after an error, no further outcome is ready, whatever was counted before
         if continued is not None:
             continued.close()

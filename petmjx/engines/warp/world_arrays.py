@@ -133,7 +133,8 @@ class Model:
     poll_steps: int
     hand_rate: float  # Natural angular frequency of the hand's spring, 1/s.
     lowering_rate: float  # Damping constant / mass, for the damper by which the hand sets boxes down, 1/s.
-    # Largest number of steps in each of two phases: a hand holds a box at the end of its path, and then sets it down.
+    # Largest number of steps for which a hand waits, at the end of the path, until the box has stopped. Also the
+    # largest number of steps for which the hand sets the box down.
     stuck_steps: int
     film_rate: float  # Natural angular frequency of a box that film holds, 1/s.
     landing_time: float  # Time in which a landing box is stopped, s.
@@ -153,7 +154,8 @@ class Worlds:
     """Constants of worlds: the table ``world_constants.Worlds``, the samples of the excitations, and the queues."""
 
     profiles: Annotated[wp.array3d[float], "profile step 3"]
-    order: Annotated[wp.array2d[int], "queue world"]  # Rows of the worlds in each queue, in order, then −1.
+    # For each queue: the table rows of its worlds, in the order in which blocks take the worlds; then −1.
+    order: Annotated[wp.array2d[int], "queue world"]
 
     if TYPE_CHECKING:
 
@@ -211,7 +213,8 @@ class Workspace:
     contact_pair: Annotated[wp.array2d[int], "block contact"]
     # the two bodies of a contact, as indices of free bodies, the smaller index first; negative: the body does not move
     contact_bodies: Annotated[wp.array3d[int], "block contact 2"]
-    # contacts of each body, grouped by body: 2 × number of the contact, + 1 for the contact's second body
+    # The contacts of each body, one body after another. An entry is 2 × the number of the contact, plus 1 if the body
+    # is the contact's second body.
     body_contact: Annotated[wp.array2d[int], "block link"]
     body_conadr: Annotated[wp.array2d[int], "block free_body_end"]
     # For each body, the first body of its component (all bodies with which it is joined by contacts).
@@ -219,8 +222,8 @@ class Workspace:
     body_root: Annotated[wp.array2d[int], "block body"]  # The body from which distances in a component are counted.
     body_level: Annotated[wp.array2d[int], "block body"]  # Distance from the root, in contacts.
     position: Annotated[wp.array2d[int], "block free_body"]  # Index of a body in the solver's system of equations.
-    # For each body, by its index in the solver's system: the lowest index among the body and the bodies that it
-    # touches.
+    # ``lowest[block, i]``: i is the index of a body in the solver's system of equations. The value is the lowest index
+    # among this body and the bodies that it touches.
     lowest: Annotated[wp.array2d[int], "block free_body"]
     bodies_conadr: Annotated[wp.array2d[int], "block contact"]  # The first contact of each pair of bodies.
     ncon: Annotated[wp.array[int], "block"]

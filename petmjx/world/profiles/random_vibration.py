@@ -81,7 +81,8 @@ class RandomVibration:
                              f"represents only frequencies below {nyquist_hz:g} Hz")  # fmt: skip
         band_edges_hz: FloatArray = (np.arange(n_steps // 2 + 2, dtype=np.float64) - 0.5) * spacing_hz
         power_g2 = np.diff(psd_integral(self.psd, band_edges_hz))
-        # Sine waves of lower frequencies do not fit into the duration, so their power would be missing.
+        # Sine waves in the first band (frequencies below 0.5 / duration) do not fit into the duration, so the power of
+        # this band would be missing.
         if power_g2[0] > 0:
             raise InputError(f"profile {self.name}: PSD begins at {self.psd[0][0]:g} Hz, which needs a duration "
                              f"of at least {0.5 / self.psd[0][0]:g} s, got {self.duration_s:g} s")  # fmt: skip

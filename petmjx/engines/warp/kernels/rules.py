@@ -291,7 +291,7 @@ def after_step(
             lost = lost or is_gone(model, worlds, state, world, box)
         lost = any_of_all(lost)
     stopped = lost and model.early_stop != 0 and not last
-    # a world that ends after this step for another reason does not count as spent
+    # ``spent``: the world has used up its iterations, and does not end after this step for another reason
     spent = iterations >= worlds.most_iterations[world] and not (last or stopped or exploded or nonfinite)
     finished = stopped or exploded or nonfinite or spent
     if signs:
