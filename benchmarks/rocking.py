@@ -390,7 +390,7 @@ these contacts, a block's edges are nearly the hard edges of Housner's block."""
 
 def _contacts(physics: str) -> str:
     """The note of a row whose contacts are not the default contacts."""
-    return f", {physics}" if physics else ""
+    return f", with `{physics}`" if physics else ""
 
 
 def overturning(
@@ -418,7 +418,7 @@ def overturning(
         for (k, pulse_s), level in product(enumerate(PULSES_S), levels):
             lost = block.rock(half_sine(level, pulse_s), SETTLES_S, pulse_s).lost
             same += lost == (verdicts[f"p{k}", level] != "stable")
-        quantity = "number of pulses (of 96) with the same outcome for petmjx's and Housner's block, "
+        quantity = "number of half-sine pulses (of 96) with the same outcome for petmjx's and Housner's block of "
         quantity += f"{width:g} × {height:g} mm{_contacts(physics)}"
         yield Row(quantity, "Housner 1963, integrated", 96, same, engine)
 
