@@ -94,13 +94,13 @@ def rows(engine: str) -> list[dict[str, Any]]:
             )
             bounces = [landed(engine, height_mm, s, LANDING_S, restitution).restitution for s in TIMESTEPS_S[1:]]
             worst = restitution + max((bounce - restitution for bounce in bounces), key=abs)
-            at_worst = "restitution of the simulated bounce (the value with the larger error of timesteps 1 and 0.5 ms)"
+            at_worst = "restitution of the simulated bounce, at the timestep with the larger error (1 or 0.5 ms),"
             made.append(row(f"{at_worst} {conditions}", wanted, low, high, worst))
         for name, landing_s in (("by default", LANDING_S), ("with `landing_s` 0", 0.0)):
             peaks = [landed(engine, height_mm, timestep_s, landing_s, RESTITUTION).peak_n for timestep_s in TIMESTEPS_S]
             spread = max(peaks) / min(peaks) - 1
             falls = f"in falls from {height_mm:g} mm, {name}"
-            quantity = f"spread of the peak force over three timesteps (largest / smallest, minus 1) {falls}"
+            quantity = f"relative spread of the peak force over three timesteps (largest / smallest − 1) {falls}"
             made.append(row(quantity, "no source", 0, 0.12, spread))
     return made
 

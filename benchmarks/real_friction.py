@@ -99,7 +99,7 @@ def _row_of_restitution(carton: Carton, engine: str) -> Row:
     miss = _outside(ours, low, high)
     return Row(
         f"restitution of {carton.name}", _TUE, f"{low:.2f} to {high:.2f}", f"{ours:.3f}", f"{miss:.2f}", engine,
-        f"petmjx's carton falls flat from {MM_PER_M * DROP_M:g} mm", miss == 0.0,
+        f"petmjx's value is for a carton that falls flat from {MM_PER_M * DROP_M:g} mm", miss == 0.0,
     )  # fmt: skip
 
 
@@ -182,9 +182,9 @@ def _rows_of_sliding(engine: str) -> Iterator[Row]:
     worst = int(abs(error).argmax())
     yield Row(
         f"sliding distance of a pallet that starts at {SPEED_M_S:g} m/s",
-        f"Coulomb's law with kinetic frictions of: {_SAE}",
+        f"Coulomb's law, with the kinetic friction of: {_SAE}",
         f"{expected[worst]:.3f} m", f"{expected[worst] * (1 + error[worst]):.3f} m", percent(abs(error[worst])), engine,
-        f"the row shows the floor with the largest error, of {len(kinetic)} floors",
+        f"of {len(kinetic)} floors, the row shows the one with the largest error",
         bool(abs(error).max() < _WAY_WITHIN),
     )  # fmt: skip
     lift = MM_PER_M * max(_lowest_corner(pos, quat) for pos, quat in zip(moved.pos_m, moved.quat_wxyz, strict=True))
@@ -275,8 +275,8 @@ def _row_of_shelf(engine: str) -> Row:
     measures = shelf(engine)
     level, tilted = measures["level_shed"], measures["tilted_shed"]
     return Row(
-        f"pallets that fall from shelves tilted by {SHELF_DEG}°", _RACKS, "none; from level shelves some",
-        f"{tilted} of {QUAKES}; from level shelves {level}", f"{tilted}", engine,
+        f"pallets that fall from shelves tilted by {SHELF_DEG}°", _RACKS, "none (but some from level shelves)",
+        f"{tilted} of {QUAKES} ({level} of {QUAKES} from level shelves)", f"{tilted}", engine,
         f"friction 0.41, noise of {BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz with a peak of {PEAK_G} g for {QUAKE_S:g} s; "
         f"a pallet falls if it moves outward by more than {MM_PER_M * SHED_M:g} mm", tilted == 0 and level > 0,
     )  # fmt: skip

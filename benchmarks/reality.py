@@ -212,7 +212,7 @@ def _tosses(data: Path, limit: int | None, engine: str, *, complete: bool) -> tu
         rows += _rows_of_spread(measures["spread"], engine)
         rows.append(_row_of_faces(measures["spread_as_shipped"], "by default", engine))
         right = percent(measures["mujoco_own"]["right_face"])
-        note = f"from the measured starts, {right} of tosses have the filmed face up"
+        note = f"if simulated from the measured starts, {right} of tosses have the filmed face up"
         rows.append(_row_of_faces(measures["spread_mujoco_own"], "with MuJoCo's own contacts", engine, note))
         rows += _rows_of_friction(measures["friction"], engine)
         rows += _rows_of_calibration(measures["calibration"], engine)
@@ -224,14 +224,15 @@ def _rows_of_errors(measures: Mapping[str, Any], name: str, n: int, engine: str)
     low, high = map(float, wilson_interval(round(face * n), n))
     yield Row(
         f"{name}: share that ends with the filmed face up", _CUBE, percent(1), percent(face), percent(1 - face),
-        engine, f"goal: {percent(_RIGHT_FACE)}; 95 % interval {percent(low)} to {percent(high)}", face >= _RIGHT_FACE,
+        engine, f"goal: {percent(_RIGHT_FACE)}; 95 % interval of petmjx's share: {percent(low)} to {percent(high)}",
+        face >= _RIGHT_FACE,
     )  # fmt: skip
     yield Row(
-        f"{name}: place at the end", _CUBE, "filmed", "–", f"{place:.1f} mm in the median", engine,
+        f"{name}: error of the place at the end", _CUBE, "filmed", "–", f"{place:.1f} mm in the median", engine,
         f"goal: at most {_PLACE_MM:g} mm", place <= _PLACE_MM,
     )  # fmt: skip
     yield Row(
-        f"{name}: place and orientation along the path", _CUBE, "filmed", "–",
+        f"{name}: error of place and orientation along the path", _CUBE, "filmed", "–",
         f"{path:.1f} mm, {measures['turn_mean_deg']:.1f}° in the mean", engine, f"goal: at most {_PATH_MM:g} mm",
         path <= _PATH_MM,
     )  # fmt: skip
@@ -252,11 +253,11 @@ def _rows_of_spread(measures: Mapping[str, Any], engine: str) -> Iterator[Row]:
         f"{sigma['angvel_rad_s']:.2f} rad/s"
     )
     yield Row(
-        f"median distance of the ends of {runs} simulations of a toss with uncertain starts", _CUBE,
-        f"{measures['from_measured_median_mm']:.1f} mm from the measured end",
+        f"median distance of the places where {runs} simulations of a toss with uncertain starts end", _CUBE,
+        f"{measures['from_measured_median_mm']:.1f} mm from the measured place",
         f"{measures['between_runs_median_mm']:.1f} mm from each other",
         f"{measures['from_measured_median_mm'] / measures['between_runs_median_mm']:.1f} times", engine,
-        "with a perfect model of a perfect cube, the two distances would be equal; starts differ from each other by "
+        "with a perfect model of a perfect cube, the two distances would be equal; standard deviations of the starts: "
         f"{uncertain}",
     )  # fmt: skip
     yield _row_of_faces(measures, f"with restitution {RESTITUTION}", engine)
@@ -267,9 +268,9 @@ def _row_of_faces(measures: Mapping[str, Any], contacts: str, engine: str, note:
     toss end with the same face up."""
     measured, runs_agree = measures["same_face_as_measured"], measures["same_face_between_runs"]
     return Row(
-        f"face that is up at the end, in runs of a toss with uncertain starts, {contacts}", _CUBE,
-        f"{percent(measured)} of runs agree with the film",
-        f"{percent(runs_agree)} of pairs of runs of the same toss agree", percent(runs_agree - measured),
+        f"face that is up at the end, in simulations of tosses with uncertain starts, {contacts}", _CUBE,
+        f"{percent(measured)} of simulations agree with the film",
+        f"{percent(runs_agree)} of pairs of simulations of one toss agree", percent(runs_agree - measured),
         engine, note,
     )  # fmt: skip
 
@@ -301,5 +302,5 @@ def _rows_of_calibration(measures: Mapping[str, Any], engine: str) -> Iterator[R
         "face that is up at the end, in draws (simulations with random errors)", _CUBE,
         f"{percent(chance)} of draws show the measured face",
         f"{percent(likeliest)} of pairs of draws of the same toss agree", percent(likeliest - chance), engine,
-        "the difference is how much petmjx is too sure of the face",
+        "the difference of the two shares shows how overconfident petmjx is about the face",
     )  # fmt: skip

@@ -328,7 +328,7 @@ def free_rocking(engine: EngineName) -> Iterator[Row]:
         time_s, tilt = _free_swing(run.histories, run.worlds.iloc[0])
         peaks, crossings = _swings(time_s, tilt)
         kept = np.mean([block.energy_kept(*pair) for pair in pairwise(peaks)])
-        kept_share = f"share of its energy that {name} keeps at an impact"
+        kept_share = f"share of the energy that {name} keeps at an impact"
         yield Row(kept_share, "Housner 1963", block.speed_kept**2, float(kept), engine)
         swing_s = block.rock(lambda _: 0.0, 5.0, 0.0, start=(peaks[0], 0.0)).impacts_s
         yield Row(
@@ -343,7 +343,7 @@ def free_rocking(engine: EngineName) -> Iterator[Row]:
             ratio = math.sqrt(kept) / block.speed_kept
             source = "measured on concrete, ElGawady et al."
             yield Row(
-                f"angular speed of {name} after an impact / Housner's angular speed",
+                f"angular speed of {name} after an impact, divided by the angular speed of Housner's block",
                 source,
                 MEASURED_RESTITUTION[slender],
                 ratio,
@@ -390,7 +390,7 @@ these contacts, a block's edges are nearly the hard edges of Housner's block."""
 
 def _contacts(physics: str) -> str:
     """The note of a row whose contacts are not the default contacts."""
-    return f", {physics}" if physics else ""
+    return f", with `{physics}`" if physics else ""
 
 
 def overturning(
@@ -418,7 +418,7 @@ def overturning(
         for (k, pulse_s), level in product(enumerate(PULSES_S), levels):
             lost = block.rock(half_sine(level, pulse_s), SETTLES_S, pulse_s).lost
             same += lost == (verdicts[f"p{k}", level] != "stable")
-        quantity = "number of pulses (of 96) with the same outcome for petmjx's and Housner's block, "
+        quantity = "number of half-sine pulses (of 96) with the same outcome for petmjx's and Housner's block of "
         quantity += f"{width:g} × {height:g} mm{_contacts(physics)}"
         yield Row(quantity, "Housner 1963, integrated", 96, same, engine)
 
@@ -457,9 +457,8 @@ def overturning_limits(
         )
         summary = swept([block_plan("b", width, [height])], engine, tables).summary
         assert summary is not None
-        quantity = (
-            f"largest pulse of {pulse_s:g} s that a block of {width:g} × {height:g} mm survives, g{_contacts(physics)}"
-        )
+        quantity = f"largest half-sine pulse of {pulse_s:g} s that a block of {width:g} × {height:g} mm survives, g"
+        quantity += _contacts(physics)
         yield Row(quantity, "Housner 1963, integrated", expected, float(summary.largest_level_g.iloc[0]), engine)
 
 
@@ -481,20 +480,20 @@ def tilting(
         for friction in frictions:
             angle = math.degrees(math.atan(friction))
             failed = _fail_angle_deg(block_plan("b", 500.0, [100.0]), profile, friction, engine)
-            name = f"a box with friction {friction:g} slides in `{profile}`"
+            name = f"a box with friction {friction:g} slides in the profile `{profile}`"
             yield Row(f"angle at which {name}, °", "atan(friction)", angle, failed, engine)
             late = slide_late_deg(math.radians(angle), rate)
-            quantity = f"tilt from atan(friction) to the first sign when {name}, °"
+            quantity = f"how far the carrier tilts beyond atan(friction) before petmjx detects that {name}, °"
             yield Row(quantity, "Coulomb", late, failed - angle, engine)
         for block in blocks:
             width, height = 1000 * block.width_m, 1000 * block.height_m
             angle = math.degrees(block.slenderness_rad)
             failed = _fail_angle_deg(block_plan("b", width, [height]), profile, ROUGH, engine)
-            name = f"a block of {width:g} × {height:g} mm topples in `{profile}`"
+            name = f"a block of {width:g} × {height:g} mm topples in the profile `{profile}`"
             yield Row(f"angle at which {name}, °", "atan(width / height)", angle, failed, engine)
             late = block.late_deg(rate, THRESHOLD_M)
             yield Row(
-                f"tilt from atan(width / height) to the first sign when {name}, °",
+                f"how far the carrier tilts beyond atan(width / height) before petmjx detects that {name}, °",
                 "Housner 1963, linear",
                 late,
                 failed - angle,

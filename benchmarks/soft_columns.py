@@ -294,15 +294,15 @@ def rows(engine: EngineName = "mujoco", count: int = 40, seed: int = 55) -> list
     fields = {"source": "bed of springs (Winkler 1867)", "engine": engine}
     return [
         {
-            "quantity": f"of {len(clear)} columns at least 5 % from buckling: "
-            "how many stand or fall as on a bed of springs",
+            "quantity": f"number of columns that stand or fall as on a bed of springs (of {len(clear)} columns "
+            "that are at least 5 % from buckling)",
             "measured": str(len(clear)),
             "petmjx": str(len(clear) - other),
             "miss": other,
             **fields,
         },
         {
-            "quantity": f"largest error of the lean of the {len(errors)} columns that stand",
+            "quantity": f"largest error of the leaning angle of {len(errors)} columns that stand",
             "measured": f"at most {MOST_MISS:.0%}",
             "petmjx": f"{largest:.1%}",
             "miss": round(max(largest - MOST_MISS, 0.0), 3),
