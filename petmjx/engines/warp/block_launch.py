@@ -75,7 +75,7 @@ class Call:
 
 @contextmanager
 def others_may_call() -> Iterator[None]:
-    """Inside a Python function that JAX calls, lets JAX call such functions in other threads at the same time.
+    """Context in a Python function that JAX has called: meanwhile, JAX may also call such functions in other threads.
 
     Warp (1.18) holds a lock during a call from JAX. So engines in several CPU threads would run one after another, one
     time slice at a time. Warp has read the data that the lock protects before it calls petmjx's function, so the lock
