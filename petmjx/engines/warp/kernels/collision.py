@@ -36,8 +36,8 @@ remain. So where several contacts are removed, the edge of the area on which a b
 distance. In the worst of 3,000 random arcs of eight contacts, the edge moved by 23 µm."""
 
 FEWEST = wp.constant(4)
-"""Contacts of a pair are removed only if the pair has more than this number: two faces that touch have a contact at
-each corner of their common area."""
+"""Contacts of a pair are removed only if the pair has more contacts than this. Two faces that touch usually have a
+common area with four corners, and a contact at each corner, none of which may be removed."""
 
 APART = wp.constant(2.0 * ROOM + 3.0 * NEAR)
 """Largest distance of two geoms' bounding boxes, m, at which the pair is listed. The list stays valid until a body has
