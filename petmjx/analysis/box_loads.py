@@ -121,7 +121,7 @@ _OVER: Final = dict(
     zip(("overloaded", "surely_overloaded", "possibly_overloaded", "overloaded_at_peak"), _SHARES.values(), strict=True)
 )
 """Name of a column of the table ``plans`` → name of the column of the table ``boxes`` from which it is computed. A
-world is overloaded if the share of at least one of its boxes is above 1."""
+world is overloaded if the force on at least one of its boxes is larger than the strength of this box."""
 
 
 @dataclass(frozen=True, eq=False)

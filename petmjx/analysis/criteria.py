@@ -213,8 +213,8 @@ LEAST_CORNERS: Final = 3
 
 CORNER_AREA_PAPER: Final = (0.60, 0.80, 0.95)
 CORNER_AREA_CODE: Final = (0.50, 0.85, 0.95)
-"""Shares of a box's base that must be borne if the box has four borne corners, three, or fewer. The first tuple is from
-the paper that proposes the criterion; the second is from the code of the paper's authors."""
+"""Shares of a box's base that must be borne if the box has four borne corners, three, or fewer. ``CORNER_AREA_PAPER``
+is from the paper that proposes the criterion, and ``CORNER_AREA_CODE`` from the code of the paper's authors."""
 
 LEAST_TOLERABLE_G: Final = 0.5
 """Acceleration, in g, that a load on a road vehicle must withstand sideways and rearward. Source: EN 12195-1:2010."""
@@ -258,15 +258,15 @@ MOST_POINTS: Final = {
     "overhang": 15.0,
     "order": 15.0,
 }
-"""Property of a load → largest number of points for this property. A seller (docs/criteria.md) rates loads with points
-for these properties, from 0 to 100 in all. ``load_points`` explains the properties; docs/criteria.md counts ``fill``
-and ``interlock`` as one rule. The seller publishes the numbers of points and ``LEAST_POINTS``, but no formulas. The
+"""Property of a load → largest number of points for this property. A seller (docs/criteria.md) gives a load points for
+these properties, from 0 to 100 in all. ``load_points`` explains the properties; docs/criteria.md counts ``fill`` and
+``interlock`` as one rule. The seller publishes the numbers of points and ``LEAST_POINTS``, but no formulas. The
 formulas of ``load_points`` are assumptions: the points for a property are a linear function of a value, from the worst
 to the best possible value."""
 
 LEAST_POINTS: Final = 75.0
-"""A load with this number of points or more is stable, according to the seller whose points ``load_points``
-imitates."""
+"""A load with this number of points or more is stable, according to the seller whose rating ``load_points`` imitates
+(``MOST_POINTS``)."""
 
 
 def load_points(contacts: PlanContacts) -> dict[str, float]:

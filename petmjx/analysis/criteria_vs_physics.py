@@ -70,8 +70,8 @@ def judge(plans: pd.DataFrame, worlds: pd.DataFrame, criteria: Sequence[Criterio
 
 def with_physics(plans: pd.DataFrame, worlds: pd.DataFrame) -> pd.DataFrame:
     """The plans for which the run has a valid verdict, with the columns ``stands``, ``culprit``, ``reason`` and
-    ``margin`` from the simulation. For the run of a chain, there is also the ``share`` of simulations in which the plan
-    arrives."""
+    ``margin`` from the simulation. For the run of a transport chain, there is also the column ``share``: the share of
+    simulations in which the plan reaches the end of the chain."""
     judged = worlds[worlds["verdict"] != Verdict.INVALID.value]
     of_chain = ["share"] if "share" in judged else []
     physics = judged[["plan_id", "culprit", "reason", "margin", *of_chain]].assign(
@@ -106,7 +106,7 @@ def confusion(accepted: NDArray[np.bool_], stands: NDArray[np.bool_]) -> NDArray
 
 
 def scores(cells: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Precision, recall and MCC for the counts of confusion matrices, an array (…, 4).
+    """Precision, recall and MCC, three arrays (…), from the counts of confusion matrices (…, 4).
 
     Precision is NaN if no plan is accepted, and recall is NaN if no plan stands. MCC is 0 if the criterion gives the
     same answer for all plans, because such a criterion is useless. MCC is NaN if the simulation gives the same verdict

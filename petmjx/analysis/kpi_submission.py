@@ -38,8 +38,8 @@ class Submission:
     Attributes:
         date: date of the submission, in ISO 8601.
         task: name of the task, as in the file's name.
-        choice: number of the next items of the sequence among which the packer may choose; None if the packer may
-            choose among all items.
+        choice: how many items the packer may choose from at a time: the next items of the sequence. None if the packer
+            may choose from all items.
     """
 
     date: str

@@ -143,7 +143,8 @@ HEIGHT_TOLERANCE_MM: Final = 5.0
 
 
 class Support(NamedTuple):
-    """The boxes on which n boxes lie directly, and the supported shares of their bases, according to BED-BPP's method.
+    """How n boxes are supported, according to BED-BPP's method: the supported shares of their bases, and the numbers of
+    boxes directly below them.
 
     Attributes:
         share: (n,) supported share of each box's base; 1 for a box on the target.
@@ -411,8 +412,8 @@ def _odd_boxes(
 
 
 def _unknown(frame: pd.DataFrame, stability: Stability) -> list[str]:
-    """Lines for the user about plans for which no run says whether they stand. If the runs say of no plan whether it
-    stands, there are no lines."""
+    """Lines for the user about plans for which no run says whether they stand. If this is unknown for every plan, there
+    are no lines."""
     notes = []
     for column, known in (("kpi_6", stability.their_rule), ("stable", stability.stable)):
         missing = frame.loc[frame[column].isna(), "plan_id"].tolist()

@@ -48,7 +48,7 @@ def with_engine_of(run: RunResults, options: Mapping[str, Any], folder: Path) ->
     may differ between engines, so plans that are compared need the same engine.
 
     Args:
-        run: a run of another packer that was made with the same options on this machine.
+        run: another packer's run, made with the same options on this machine.
         options: options of ``petmjx.score``. An engine that the options name is kept. If the options name no engine,
             options that the engine of the run does not have (``threads`` or ``lanes``) are left out. The engine
             ``auto`` also ignores the options that the chosen engine does not have.

@@ -260,8 +260,8 @@ def find_contacts(
 
     Args:
         tolerance_mm: largest vertical gap or overlap of two boxes that touch, mm. A contact that is not wider than
-            ``tolerance_mm`` is ignored. The default, half a millimetre, is the rounding error of whole millimetres, as
-            in warnings about plans.
+            ``tolerance_mm`` is ignored. The default, half a millimetre, is the rounding error of whole millimetres.
+            Warnings about plans use the same value.
         deck_mm: (b, 2, 2) lowest and highest x and y of each board of the carrier's deck. If ``deck_mm`` is None, the
             carrier extends under all boxes.
         room: the room between the carrier's walls. If ``room`` is None, the carrier has no walls.

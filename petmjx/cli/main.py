@@ -220,7 +220,7 @@ def _run(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[str] 
 
 def _usage_text(error: Exception) -> str:
     """The text that explains an error of usage. If pydantic has refused the value of an option, the text is petmjx's
-    description of the fault, because typer's text would have pydantic's several lines."""
+    description of the fault in one line, because typer's text would contain pydantic's message of several lines."""
     names = getattr(getattr(error, "param", None), "opts", None)
     if not names or not isinstance(error.__cause__, ValidationError):
         return str(getattr(error, "format_message", error.__str__)())

@@ -36,8 +36,8 @@ def process_pool(processes: int, *, gpu: bool = True, nice: int = 0) -> ProcessP
 
 
 def stop(pool: ProcessPoolExecutor) -> None:
-    """End the worker processes of a pool immediately, without waiting for running tasks as ``shutdown`` does. The
-    results of running tasks never arrive, so no thread may still wait for them."""
+    """End the worker processes of a pool immediately, without waiting for running tasks as ``shutdown`` does. Call this
+    function only if no thread waits for results, because the results of running tasks never arrive."""
     for process in list((pool._processes or {}).values()):
         process.terminate()
 

@@ -44,8 +44,8 @@ mean of the costs with 1, 2, …, n boxes. This mean is about 1 / (``WARP_POWER`
 ``mjx-jax``, all boxes are in the model from the beginning, so every step has the full cost."""
 
 DRIVE_TAIL_STEPS = 1150
-"""On a device, the time in which only the longest drives of a run are simulated is computed from a drive with this
-number of steps. The length of the profile does not matter: after some drives, boxes creep for a long time."""
+"""At the end of a run on a device, only the longest drives are still simulated. The time for this end is computed for a
+drive with this number of steps, whatever the length of the profile: after some drives, boxes creep for a long time."""
 
 TAIL_WORLDS = 5
 """The longest of n worlds on a device takes ``Costs.gpu_tail_s`` · ln(1 + n / ``TAIL_WORLDS``) times the mean world's
@@ -318,7 +318,7 @@ class Costs:
 
         Args:
             work: work of the mean world.
-            tail_work: ``work`` without the factors that have no effect on the time of the longest worlds.
+            tail_work: like ``work``, but only with the factors that affect the time of the longest worlds.
             rounds: number of rounds, each of which begins when the round before it has ended.
         """
         if not worlds:

@@ -17,8 +17,8 @@ ENGINES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "mjx-warp": ("petmjx.engines.warp.gpu_engine", "MjxWarpGpuEngine", ("lanes",)),
     "mjx-warp-cpu": ("petmjx.engines.warp.cpu_engine", "MjxWarpCpuEngine", ("threads",)),
 }
-"""Engine name → module, class, and the names of its arguments among the options of a run, in order. A module is
-imported only when its engine is used."""
+"""Name of an engine → its module, its class, and the options of a run that the class takes as arguments, in this order.
+A module is imported only when its engine is used."""
 
 
 def has_option(engine: str, option: str) -> bool:

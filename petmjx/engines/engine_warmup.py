@@ -64,7 +64,8 @@ def _start_if_gpu(sim: Simulation) -> None:
 
 
 def bytes_of_plans(plans: object) -> int:
-    """Total size of plan files, and of the files in folders, in bytes; 0 for anything else than paths."""
+    """Total size in bytes of the plan files that ``plans`` names, and of the files in the folders that it names.
+    Objects that are not paths count as 0 bytes."""
     several = plans if isinstance(plans, list | tuple) else [plans]
     paths = [Path(source) for source in several if isinstance(source, str | PathLike)]
     with suppress(OSError, ValueError):

@@ -1,4 +1,5 @@
-"""The expected work of a run (``Work``): how many steps its worlds take, and what a step costs relative to others."""
+"""The expected work of a run (``Work``): how many steps its worlds take, and how the costs of different kinds of steps
+compare."""
 
 from __future__ import annotations
 
@@ -67,8 +68,9 @@ REFERENCE_STEPS = 2.8
 schedule."""
 WAY_STEPS = {Way.DROP: 3.1, Way.HAND: 4.0, Way.TINES: 7.0}
 """Number of steps of a placement whose boxes fall or are carried to their places, relative to a placement whose boxes
-appear at their places. Measurements with plans of 14 and of 40 boxes agree within a tenth. Placements by hand take
-0.285 times as many steps as the fixed schedule: 0.45 times with few boxes, and 0.24 times with many."""
+appear at their places. Measurements with plans of 14 and of 40 boxes agree within a tenth. Placements by hand were
+compared with the fixed schedule: they take 0.285 times as many steps (0.45 times with few boxes, 0.24 times with many),
+which is about 4 × ``STEP_SHARE``."""
 DISPLACED_STEPS, CARRIED_STEPS = 1.1, 5.0
 """Number of steps of a placement with errors of places or sizes, relative to a placement whose boxes appear exactly at
 their places. ``DISPLACED_STEPS`` is for boxes that appear at places with errors; boxes that would overlap are moved
@@ -303,7 +305,8 @@ class Work:
 
     def share_before_failure(self, way: WayOfPlacing, power: float = 1.0) -> FloatArray:
         """(n,) expected share of the boxes of each plan that are placed before a box fails because of errors. Each box
-        fails with the chance ``FAILING_BOXES``, so the shares of worlds are distributed exponentially up to 1.
+        fails with the probability ``FAILING_BOXES``, so this share has an exponential distribution over the worlds of a
+        plan, cut off at 1.
 
         Args:
             power: the exponent p of the mean: the result is (mean of shareᵖ) to the power 1 / p.

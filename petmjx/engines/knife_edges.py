@@ -17,9 +17,10 @@ from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Verdict
 
 KNIFE_EDGE_M: Final = 0.0005
-"""A load that is nearer to an edge than this distance, m, sets the flag ``knife-edge``. Plans have whole millimetres,
-and simulated boxes are smaller than planned by a tenth of a millimetre. In all plans for which other simulators gave
-another verdict, the centre of a box was nearer to an edge than this distance (docs/validation.md)."""
+"""A load that is nearer to an edge than this distance, m, sets the flag ``knife-edge``. The sizes and places in most
+plans are whole millimetres, and simulated boxes are smaller than planned by a tenth of a millimetre. In all plans for
+which other simulators gave another verdict, the centre of a box was nearer to an edge than this distance
+(docs/validation.md)."""
 
 NEAR_M: Final = 0.001
 """If the verdict contradicts statics, a load that is nearer to an edge than this distance, m, also sets the flag. The

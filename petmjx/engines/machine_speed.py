@@ -39,9 +39,9 @@ little, so the value is not kept for longer."""
 
 BOX_MM: Final = (400.0, 300.0, 200.0)
 SIDE, LAYERS, ROUNDS = 3, 3, 2
-"""The block of boxes that is simulated to measure the machine has ``SIDE`` × ``SIDE`` boxes in each of ``LAYERS``
-layers, and stands. It is simulated ``ROUNDS`` times, and only the fastest time counts, since other work on the machine
-may slow down a simulation."""
+"""To measure the machine, a block of boxes is simulated. The block has ``SIDE`` × ``SIDE`` boxes in each of ``LAYERS``
+layers, and does not collapse. It is simulated ``ROUNDS`` times, and only the fastest time counts, since other work on
+the machine may slow down a simulation."""
 
 REFERENCE_S: Final = 0.04
 """CPU time for simulating the test block of boxes on the machine of ``MEASURED``, s."""

@@ -193,7 +193,8 @@ class _Shared(Generic[Faster]):
 
         Args:
             waiting: the jobs, to which the caller may add jobs between two outcomes.
-            room: largest number of jobs that the engine gets before their outcomes have come.
+            room: largest number of jobs that the engine may have at a time, that is, jobs whose outcomes have not come
+                yet.
             stream: an empty stream, from which the engine takes the jobs.
         """
 

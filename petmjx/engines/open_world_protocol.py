@@ -194,8 +194,8 @@ class OpenWorlds(ABC):
 
     A world follows the rules of placement (docs/rules.md): a box is placed when all boxes before it are at rest. When
     the last box is at rest, the world pauses, and more boxes can be added. What happens in a world depends only on its
-    scene. Neither other worlds nor the number of calls that added the world's boxes have an influence. A world whose
-    last boxes do not come to rest pauses after a short wait, since more boxes may follow; ``finish`` waits longer.
+    scene, not on other worlds, and not on how many calls added its boxes. A world whose last boxes do not come to rest
+    pauses after a short wait, since more boxes may follow; ``finish`` waits longer.
 
     This class checks the arguments for all engines; each engine implements the abstract methods.
 

@@ -1,6 +1,6 @@
 """Checks of outcomes, which are the same for all engines. The checks find three things: verdicts that soft contacts may
-have decided; boxes that came to rest otherwise than planned; and loads so near to an edge of their supports that the
-verdict is on a knife's edge. The checks also compute the margin of each world.
+have decided; boxes that came to rest tilted, or lower than planned; and loads so near to an edge of their supports that
+a tiny error might change the verdict. The checks also compute the margin of each world.
 
 If engines run in worker processes, each worker checks its own outcomes. If the run's own process checked all outcomes,
 the checks of small worlds would take almost half of the time of this process.
@@ -34,9 +34,9 @@ from petmjx.world.scene import Scene
 from petmjx.world.supports import UPRIGHT, bearings_of
 
 LEANS_DEG: Final = 2.0
-"""Tilt at rest above which a box of a stable world counts as leaning, degrees. At a tilt of 2°, one side of a box of
-half a metre is 17 mm lower than the other side. Soft contacts alone tilt a box by less than a tenth of this angle,
-unless the world has ``Flag.SINKING``."""
+"""A box of a stable world counts as leaning if its tilt at rest is larger than this angle, degrees. At a tilt of 2°,
+one side of a box of half a metre is 17 mm lower than the other side. Soft contacts alone tilt a box by less than a
+tenth of this angle, unless the world has ``Flag.SINKING``."""
 
 LOWER_M: Final = 0.005
 """A box also counts as leaning if it lies lower than planned by more than this height, m. Soft contacts alone may lower
@@ -104,8 +104,8 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation
 
     Distances at rest are computed for worlds that stand and were not shaken, because their carriers are still at their
     places. Distances while the plan is built are computed for plans whose boxes are placed in order and without errors.
-    In a chain, a world that still stands after its second or a later shaken leg (part of the journey) is left out. The
-    world that is left out keeps the distances and the flag of the leg before.
+    In a chain, a world that still stands after its second or a later shaken leg (part of the journey) is left out. Such
+    a world keeps the distances and the flag from its previous leg.
     """
     scenes, in_order = [job.scene for job in jobs], sim.check is not Check.STATIC
     valid = [

@@ -36,8 +36,8 @@ MOST_PENDING: Final = 13 * GPU_WORLDS // 8
 also pauses when this number of worlds waits for a further attempt."""
 
 ATTEMPT_WAIT_S: Final = 0.02
-"""Interval at which a run asks for worlds that follow from results, s, while the engine is idle and only further
-attempts run, in other processes or threads."""
+"""Time between two questions for worlds that follow from results, s, while the engine is idle and waits for further
+attempts in other processes or threads."""
 
 FIRST_WORLDS: Final = 1600
 """Number of worlds with which a GPU begins. 1,600 worlds are enough to keep all thread blocks for worlds of few boxes
@@ -289,8 +289,8 @@ class _AttemptRun(Generic[AnyWorld]):
     def _join(self, attempt: AttemptRecipe, pending: Pending[AnyWorld]) -> bool:
         """Put an attempt in stiffer contacts into the stream, where it runs together with first attempts. Returns False
         if the attempt must wait in ``retry_queue``. The attempt must wait if the engine cannot mix attempts, if the
-        world is recorded, or if thousands of worlds with errors may need the attempt. So many attempts are faster if
-        they do not run together with first attempts."""
+        world is recorded, or if thousands of worlds with errors may need the attempt. Thousands of such attempts are
+        faster if they do not run together with first attempts."""
         world, before, _ = pending
         if attempt.stiff not in self.stream.stiff or world.job.record is not None:
             return False

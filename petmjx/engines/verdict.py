@@ -75,8 +75,8 @@ class Flag(IntFlag):
     LEANS = 32768
     """The world is stable, but a box leans or lies lower than planned (petmjx.engines.outcome_checks)."""
     NOT_PLACED = 65536
-    """A hand (the force that carries a box to its place) found no room for a box. Before any box had crossed a
-    threshold, the hand released the box farther than ``MISSED_M`` from its place (petmjx.world.hand)."""
+    """A hand (the force that carries a box to its place) found no room for a box, and released the box farther than
+    ``MISSED_M`` from its place (petmjx.world.hand). The flag is set only if no box had crossed a threshold before."""
     ITERATION_LIMIT = 131072
     """The world used up its iterations (``Simulation.iteration_limit``) before any box had failed."""
 

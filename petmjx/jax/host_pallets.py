@@ -30,8 +30,8 @@ KEPT_PER_PALLET: Final = 4
 
 
 SPARE_WORLDS: Final = 64
-"""Number of settled worlds in the cache in addition to ``KEPT_PER_PALLET`` for each pallet. They are used for
-candidates on pallets of older states, from which a program may continue again."""
+"""Number of settled worlds in the cache in addition to ``KEPT_PER_PALLET`` for each pallet. These further worlds are
+needed if a program goes back to an older state, and tries candidates on its pallets."""
 
 
 _BEYOND: Final = (2, 2, 1, 0, 1, 1, 0, 0, 0)

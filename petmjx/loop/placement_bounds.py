@@ -87,8 +87,8 @@ CALM_DEG: Final = 0.5
 that is 350 mm wide differ by 3 mm in height."""
 
 HOLDING: Final = 1.1
-"""Largest friction with which boxes on one side may hold a turning box, as a multiple of μ² times the weight of the
-turning box."""
+"""The friction with which boxes on one side hold a turning box is at most μ² times the weight of the turning box. A box
+falls beyond doubt only if even ``HOLDING`` times this friction could not hold it."""
 
 SAME_WAY: Final = 1e-6
 """Two directions count as equal if the cosine of the angle between them differs from 1 by less than this value."""

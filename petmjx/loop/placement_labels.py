@@ -50,9 +50,9 @@ of pallets."""
 
 SURE_SHARE: Final = 0.8
 """Expected number of labels for each box that is still to be placed. A box without a place gives no label, and a box
-that is tried twice gives two labels. The number is rather too small, so that more episodes begin than are needed. If a
-further episode had to begin at the end, all other pallets would wait, while the boxes of this episode are placed one
-after another."""
+that is tried twice gives two labels. The number is chosen a little too small, so that more episodes begin than are
+needed. If a further episode had to begin at the end, all other pallets would wait, while the boxes of this episode are
+placed one after another."""
 
 GROUPS_ON_GPU: Final = 2
 """Number of groups into which pallets on a GPU are divided. While the GPU simulates one group, the CPU checks the

@@ -27,9 +27,10 @@ from petmjx.options.wrap import Wrap
 # numbers would become infinite, a run would not end, or tables would be too long to be useful.
 LONGEST_INTERVAL_S: Final = 40.0
 LONGEST_S: Final = 600.0
-"""Largest values of options that are times, s. ``LONGEST_INTERVAL_S`` is for ``interval_s`` and ``longest_wait_s``,
-which pass once per box; ``LONGEST_S`` is for the other times. With ``LONGEST_INTERVAL_S``, the number of steps of a
-simulation fits into 32 bits, even with the shortest timestep and 512 boxes."""
+"""Largest values of options that are times, s. ``LONGEST_INTERVAL_S`` is the limit of ``interval_s`` and
+``longest_wait_s``, because a simulation may wait this long for each box; ``LONGEST_S`` is the limit of all other times.
+With ``LONGEST_INTERVAL_S``, the number of steps of a simulation fits into 32 bits, even with the shortest timestep and
+512 boxes."""
 MOST_ITERATIONS: Final = 1_000_000_000
 """Largest ``iteration_limit``. An attempt with a smaller timestep multiplies the limit, but never beyond this value,
 because counts of iterations must fit into 32 bits."""

@@ -22,8 +22,8 @@ TIME_LOSS: Final = ((10.0, 0.37), (30.0, 0.40), (90.0, 0.45), (180.0, 0.50))
 """Number of days under a load → share of its strength that a box loses. Source: the table of ``HUMIDITY_LOSS``."""
 
 PRESS_DAYS: Final = 1.0 / 1440
-"""Time for which a box in a press bears its load, in days: one minute. In this time, the box loses no strength. From
-one minute to ten days, the loss is assumed to grow with the logarithm of time, as creep does."""
+"""Time for which a box in a press bears its load: one minute, given in days. In this time, the box loses no strength.
+From one minute to ten days, the loss is assumed to grow with the logarithm of time, as creep does."""
 
 
 class Stacking(CheckedRecord):

@@ -42,9 +42,9 @@ def free_space(surface: HeightMap, low: FloatArray, high: FloatArray) -> dict[st
 
     Returns:
         A dict: name in ``NAMES`` → (c,) values. ``room_small`` and ``room_large`` measure how low the next small or
-        large carton could stand. The cost of a place is its height plus the cost of the air below the carton. The value
-        is the smallest cost of a place for each carton, averaged over the small or large cartons, m. ``level_small``
-        and ``level_large`` are the shares of places that are level, averaged over the small or large cartons.
+        large carton could stand, m: the smallest cost of any place for a carton, averaged over the small or the large
+        cartons. The cost of a place is its height plus the cost of the air below the carton. ``level_small`` and
+        ``level_large`` are the shares of places that are level, averaged over the small or the large cartons.
     """
     lines = np.concatenate([surface.lines(low), surface.lines(high)], axis=1)[:, :, None]
     x, y = (np.arange(n) for n in surface.height.shape)
@@ -68,15 +68,16 @@ def free_space(surface: HeightMap, low: FloatArray, high: FloatArray) -> dict[st
 
 
 def _wider(highest: Heights, more: int) -> Heights:
-    """The largest height in each window of the height map, computed from ``highest``, the largest heights in narrower
-    windows. The new windows are wider by ``more`` cells. The narrower windows must be at least ``more`` cells wide."""
+    """The largest height in each window (rectangle of cells) of the height map, computed from ``highest``, the largest
+    heights in narrower windows. The new windows are wider by ``more`` cells. The narrower windows must be at least
+    ``more`` cells wide."""
     wider: Heights = np.maximum(highest[:, : max(highest.shape[1] - more, 0)], highest[:, more:])
     return wider
 
 
 _DEEPER: Final = {4: (1, 2), 6: (1, 2, 2), 8: (1, 2, 4), 11: (1, 2, 4, 3), 12: (1, 2, 4, 4)}
-"""Depth of a window in cells → the steps in which a window grows from one cell to this depth, as numbers of added
-cells. No step adds more cells than the window already has."""
+"""Depth of a window (rectangle of cells) → the steps in which a window grows from a depth of one cell to this depth, as
+numbers of added cells. No step adds more cells than the window already has."""
 
 _NOWHERE_MM: Final = 2000.0
 

@@ -40,8 +40,8 @@ this number."""
 MARGIN_M: Final = 0.020
 MARGIN_SHARE: Final = 0.2
 """How far inside the hull of its supports the load of a box must act: ``MARGIN_M``, or ``MARGIN_SHARE`` of the base's
-shorter side if that is smaller. With a margin of 10 mm and a supported share of at least 0.6, all of 60 plans stood as
-well. The larger ``MARGIN_M`` allows for the errors of a robot."""
+shorter side if that is smaller. A margin of 10 mm was enough for all of 60 plans to stand, if at least 0.6 of each base
+was supported. The larger ``MARGIN_M`` allows for the errors of a robot."""
 
 FAR_M: Final = 0.2
 """Upper limit of computed margins against tipping, m. A box on the carrier has the margin ``FAR_M``."""
@@ -178,8 +178,8 @@ class Balance:
 
     def _over_planes(self, let_down: Rest) -> FloatArray:
         """(k,) for each edge of a hull in the pile, the scalar product of the edge and a load, kg·m. The edges are
-        moved inwards by the margin (see ``Rest.planes``). The load is that of the box on this hull, after one more box
-        is placed. If the product is above 0, the load acts outside the moved edge."""
+        moved inwards by the margin (see ``Rest.planes``). The load is the load of the box that stands on this hull,
+        after one more box is placed. If the product is above 0, the load acts outside the moved edge."""
         assert let_down.passed is not None
         after = self._load[: self.n] + let_down.passed @ let_down.load
         excess: FloatArray = np.einsum("kc,kc->k", self._planes, after[self._owner])

@@ -254,8 +254,8 @@ def levels_table(summary: pd.DataFrame) -> FittedTable:
     """A table of quantiles of the largest levels survived, for each profile and direction. Only searches whose pallet
     stands before it is shaken are considered.
 
-    "survive none" is the number of searches in which no level above 0 is survived. If no level is survived at a
-    quantile, the table shows "none".
+    The column "survive none" has the number of searches in which no level above 0 is survived. If no level is survived
+    at a quantile, the table shows "none".
     """
     column, name = _largest(summary)
     varied = _varied_columns(summary)

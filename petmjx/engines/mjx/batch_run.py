@@ -31,7 +31,8 @@ ended."""
 
 
 class Phase(NamedTuple):
-    """A phase of a batch: its program, the kind of its excitation (None: placement), and the table of profiles."""
+    """A phase of a batch: its program, the kind of its drive (None if the phase is the placement), and the table of
+    profiles."""
 
     program: Program
     drive: str | None
@@ -85,7 +86,8 @@ class BatchRun:
 
     @property
     def at_once(self) -> int:
-        """Number of ended worlds for which the batch is interrupted, and of jobs that are added at a time."""
+        """The batch is interrupted when this number of its worlds has ended. Jobs are also added in groups of this
+        number."""
         return max(self.rows // REFILL_SHARE, 1)
 
     def simulate(self, interrupts: Callable[[], bool], progress: Progress, lock: threading.Lock) -> None:
@@ -134,8 +136,8 @@ class BatchRun:
         return EndedWorlds(picked, jobs, {row: self.indices.pop(row) for row in rows}, batch.recorder)
 
     def fitting(self, waiting: Iterable[Job]) -> int:
-        """Number of waiting jobs that get free rows. Jobs get rows in order, until a job is recorded, or has a profile
-        that is not in the table of profiles."""
+        """Number of waiting jobs that get free rows. Jobs get rows in order, up to the first job that does not fit: a
+        job whose world must be recorded, or whose profile is not in the table of profiles."""
 
         def fits(job: Job) -> bool:
             return job.record is None and (job.drive is None or id(job.drive.excitation) in self.batch.profile_rows)

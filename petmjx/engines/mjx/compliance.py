@@ -55,7 +55,7 @@ def laws(
 def spring_laws(
     physics: Physics, spring_n_m: Float[Array, ...], inverse_mass: Float[Array, ...]
 ) -> tuple[Float[Array, "... 2"], Float[Array, ...]]:
-    """solref and impedance with which contacts at rest act as springs of these stiffnesses."""
+    """solref and impedance with which contacts at rest act as springs of the stiffnesses ``spring_n_m``, N/m."""
     time, damping = physics.solref
     time = time if time < 0 else max(time, 2 * physics.timestep_s)
     stiffness = -time if time < 0 else 1 / (time * damping) ** 2

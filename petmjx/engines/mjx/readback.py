@@ -53,7 +53,7 @@ class Readback(NamedTuple):
 
 @partial(jax.jit, static_argnames="sim")
 def reduce_metrics(state: State, worlds: Worlds, sim: Simulation) -> RunMetrics:
-    """The metrics that need the whole run, for every world of a table, on the device."""
+    """The metrics that are computed once a world has ended, for every world of a table, on the device."""
     placed = jnp.arange(worlds.half.shape[1])[None] < state.placed[:, None]
     return run_metrics(state.metrics, state.qpos, worlds, placed, state.step >= state.end, sim.thresholds)
 

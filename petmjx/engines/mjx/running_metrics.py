@@ -129,7 +129,7 @@ def no_metrics(n_worlds: int, n_boxes: int) -> Metrics:
 
 
 class RunMetrics(NamedTuple):
-    """Metrics that need the whole run of a world."""
+    """Metrics that are computed once a world has ended."""
 
     shift: Float[Array, "world box 3"]
     max_tilt: Float[Array, "world box"]
@@ -145,8 +145,8 @@ def run_metrics(
     ended: Bool[Array, " world"],
     thresholds: Thresholds,
 ) -> RunMetrics:
-    """The metrics that need the whole run, for placed boxes: computed from their last poses and from ``metrics``. Only
-    worlds that reached their end have forces at rest."""
+    """The metrics that are computed once a world has ended, for placed boxes: from their last poses and from
+    ``metrics``. Only worlds that reached their end have forces at rest."""
     m = metrics
     shift = motion.shift(motion.middles(qpos, worlds.middle), worlds.target, thresholds.shift_floor_m, worlds.sinks)
     rested = (m.rest_samples > 0) & ended

@@ -25,8 +25,8 @@ slightly different heights."""
 
 
 def body_order(scene: Scene, n_boxes: int, contacts: NDArray[np.integer], shaken: bool) -> NDArray[np.intp]:
-    """(n_boxes,) numbers of the first ``n_boxes`` boxes of the plan, in an order in which factorisations are cheap if
-    the bodies of the model have this order.
+    """(n_boxes,) numbers of the first ``n_boxes`` boxes of the plan, sorted so that factorisations are cheap if the
+    bodies of the model are in the same order.
 
     MuJoCo eliminates the last body first. The carrier touches a whole layer, so it is always the first body.
 

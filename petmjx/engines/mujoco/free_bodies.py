@@ -18,7 +18,8 @@ def paths(bodies: FreeBodies, sim: Simulation, threads: int) -> FloatArray:
     """See ``petmjx.engines.protocol.Engine.paths``."""
 
     def path(world: int) -> FloatArray:
-        """(s, k, 7) the path of one world; NaN from the first step on at which its numbers are not finite."""
+        """(s, k, 7) the path of one world. If numbers of the world are not finite at a step, this step and all later
+        steps have NaN."""
         poses = np.full((len(bodies.steps), bodies.n_boxes, 7), np.nan)
         live = LiveWorld.let_go(bodies.scenes[world], sim, bodies.velocity[world])
         last_step = 0

@@ -29,8 +29,8 @@ def _most_away_m(sim: Simulation, path_m: FloatArray | float) -> FloatArray:
 
 @dataclass(frozen=True)
 class Trembling:
-    """The state of the search for boxes that tremble or stay after a *look* (a check whether the pallet is quiet). Each
-    look makes a new ``Trembling``.
+    """The state of the search for boxes that tremble or stay. Each *look* (a check whether the pallet is quiet) makes a
+    new ``Trembling``.
 
     Attributes:
         boxes: (n,) whether each box trembles. n is the number of placed boxes at the looks since the last placement.

@@ -97,8 +97,8 @@ class JobDealer:
         """Heap of the waiting jobs."""
         self._pending_cost = 0.0
         self._jobs: dict[int, _Waiting] = {}
-        """Number of a job → the entry with which the job waits in the heap, now or when it is given out again. The dict
-        has all jobs that have no outcome and are not given up."""
+        """Number of a job → its entry in the heap of waiting jobs. While a worker has the job, its entry is kept here,
+        because the job may be given out again. The dict has all jobs that have no outcome and are not given up."""
 
     @property
     def unanswered(self) -> int:

@@ -75,7 +75,8 @@ class Call:
 
 @contextmanager
 def others_may_call() -> Iterator[None]:
-    """Inside a Python function that JAX calls, lets JAX call such functions in other threads at the same time.
+    """While the body runs, JAX may also call Python functions in other threads. Use this context inside a Python
+    function that JAX has called.
 
     Warp (1.18) holds a lock during a call from JAX. So engines in several CPU threads would run one after another, one
     time slice at a time. Warp has read the data that the lock protects before it calls petmjx's function, so the lock

@@ -22,8 +22,8 @@ from petmjx.show.leaderboard.entries import Entry
 from petmjx.version import __version__
 
 NEAR_MARGIN: Final = 0.1
-"""Absolute value of a world's margin (distance from a threshold) below which the verdict may differ between engines,
-and between machines."""
+"""If the absolute value of a world's margin (distance from a threshold) is smaller than this, the verdict may differ
+between engines, and between machines."""
 
 NEAR_FLAGS: Final = Flag.SINKING | Flag.MOVING | Flag.KNIFE_EDGE | Flag.TIMESTEP
 """Flags of worlds whose verdicts may differ between engines and between machines, whatever their margins are."""

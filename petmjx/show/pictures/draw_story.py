@@ -41,8 +41,8 @@ _SEE_THROUGH: Final = 0.24
 """Opacity of boxes if contact forces are drawn."""
 
 _AWAY: Final = 0.25
-"""Share of the shift or tilt threshold above which a box counts as away from its planned place, so that the planned
-place is drawn."""
+"""The planned place of a box is drawn if the box is away from it: if its shift or tilt is above this share of the
+threshold."""
 
 _LEAST_FORCE: Final = 0.02
 """Smallest force that gets an arrow, as a share of the force whose arrow has the length ``_ARROW_SHARE``."""

@@ -281,8 +281,8 @@ def _level_histogram(levels: pd.DataFrame, name: str, unit: str) -> Markup:
 
 
 def _search_importance(levels: pd.DataFrame, summary: pd.DataFrame, name: str) -> Iterator[Markup]:
-    """A chart with one bar per axis of the sweep: the part of the variance of the largest level survived that the axis
-    explains."""
+    """A chart with one bar per axis of the sweep. The bar shows how much of the variance of the largest level survived
+    is explained by the axis."""
     first, last = list(summary).index("placement"), list(summary).index("stands_at_rest")
     axes = {str(axis): levels[axis] for axis in list(summary)[first + 1 : last] if levels[axis].nunique() > 1}
     axes |= {"plan": levels["plan_id"]} if levels["plan_id"].nunique() > 1 else {}

@@ -110,8 +110,8 @@ def measure(
     state: Ref[State],
     work: Ref[Workspace],
 ) -> bool:
-    """Measure a box at a sample, at a look during a drive, or at the end. Returns whether the box is lost. With early
-    stop, a lost box ends its world.
+    """Measure a box at a sample, at a *look* (a check whether the pallet is quiet) during a drive, or at the end.
+    Returns whether the box is lost. With early stop, a lost box ends its world.
 
     Args:
         culprit: the culprit found at an earlier look.

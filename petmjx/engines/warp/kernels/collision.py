@@ -30,14 +30,14 @@ ROUNDING = wp.constant(1e-6)
 boxes of up to 0.6 m, and 0.7 µm for boxes of up to 6 m."""
 
 COLLINEAR = wp.constant(1e-5)
-"""Largest distance from the line between two contacts, m, at which a third contact counts as lying on this line: a
-tenth of the default skin. Contacts are removed one after another, and each is compared with the contacts that remain.
-So where several contacts are removed, the edge of the area on which a box stands may move by more than this distance.
-In the worst of 3,000 random arcs of eight contacts, the edge moved by 23 µm."""
+"""A contact counts as lying on the line between two other contacts if its distance from the line is at most this value,
+m: a tenth of the default skin. Contacts are removed one after another, and each is compared with the contacts that
+remain. So where several contacts are removed, the edge of the area on which a box stands may move by more than this
+distance. In the worst of 3,000 random arcs of eight contacts, the edge moved by 23 µm."""
 
 FEWEST = wp.constant(4)
-"""Contacts of a pair are removed only if the pair has more than this number: two faces that touch have a contact at
-each corner of their common area."""
+"""Contacts of a pair are removed only if the pair has more contacts than this. Two faces that touch usually have a
+common area with four corners, and a contact at each corner, none of which may be removed."""
 
 APART = wp.constant(2.0 * ROOM + 3.0 * NEAR)
 """Largest distance of two geoms' bounding boxes, m, at which the pair is listed. The list stays valid until a body has

@@ -63,7 +63,7 @@ def spring_of_bed(area: float, give: float) -> float:
 
 @wp.func
 def spring_of_pair(worlds: Ref[Worlds], world: int, first: int, second: int) -> float:
-    """Stiffness of a contact of two geoms without meeting faces, N/m; 0: both are rigid."""
+    """Stiffness of a contact of two geoms whose faces do not meet, N/m. The stiffness is 0 if both geoms are rigid."""
     give = compliance_of_pair(worlds, world, first, second)
     half = geom_half(worlds, world, second)
     area = 4.0 * half[0] * half[1]

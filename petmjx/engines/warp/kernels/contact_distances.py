@@ -15,8 +15,8 @@ from petmjx.engines.warp.kernels.body_dynamics import body_of, doubled, exact_ce
 from petmjx.engines.warp.world_arrays import Ref, State, Worlds
 
 ON_FACE = wp.constant(wp.float64(4e-6))
-"""Distance from a face, m, up to which a collider's point counts as a point of this face. The points of the colliders
-have errors of up to about 1 µm, for boxes of up to 4 m."""
+"""A collider's point counts as a point of a face if its distance from the face is at most this value, m. The points of
+the colliders have errors of up to about 1 µm, for boxes of up to 4 m."""
 
 
 @wp.func

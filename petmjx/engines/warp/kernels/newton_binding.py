@@ -30,7 +30,8 @@ def newton(
     # Data out:
     work: Workspace,
 ) -> None:
-    """Compute the accelerations and contact forces of a lane's world, in at most ``model.iterations`` iterations.
+    """Compute the accelerations and contact forces of the world that a lane simulates, in at most ``model.iterations``
+    iterations. A lane is a thread block, or one warp of a block.
 
     ``changed``: whether contacts, or the order of bodies, have changed since the last call. ``forces``: whether contact
     forces are needed, too. If ``forces`` is False, ``contact_force`` may belong to the accelerations before the last

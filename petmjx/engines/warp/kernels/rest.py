@@ -20,9 +20,9 @@ def has_failed(
     # Data in:
     state: Ref[State],
 ) -> bool:
-    """Whether a box has failed irreversibly: it has dropped, or was tilted too far at a look. A shift is not
-    irreversible: it is judged at rest, and may decrease until then. ``culprit`` is the world's culprit; without a
-    culprit, no box is checked."""
+    """Whether a box has failed irreversibly: it has dropped, or was tilted too far at a sample or at a check during a
+    drive. A shift is not irreversible: it is judged at rest, and may decrease until then. ``culprit`` is the world's
+    culprit; without a culprit, no box is checked."""
     if culprit < 0:
         return False
     world = at.world
@@ -45,9 +45,9 @@ def count_quiet(
     # Data out:
     state: Ref[State],
 ) -> tuple[int, bool]:
-    """At a look for quiet: the number of steps for which all boxes have been quiet, and whether the pallet is quiet. If
-    a box creeps, the pallet is not quiet, and the count starts again. Trembling boxes are ignored. If any box of a
-    quiet pallet trembles, the count is 0."""
+    """Check whether the pallet is quiet. Returns the number of steps for which all boxes have been quiet, and whether
+    the pallet is quiet. If a box creeps, the pallet is not quiet, and the count starts again. Trembling boxes are
+    ignored. If any box of a quiet pallet trembles, the count is 0."""
     world = at.world
     fast = bool(False)
     for box in range(at.thread, at.placed, at.threads):

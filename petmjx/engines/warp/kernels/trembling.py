@@ -50,8 +50,9 @@ def find_trembling(
     # Data out:
     state: Ref[State],
 ) -> None:
-    """At a look, decide for each box whether it trembles (moves to and fro), stays (keeps its place), or does neither
-    (docs/rules.md, section 5). The first period after a placement is not measured.
+    """At a *look* (a check whether the pallet is quiet), decide for each box whether it trembles (moves to and fro),
+    stays (keeps its place), or does neither (docs/rules.md, section 5). The first period after a placement is not
+    measured.
 
     Args:
         look: number of the look since the last placement, from 0.

@@ -56,10 +56,10 @@ FEW_PANELS = 40
 other kernels factor two panels at a time (cholesky_large.cuh)."""
 
 SLIP_ROUNDS = 12
-"""Number of iterations after the first that may change the slip excess of contacts (petmjx/world/contact_laws.py). The
-other engines change slip excesses between two calls of their solver. With 12 rounds, steps of bricks that slide and tip
-take 6.6 iterations (7.4 without slip excesses), and steps of a heap take 24.9 (21.8 without slip excesses). With 40
-rounds, steps of a heap take 40 iterations."""
+"""Number of iterations, not counting the first iteration, that may change the slip excess of contacts
+(petmjx/world/contact_laws.py). The other engines change slip excesses between two calls of their solver. With 12
+rounds, steps of bricks that slide and tip take 6.6 iterations (7.4 without slip excesses), and steps of a heap take
+24.9 (21.8 without slip excesses). With 40 rounds, steps of a heap take 40 iterations."""
 
 SLIP_MACROS = {
     "PETMJX_SLIP_ROUNDS": SLIP_ROUNDS,
