@@ -564,8 +564,8 @@ class CriteriaOptions(CheckedRecord):
     )
     seed: Annotated[int, within(0, 2**63 - 1), CliFlag("--seed", "SEED")] = Field(
         0,
-        description="seed of the random numbers: they divide the plans into one half on which thresholds are searched "
-        "and one half on which they are tested, and they draw the bootstrap samples",
+        description="seed of the random numbers that draw the bootstrap samples and divide the plans into two halves: "
+        "thresholds are searched on one half, and tested on the other",
     )
 
     @property

@@ -418,7 +418,10 @@ def _unknown(frame: pd.DataFrame, stability: Stability) -> list[str]:
         missing = frame.loc[frame[column].isna(), "plan_id"].tolist()
         if known and missing:
             verb = "is" if len(missing) == 1 else "are"
-            unknown = f"{count_text(len(missing), 'plan')} {verb} not in the run or invalid there, so {column} is empty"
+            unknown = (
+                f"{count_text(len(missing), 'plan')} {verb} not in the run, or {verb} invalid there, so the column "
+                f"{column} is empty"
+            )
             notes.append(f"{unknown}, which counts as not stable in the rating ({first_names(missing)})")
     return notes
 

@@ -24,8 +24,8 @@ def kpis(
         typer.Option(
             "--run",
             metavar="DIR",
-            help="Run of these plans, which gives their verdicts and, if made with --check static, the results of "
-            "BED-BPP's own rule of stability. May be given several times.",
+            help="Folder of a run of these plans, which has their verdicts. If the run was made with --check static, "
+            "it also has the results of BED-BPP's own rule of stability. May be given several times.",
         ),
     ] = None,
     out: Annotated[

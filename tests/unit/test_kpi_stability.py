@@ -101,6 +101,7 @@ def test_what_is_about_boxes_says_so(
         console.print(part)
     assert re.search(r"p1 +2 unstable drop .* 1 ", capsys.readouterr().out)
     with pytest.raises(
-        petmjx.InputError, match="force_intervals adds columns to the table boxes, which the option keep leaves out"
+        petmjx.InputError,
+        match="force_intervals adds columns to the table 'boxes', but the option keep leaves this table out",
     ):
         score(None, force_intervals=True)

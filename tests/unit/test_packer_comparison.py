@@ -203,7 +203,7 @@ def test_runs_of_before_say_that_they_have_no_utilisation(tmp_path: Path) -> Non
     with RunWriter(tmp_path / "old", CONFIG) as run:
         run.add(plans.make_plan("x"), 0, "adaptive", stands())
     comparison = compare_packers([tmp_path / "old", write(tmp_path / "b", {"x": stands()})])
-    assert any("no utilisation of old" in note for note in comparison.notes)
+    assert any("the utilisation of old is unknown" in note for note in comparison.notes)
     assert np.isnan(only(comparison.packers, size=ALL_SIZES, packer="old")["kpi_2"])
 
 

@@ -115,7 +115,7 @@ FILES = {
     "bad seed": ("seed = 'a'\n[axes]\nmass_factor = 1", "seed must be a whole number, got 'a'"),
     "total time": (
         "[simulation]\ntotal_time_factor = 2\n[axes]\nprofile = 'radial'",
-        "simulation.total_time_factor needs check one-by-one and schedule fixed",
+        "simulation.total_time_factor needs check='one-by-one' and schedule='fixed'",
     ),
     "sample without number": ("mode = 'sample'\n[axes]\nmass_factor = 1", "sample is missing"),
     "number without sample": ("sample = 3\n[axes]\nmass_factor = 1", 'sample contradicts mode = "grid"'),
