@@ -260,7 +260,7 @@ class Simulation(CheckedRecord):
         for name, is_on in (("soft", self.soft), ("attempts", self.attempts is Attempts.SOFT)):
             if is_on and self.placing.name not in (Way.AUTO, Way.EXACT):
                 raise complaint(
-                    f"needs placing exact: soft boxes appear at their places, got {self.placing.name}", name
+                    f"needs placing='exact': soft boxes appear at their places, got {self.placing.name}", name
                 )
         return self
 
