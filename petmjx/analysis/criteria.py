@@ -551,8 +551,8 @@ class CriteriaOptions(CheckedRecord):
     walls: Walls = Field(Walls(), description="walls around the carrier's top, by default the run's walls")
     only: tuple[str, ...] | None = Field(
         None,
-        description="names of the criteria to evaluate; by default all but strength, tolerable_acceleration and "
-        "load_points",
+        description="names of the criteria to evaluate; by default all but 'strength', 'tolerable_acceleration' and "
+        "'load_points'",
     )
     processes: Annotated[int, within(1, 1024)] = Field(
         1, description="number of processes among which the plans are divided"

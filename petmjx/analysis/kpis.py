@@ -123,13 +123,13 @@ COLUMNS: Final = (
         "stable_pal_ratio",
         "Float64",
         "1",
-        "stable × share of the ordered boxes that are placed with their bottom at or below 2.0 m",
+        "`stable` × share of the ordered boxes that are placed with their bottom at or below 2.0 m",
     ),
     KpiColumn(
         "n_stable_pal_items",
         "Int64",
         "1",
-        "stable × number of ordered boxes that are placed with their bottom at or below 2.0 m",
+        "`stable` × number of ordered boxes that are placed with their bottom at or below 2.0 m",
     ),
 )
 """The columns of the table of KPIs."""

@@ -33,7 +33,7 @@ def kpis(
         typer.Option("--out", "-o", metavar="DIR", help="Folder for kpis.parquet, kpis.csv and summary.json."),
     ] = None,
     xlsx: Annotated[
-        bool, typer.Option("--xlsx", help="Also write kpis.xlsx to --out (needs the extra packers).")
+        bool, typer.Option("--xlsx", help="Also write kpis.xlsx to --out (needs the extra 'packers').")
     ] = False,
     leaderboard: Annotated[
         str | None,

@@ -176,8 +176,8 @@ class Simulation(CheckedRecord):
     )
     attempts: Annotated[Attempts, CliFlag("--attempts")] = Field(
         Attempts.RIGID,
-        description="last attempt of a world that is invalid after all other attempts, or whose verdict may be due to "
-        "soft contacts: soft: one more attempt, with all boxes as flex bodies; rigid: no such attempt",
+        description="soft: a world gets one more attempt, with all boxes as flex bodies, if it is invalid after all "
+        "other attempts, or if soft contacts may have decided its verdict; rigid: it does not get this attempt",
     )
     placing: Placing = Field(Placing(), description="how a box is placed")
     wrap: Wrap = Field(Wrap(), description="stretch film around a pallet that is shaken")
