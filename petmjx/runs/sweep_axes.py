@@ -127,7 +127,7 @@ class Range(CheckedRecord, Generic[Number]):
         if self.high <= self.low:
             raise complaint(f"must be > from = {self.low:g}, got {self.high:g}", "to")
         if self.step is not None and self.count is not None:
-            raise ValueError("has both step and count: give one of them")
+            raise ValueError("has both 'step' and 'count': give one of them")
         if self.step is not None and (self.high - self.low) / self.step >= MAX_AXIS_VALUES:
             raise complaint(f"{self.step:g} makes more than {MAX_AXIS_VALUES:,} values", "step")
         return self
@@ -466,5 +466,5 @@ def _axis(name: str, setting: Any, sampled: bool) -> Axis:
     if not setting.continuous:
         return Axis(name, setting.values())
     if not sampled:
-        raise complaint('needs step or count: mode = "grid" needs single values, not a continuous range', name)
+        raise complaint("needs 'step' or 'count': mode = 'grid' needs single values, not a continuous range", name)
     return Axis(name, (), setting.low, setting.high)

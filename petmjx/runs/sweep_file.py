@@ -144,7 +144,7 @@ class Sweep(CheckedRecord):
         "drawn",
     )
     sample: StrictInt | None = Field(
-        None, ge=1, le=MAX_REPEATS, description="number of random combinations, if mode is sample"
+        None, ge=1, le=MAX_REPEATS, description="number of random combinations, if mode is 'sample'"
     )
     seed: StrictInt = Field(
         0,

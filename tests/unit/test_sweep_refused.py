@@ -34,7 +34,7 @@ AXES = {
     "random by name": ("profile = 'random'", "axes.profile: 'random' needs a PSD table"),
     "friction twice": ("friction_factor = 1\nbox_friction_factor = 1", "axes.friction_factor contradicts"),
     "error twice": ("placement_error_mm = 1\nplacement_error_x_mm = 1", "axes.placement_error_mm contradicts"),
-    "range without step": ("mass_factor = {from = 1, to = 2}", "axes.mass_factor needs step or count"),
+    "range without step": ("mass_factor = {from = 1, to = 2}", "axes.mass_factor needs 'step' or 'count'"),
     "range backwards": ("mass_factor = {from = 2, to = 1, step = 1}", "axes.mass_factor.to must be > from = 2"),
     "range step": ("mass_factor = {from = 1, to = 2, step = 0}", "axes.mass_factor.step must be > 0, got 0"),
     "range too fine": (

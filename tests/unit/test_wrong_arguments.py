@@ -159,7 +159,7 @@ NO_PLANS = (
         ("score of", "plans", [[0, 0, 0, 400, 300, 200]], NO_PLANS.format("a list")),
         ("score", "out", "", "out must be a path, got ''"),
         ("score", "orders", 3, "orders must be a path, got 3"),
-        ("score", "watcher", 3, "watcher must have the methods begin and world_done, got 3"),
+        ("score", "watcher", 3, "watcher must have the methods 'begin' and 'world_done', got 3"),
         ("score", "limit", "many", "limit must be a whole number, got 'many'"),
         ("sweep", "file", None, "file must be a path, got None"),
         ("tell", "plan_id", 3, "plan_id must be text, got 3"),
