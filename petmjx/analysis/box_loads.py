@@ -56,8 +56,8 @@ _BOX_UNITS: Final = {
     ),
     SUSTAINED: (
         "N",
-        "largest of the forces on top of the box at rest, after the placement and after each leg of a chain; null if "
-        "the world took no leg",
+        "largest value that the force at rest on top of the box has after the placement or after a leg of a "
+        "chain; null if the world has no legs",
     ),
     "max_top_force_n": ("N", "largest force on top of the box in any step, also while it is placed or shaken"),
     "press_strength_n": ("N", "strength of the box between the plates of a press; null if unknown"),
@@ -312,4 +312,7 @@ def _film_notes(results: RunResults) -> list[str]:
     turns = results.worlds.get("wrap_turns", pd.Series([wrap.get("turns") or 0]))
     if not (turns > 0).any() or "profile" not in results.worlds:
         return []
-    return ["film presses the boxes together, so friction between the layers changes the forces at rest after a drive"]
+    return [
+        "film presses the boxes together, so after the pallet is shaken, friction between the layers changes the "
+        "forces at rest"
+    ]

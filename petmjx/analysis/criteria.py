@@ -552,8 +552,8 @@ class CriteriaOptions(CheckedRecord):
     walls: Walls = Field(Walls(), description="walls around the carrier's top, by default the run's walls")
     only: tuple[str, ...] | None = Field(
         None,
-        description="names of the criteria to evaluate; by default all but strength, tolerable_acceleration and "
-        "load_points",
+        description="names of the criteria to evaluate; by default all but 'strength', 'tolerable_acceleration' and "
+        "'load_points'",
     )
     processes: Annotated[int, within(1, 1024)] = Field(
         1, description="number of processes among which the plans are divided"
@@ -565,8 +565,8 @@ class CriteriaOptions(CheckedRecord):
     )
     seed: Annotated[int, within(0, 2**63 - 1), CliFlag("--seed", "SEED")] = Field(
         0,
-        description="seed of the random numbers: they divide the plans into one half on which thresholds are searched "
-        "and one half on which they are tested, and they draw the bootstrap samples",
+        description="seed of the random numbers that draw the bootstrap samples and divide the plans into two halves: "
+        "thresholds are searched on one half, and tested on the other",
     )
 
     @property

@@ -137,7 +137,7 @@ def criteria_vs_physics_columns() -> Described:
         says, stands = cell.split("_")
         columns[cell] = (
             DIMENSIONLESS,
-            f"number of plans each of which is {says} by the criterion and {stands} in the simulation",
+            f"number of cases in which the criterion {says} the plan, and the plan {stands} in the simulation",
         )
     meanings = ("share of the accepted plans that stand", "share of the standing plans that are accepted")
     for name, meaning in zip(SCORES, (*meanings, "Matthews' correlation coefficient"), strict=True):
@@ -146,7 +146,8 @@ def criteria_vs_physics_columns() -> Described:
         columns[f"{name}_high"] = (DIMENSIONLESS, f"upper end of the 95 % interval of {name}, by bootstrap over plans")
     columns["same_first_box"] = (
         DIMENSIONLESS,
-        "number of plans that the criterion refuses and that fall in the simulation, with the same first box in both",
+        "number of plans that the criterion refuses and that fall in the simulation, and for which the first box "
+        "that the criterion refuses is the box that fails first in the simulation",
     )
     for name, says in zip(ARRIVES, ("accepts", "refuses"), strict=True):
         columns[name] = (
@@ -160,7 +161,7 @@ def criteria_vs_physics_columns() -> Described:
 def documented_thresholds() -> Described:
     """The units and descriptions of the columns of the table ``thresholds``. Thresholds of different criteria have
     different units, so each row states the unit of its threshold."""
-    in_row = "as in the column unit"
+    in_row = "as in the column `unit`"
     columns = {
         "criterion": (TEXT, "name of the criterion"),
         "number": (
@@ -170,8 +171,8 @@ def documented_thresholds() -> Described:
         "unit": (TEXT, "unit of the threshold"),
         "threshold": (
             in_row,
-            "threshold that the search found: a plan is accepted if the quantity (column number) is at least this "
-            "value for all of its boxes",
+            "threshold that the search found: a plan is accepted if the quantity in the column `number` is at "
+            "least this value for all boxes of the plan",
         ),
         "published": (in_row, "threshold that the criterion's source states"),
         "n_found_on": (DIMENSIONLESS, "number of plans on which the threshold was found"),

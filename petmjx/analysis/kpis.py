@@ -123,13 +123,13 @@ COLUMNS: Final = (
         "stable_pal_ratio",
         "Float64",
         "1",
-        "stable × share of the ordered boxes that are placed with their bottom at or below 2.0 m",
+        "`stable` × share of the ordered boxes that are placed with their bottom at or below 2.0 m",
     ),
     KpiColumn(
         "n_stable_pal_items",
         "Int64",
         "1",
-        "stable × number of ordered boxes that are placed with their bottom at or below 2.0 m",
+        "`stable` × number of ordered boxes that are placed with their bottom at or below 2.0 m",
     ),
 )
 """The columns of the table of KPIs."""
@@ -419,7 +419,10 @@ def _unknown(frame: pd.DataFrame, stability: Stability) -> list[str]:
         missing = frame.loc[frame[column].isna(), "plan_id"].tolist()
         if known and missing:
             verb = "is" if len(missing) == 1 else "are"
-            unknown = f"{count_text(len(missing), 'plan')} {verb} not in the run or invalid there, so {column} is empty"
+            unknown = (
+                f"{count_text(len(missing), 'plan')} {verb} not in the run, or {verb} invalid there, so the column "
+                f"{column} is empty"
+            )
             notes.append(f"{unknown}, which counts as not stable in the rating ({first_names(missing)})")
     return notes
 

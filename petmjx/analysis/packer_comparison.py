@@ -332,56 +332,57 @@ def _decided_orders(plans: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:
 
 
 _COUNTS: Final = {
-    "n": "number of compared orders; in the table reasons: number of orders in which the plan of packer lost_by failed "
-    "for this reason while the other packer's plan stood",
+    "n": "number of compared orders; in the table `reasons`: number of orders for which the plan of the packer "
+    "`lost_by` failed for this reason, while the other packer's plan stood",
     "n_stable": "number of compared orders whose plan stands",
     "n_orders": "number of orders",
     "n_invalid": "number of orders whose plan has an invalid verdict",
     "n_missing": "number of orders without a plan",
     "both": "number of orders for which the plans of both packers stand",
-    "only_a": "number of orders for which only the plan of packer a stands",
-    "only_b": "number of orders for which only the plan of packer b stands",
+    "only_a": "number of orders for which only the plan of packer `a` stands",
+    "only_b": "number of orders for which only the plan of packer `b` stands",
     "neither": "number of orders for which the plan of neither packer stands",
-    "boxes": "number of boxes placed; in the table packers: mean over orders",
-    "left_out": "number of boxes left out; in the table packers: mean over orders",
+    "boxes": "number of boxes placed; in the table `packers`: mean over orders",
+    "left_out": "number of boxes left out; in the table `packers`: mean over orders",
     "order_boxes": "number of boxes of the order",
     "as_ordered": "number of boxes on the order's target that have the ordered size and mass, each ordered box counted "
     "once; null if unknown",
 }
 _NUMBERS: Final = {
     "share": "share of the compared orders whose plan stands",
-    "low": "lower end of the confidence interval of share; in the table pairs: of difference",
-    "high": "upper end of the confidence interval of share; in the table pairs: of difference",
+    "low": "lower end of the confidence interval of `share`; in the table `pairs`: of `difference`",
+    "high": "upper end of the confidence interval of `share`; in the table `pairs`: of `difference`",
     "share_at_worst": "share of all orders whose plan stands, if missing and invalid plans count as unstable",
-    "difference": "share of the compared orders whose plan of packer b stands, minus the same share for packer a",
+    "difference": "share of the compared orders for which the plan of packer `b` stands, minus the same share for "
+    "packer `a`",
     "p": "p-value of McNemar's exact test; null if there is no test",
     "p_holm": "p-value of McNemar's exact test, corrected for the number of pairs (Holm)",
-    "p_arrives": "share of worlds with errors that arrive at the end of a chain; in the table packers: mean over "
+    "p_arrives": "share of worlds with errors that arrive at the end of a chain; in the table `packers`: mean over "
     "orders",
     "p_low": "lower end of the interval of the mean of p_arrives over orders",
     "p_high": "upper end of the interval of the mean of p_arrives over orders",
-    "p_gain": "p_arrives of packer b minus p_arrives of packer a, as a mean over orders",
+    "p_gain": "`p_arrives` of packer `b` minus `p_arrives` of packer `a`, as a mean over orders",
     "p_gain_low": "lower end of the interval of p_gain over orders",
     "p_gain_high": "upper end of the interval of p_gain over orders",
     "margin": "distance to the nearest threshold as a share of that threshold",
 }
 _TEXTS: Final = {
-    "size": "size of the orders, as a range of the number of boxes; all: orders of any size",
+    "size": "size of the orders, as a range of the number of boxes; 'all': orders of any size",
     "packer": "name of the packer",
     "a": "name of the first packer",
     "b": "name of the second packer",
     "won_by": "name of the packer whose plan of the order stands, while the other packer's plan does not",
     "lost_by": "name of the packer whose plan of the order does not stand, while the other packer's plan does",
     "plan_id": "id of the order and of its plans",
-    "verdict": "verdict of the simulation; missing: there is no plan",
-    "reason": "reason why a plan does not stand; in the tables reasons and decided: why the plan of packer lost_by "
-    "does not stand",
+    "verdict": "verdict of the simulation; 'missing': there is no plan",
+    "reason": "reason why a plan does not stand; in the tables `reasons` and `decided`: why the plan of the packer "
+    "`lost_by` does not stand",
     "digest": "digest of everything in the plan that affects results",
 }
 
 DESCRIBED: Final[Described] = {
     **{column.name: (column.unit, column.meaning) for column in COLUMNS},
-    "height_m": ("m", "height of the highest top of a box; in the table packers: mean over orders"),
+    "height_m": ("m", "height of the highest top of a box; in the table `packers`: mean over orders"),
     **{name: (DIMENSIONLESS, meaning) for name, meaning in (_COUNTS | _NUMBERS).items()},
     **{name: (TEXT, meaning) for name, meaning in _TEXTS.items()},
     "listed": (DIMENSIONLESS, "whether the order is in the file of orders; true for all orders if no file is given"),

@@ -231,7 +231,10 @@ def doubts(runs: Mapping[str, RunResults], table: pd.DataFrame) -> list[str]:
         lines.append(f"simulated by different engines: {', '.join(sorted(engines))}")
     unknown = [printable_name(name) for name in runs if table.loc[table["packer"] == name, "volume_m3"].isna().all()]
     if unknown:
-        lines.append(f"no utilisation of {', '.join(unknown)}: an earlier petmjx wrote the run; score its plans again")
+        lines.append(
+            f"the utilisation of {', '.join(unknown)} is unknown: an earlier version of petmjx wrote the run; score "
+            "its plans again"
+        )
     if not table["compared"].any():
         lines.append("no order has a valid verdict from every packer")
     lines += _same_plans(table, list(runs))

@@ -294,7 +294,7 @@ def _notes(run_a: RunResults, run_b: RunResults, common_worlds: pd.DataFrame, ot
     notes = run_a.doubts("a") + run_b.doubts("b")
     without = [name for name, run in (("a", run_a), ("b", run_b)) if not run.keeps_boxes]
     if without:
-        notes.append(f"{' and '.join(without)} kept no table boxes: only worlds are compared")
+        notes.append(f"{' and '.join(without)} kept no table `boxes`: only worlds are compared")
     if common_worlds.empty:
         notes.append("no world is in both runs")
     if thresholds_of(run_a.info) != thresholds_of(run_b.info):

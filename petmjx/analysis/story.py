@@ -147,11 +147,13 @@ def tell(
     run = _run_in(source)
     if run is None:
         if variant is not None or plans is not None:
-            raise InputError("variant and plans select a world of a run, but no run is given: name the run's folder")
+            raise InputError(
+                "the arguments variant and plans select a world of a run, but no run is given: name the run's folder"
+            )
         assert not isinstance(source, RunResults)
         return _of_plans(plan_id, source, record, options)
     if options:
-        raise InputError(f"{next(iter(options))}: a story of a run uses the run's options; drop this option")
+        raise InputError(f"{next(iter(options))}: a world of a run has the run's options; drop this option")
     worlds, index = worlds_of_run(run, plan_id, plans, variant)
     if interval_s is None and details is None and (story := _recorded_story(run, worlds, index)) is not None:
         return story

@@ -43,8 +43,8 @@ Target = Annotated[
     typer.Option(
         "--target",
         metavar="NAME|LxW",
-        help="Carrier of orders whose file names none: euro-pallet, rollcontainer, or sizes in mm such as "
-        "1200x1000.  [default: the file's container if it is a pallet, else euro-pallet]",
+        help="Carrier of the orders, if their file does not name one: euro-pallet, rollcontainer, or sizes in mm such "
+        "as 1200x1000.  [default: the file's container if it is a pallet, else euro-pallet]",
     ),
 ]
 
@@ -60,7 +60,7 @@ PlansOrRun = Annotated[
     typer.Argument(
         metavar="PLANS|DIR",
         help="Packing plans, or the folder of a run, whose options are then used. If the plan files of the run were "
-        "moved, name these files after the folder. Without plans or a folder: the bundled samples.",
+        "moved, give their new paths after the folder. Without plans or a folder: the bundled samples.",
     ),
 ]
 Variant = Annotated[
@@ -68,7 +68,7 @@ Variant = Annotated[
     typer.Option(
         "--variant",
         metavar="N",
-        help="Number of the world (column variant of the table worlds), if the run has several worlds of the plan.",
+        help="Number of the world (column `variant` of the table `worlds`), if the run has several worlds of the plan.",
         rich_help_panel=SIMULATION_PANEL,
     ),
 ]

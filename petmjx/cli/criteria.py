@@ -51,8 +51,8 @@ def criteria(
         typer.Option(
             "--only",
             metavar="NAME",
-            help="Evaluate this criterion, such as support_75. May be given several times. "
-            "[default: all but strength, tolerable_acceleration and load_points]",
+            help="Evaluate this criterion, such as support_75. May be given several times. [default: all but "
+            "'strength', 'tolerable_acceleration' and 'load_points']",
             rich_help_panel=CRITERIA_PANEL,
         ),
     ] = None,

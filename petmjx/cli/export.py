@@ -68,7 +68,7 @@ def _scene(plan_id: str, source: list[Path], variant: int | None, options: dict[
         worlds, index = worlds_of_run(load_run(source[0]), plan_id, source[1:] or None, variant)
         return worlds.scene(worlds.find(plan_id, index)[0]), worlds.sweep.simulation.physics
     if variant is not None:
-        raise InputError("variant selects a world of a run: name the run's folder")
+        raise InputError("the option variant selects a world of a run: name the run's folder")
     read = RunOptions(**{name: options.pop(name) for name in (*READING, "articles") if name in options})
     sim = Simulation(**options)
     return build_scene(find_plan(usable_plans(source or None, sim, read), plan_id), sim), sim.physics

@@ -24,8 +24,8 @@ def kpis(
         typer.Option(
             "--run",
             metavar="DIR",
-            help="Run of these plans, which gives their verdicts and, if made with --check static, the results of "
-            "BED-BPP's own rule of stability. May be given several times.",
+            help="Folder of a run of these plans, which has their verdicts. If the run was made with --check static, "
+            "it also has the results of BED-BPP's own rule of stability. May be given several times.",
         ),
     ] = None,
     out: Annotated[
@@ -33,7 +33,7 @@ def kpis(
         typer.Option("--out", "-o", metavar="DIR", help="Folder for kpis.parquet, kpis.csv and summary.json."),
     ] = None,
     xlsx: Annotated[
-        bool, typer.Option("--xlsx", help="Also write kpis.xlsx to --out (needs the extra packers).")
+        bool, typer.Option("--xlsx", help="Also write kpis.xlsx to --out (needs the extra 'packers').")
     ] = False,
     leaderboard: Annotated[
         str | None,

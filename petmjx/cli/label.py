@@ -45,7 +45,8 @@ def label(
         typer.Option(
             "--worlds-with-errors",
             metavar="N",
-            help="Simulate each label also in N worlds in which a robot places the box inexactly (column share).",
+            help="Also simulate each labelled placement in N worlds in which a robot places the box inexactly (column "
+            "`share`).",
         ),
     ] = None,
     explore: Annotated[

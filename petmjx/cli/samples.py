@@ -58,7 +58,7 @@ def samples(
         typer.Option(
             "--loose-share",
             metavar="0…1",
-            help="Share of plans that the packer baseline packs with a support rule too loose to be safe.  "
+            help="Share of plans that the packer 'baseline' packs with a support rule that is too loose to be safe.  "
             f"[default: {DEFAULT_LOOSE_SHARE}; 0 if --packer is given]",
         ),
     ] = None,
@@ -90,7 +90,7 @@ def samples(
             "--lookahead",
             metavar="K",
             min=1,
-            help="Number of next boxes that the packer learned sees; it may place any of them.  [default: 1]",
+            help="Number of next boxes that the packer 'learned' sees; the packer may place any of them.  [default: 1]",
         ),
     ] = None,
     workers: Annotated[
@@ -135,13 +135,13 @@ def samples(
     check_outputs([out], overwrite=overwrite, inputs=[] if orders is None else [orders])
     if look_ahead is not None:
         if packer != LEARNED:
-            raise InputError(f"--lookahead needs the packer {LEARNED}")
+            raise InputError(f"--lookahead needs the packer '{LEARNED}'")
         integer_of(look_ahead, "--lookahead", 1, MOST_LOOK_AHEAD)
     drawn = {"-n": n, "--loose-share": loose_share}
     if orders is not None and (
         drawn_option := next((name for name, value in drawn.items() if value is not None), None)
     ):
-        raise InputError(f"{drawn_option} is for drawn orders, but --orders names a file of orders")
+        raise InputError(f"{drawn_option} is for random orders, but --orders names a file of orders")
     n = DEFAULT_SAMPLES if n is None else n
     reading, options = reading_of(orders is not None, target, options)
     if packer == PHYSICAL:
@@ -150,7 +150,7 @@ def samples(
     if packer is not None and packer not in PACKERS:
         raise InputError(f"unknown packer {printable_name(packer)}; {hint(packer, [*PACKERS, PHYSICAL])}")
     if options:
-        raise InputError(f"{next(iter(options))} needs the packer {PHYSICAL}")
+        raise InputError(f"{next(iter(options))} needs the packer '{PHYSICAL}'")
     errors: list[InputError] = []
     left_out: list[LeftOutItems] = []
     written = 0

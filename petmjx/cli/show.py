@@ -43,7 +43,7 @@ def show(
     svg: Annotated[Path | None, _file("--svg", "A row of pictures for a paper, as SVG.")] = None,
     gif: Annotated[Path | None, _file("--gif", "A film.")] = None,
     mp4: Annotated[Path | None, _file("--mp4", "A film.")] = None,
-    rrd: Annotated[Path | None, _file("--rrd", "A recording for rerun's viewer; needs the extra rerun.")] = None,
+    rrd: Annotated[Path | None, _file("--rrd", "A recording for rerun's viewer; needs the extra 'rerun'.")] = None,
     viewer: Annotated[
         bool,
         typer.Option(

@@ -47,7 +47,9 @@ def warm_up(
     gpus = [gpu_of(number) for number in _numbers(arch)] if arch is not None else [here] if here is not None else []
     builds, begin, console, faults = all_builds(gpus), time.perf_counter(), results_console(), []
     if not gpus:
-        console.print("no GPU here: name the GPUs for which to compile with --arch; the kernel for CPUs is compiled")
+        console.print(
+            "no GPU here, so only the kernel for CPUs is compiled; to compile for GPUs, name them with --arch"
+        )
     console.print(f"{count_text(len(builds), 'kernel')} to compile; each takes some 10 to 60 s of a CPU thread")
     for number, answer in enumerate(KernelBuilds(builds).answers(), start=1):
         build = answer.build

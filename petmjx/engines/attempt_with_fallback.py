@@ -183,7 +183,8 @@ class AttemptRunner(Generic[AnyWorld]):
                 pending = stream.answered(answer.job)
             except KeyError:
                 raise RuntimeError(
-                    f"engine {engine.name} returned two outcomes for job {answer.job}, or had no such job"
+                    f"engine {engine.name} returned an outcome for job {answer.job}, but this job already has an "
+                    "outcome, or does not exist"
                 ) from None
             if (runner := self.joined.pop(pending[0], None)) is None:
                 arrivals.append((pending, answer))

@@ -329,8 +329,8 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     ),
     BoxMetric(
         "sustained_top_force_n", "N",
-        {"sustained_top_force_n": "largest force on the box's top at rest, after the placement or any leg; null if the "
-         "world took no leg"},
+        {"sustained_top_force_n": "largest value that the force at rest on the box's top has after the placement or "
+         "after a leg; null if the world has no legs"},
         SampleAt.REST,
         "largest of the values that `rest_top_force_n` has at the end of the placement and at the end of each leg",
         driven_only=True, legs_only=True, relative=True,

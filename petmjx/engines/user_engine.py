@@ -35,7 +35,8 @@ class UserEngine(Engine):
         self.devices = int(getattr(engine, "devices", 1))
         if dated := [name for name in _OLD_FLAGS if getattr(engine, name, False)]:
             warnings.warn(
-                f"engine {self.name}: {', '.join(dated)} has no effect; use capabilities instead", stacklevel=2
+                f"engine {self.name}: {', '.join(dated)} has no effect; set the attribute 'capabilities' instead",
+                stacklevel=2,
             )
 
     @property
@@ -71,7 +72,9 @@ def user_engine(engine: Any, options: RunOptions) -> UserEngine:
         InputError: the object is not an engine, or workers are requested.
     """
     if isinstance(engine, type) or not isinstance(engine, MinimalEngine):
-        raise InputError(f"engine must be a name or an object with a name and a method run, {shown_value(engine)}")
+        raise InputError(
+            f"engine must be a name or an object with an attribute 'name' and a method 'run', {shown_value(engine)}"
+        )
     if options.asked_workers is not None:
         raise InputError("workers need the name of an engine, not an engine object: each worker builds its own engine")
     return UserEngine(engine, options.threads)

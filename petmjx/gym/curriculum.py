@@ -54,7 +54,7 @@ class Curriculum:
             if name not in _LIMITS:
                 raise InputError(f"curriculum: unknown entry {name!r}; {hint(str(name), _LIMITS)}")
             if not isinstance(ends, list | tuple) or len(ends) != 2:
-                raise InputError(f"curriculum.{name} must be two numbers, at the levels 0 and 1, {shown_value(ends)}")
+                raise InputError(f"curriculum.{name} must be two numbers, for the levels 0 and 1, {shown_value(ends)}")
             ranges[name] = tuple(number_of(end, f"curriculum.{name}", *_LIMITS[name]) for end in ends)
         return cls(**ranges)
 

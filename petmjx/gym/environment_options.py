@@ -140,7 +140,7 @@ class PalletizingOptions:
         orders = Orders(self.orders, self.orders_seed, self.articles, reading)
         if self.mask == LOADS and not orders.have_strengths:
             raise InputError(
-                f"mask: {LOADS} needs strengths of boxes; give orders the column strength_n, or pass articles"
+                f"mask: '{LOADS}' needs the strengths of boxes; give orders the column strength_n, or pass articles"
             )
         return orders
 

@@ -123,8 +123,8 @@ class Episodes:
             if not len(left):
                 return
         raise InputError(
-            f"orders: none of {_MOST_ORDERS} orders drawn has a box with a legal place on the empty carrier; "
-            f"check max_height_mm ({self.options.max_height_mm:g}), carrier and mask"
+            f"orders: none of {_MOST_ORDERS} drawn orders has a box with a legal place on the empty carrier; check "
+            f"max_height_mm ({self.options.max_height_mm:g}), carrier and mask"
         )
 
     def step(self, rows: NDArray[np.int64], actions: NDArray[np.int64]) -> EpisodeStep:

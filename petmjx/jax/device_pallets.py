@@ -207,7 +207,7 @@ def empty_device(n: int, sim: Simulation, engine: Engine, most_boxes: int) -> De
     """
     blank = EmptyCarrier(sim)
     if not blank.scene.placing.appears:
-        raise InputError("placing must be exact: in petmjx.jax on mjx-warp, boxes appear at their places")
+        raise InputError("placing must be 'exact': in petmjx.jax on mjx-warp, boxes appear at their places")
     one = engine.open([blank.scene], sim, most_boxes)
     assert isinstance(one, WarpWorlds)
     one.go_on()

@@ -115,7 +115,7 @@ def errors_asked(error: Any, strength: Any, m: int) -> tuple[NDArray[np.int64], 
         or ((numbers < 0) | (numbers >= MOST_ERRORS_DRAWN)).any()
     ):
         raise InputError(
-            f"error must be {m} whole numbers of at least 0 and below {MOST_ERRORS_DRAWN}, {shown_value(error)}"
+            f"'error' must be {m} whole numbers of at least 0 and below {MOST_ERRORS_DRAWN}, {shown_value(error)}"
         )
     strengths = np.broadcast_to(np.asarray(strength, object), (m,)).tolist()
     return numbers.astype(np.int64), np.array([number_of(value, "error_strength", 0.0) for value in strengths])

@@ -35,9 +35,9 @@ def check_open(sim: Simulation) -> None:
     if sim.has_soft:
         raise InputError("soft: soft boxes are not supported on pallets to which boxes are added one by one")
     if sim.check is not Check.ONE_BY_ONE:
-        raise InputError(f"check must be one-by-one if boxes are added one by one, got {sim.check}")
+        raise InputError(f"check must be 'one-by-one' if boxes are added one by one, got {sim.check}")
     if sim.schedule is not Schedule.ADAPTIVE:
-        raise InputError(f"schedule must be adaptive if boxes are added one by one, got {sim.schedule}")
+        raise InputError(f"schedule must be 'adaptive' if boxes are added one by one, got {sim.schedule}")
 
 
 def open_engine(requested_engine: str | Engine, n: int, of_run: dict[str, Any]) -> tuple[Engine, bool]:

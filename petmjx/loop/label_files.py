@@ -352,16 +352,22 @@ def _page(card: dict[str, Any]) -> str:
         "",
         "Each row is a box that is put onto a pallet of other boxes, and the result of a score (`petmjx score`) of the "
         "pallet with this box: whether the pallet stands, which box fails first, and the forces on all boxes. "
-        + (f"`share` is a share of {errors} worlds in which a robot places the box inexactly." if errors else "")
+        + (
+            f"In {errors} further worlds, a robot places the box inexactly; `share` is the share of these worlds in "
+            "which the pallet stands."
+            if errors
+            else ""
+        )
         + "",
         "",
         "## From which orders, and how",
         "",
-        f"Orders come from {source}. Boxes come in the order's sequence. {100 * options['explore']:g} % of them are "
-        "first put to a random place: an extreme point inside the carrier at which the box rests on something. All "
-        "other boxes are put to a careful place (`careful`): one of the four lowest places at which three quarters of "
-        "the base are borne. If the pallet does not stand, the box is taken back; a box that was put to a random place "
-        "is then tried once more, at a careful place. So pallets are neither random nor like a packer's pallets.",
+        f"Orders come from {source}. Boxes come in the order's sequence. {100 * options['explore']:g} % of them "
+        "are first put at a random place: an extreme point inside the carrier at which the box rests on "
+        "something. All other boxes are put at a careful place (`careful`): one of the four lowest places at "
+        "which three quarters of the base are borne. If the pallet does not stand, the box is taken back; a box "
+        "that was put at a random place is then tried once more, at a careful place. So pallets are neither "
+        "random nor like a packer's pallets.",
         "",
         "## Splits",
         "",

@@ -297,7 +297,7 @@ class Pallets(Closable):
         with self._using():
             these, copies = pallets_of(sources, self.n, "sources"), pallets_of(into, self.n, "into")
             if len(these) != len(copies):
-                raise InputError(f"into must name one pallet for each source, {len(these)} in all, got {len(copies)}")
+                raise InputError(f"'into' must name one pallet for each source, {len(these)} in all, got {len(copies)}")
             once_each(copies, "into")
             if len(these):
                 self._standing.fork(these, copies)

@@ -86,10 +86,10 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "mass_kg": (pa.list_(pa.float64()), "masses of all boxes of the pallet; the new box is the last"),
     "stands": (pa.bool_(), "whether the pallet with the new box is stable in a score; null if it has no verdict"),
     "reason": (pa.string(), "reason why the pallet is not stable (drop, tilt or shift), or why it has no verdict"),
-    "culprit": (pa.int32(), "number of the box that failed first, from 0; null if no box failed"),
+    "culprit": (pa.int32(), "number (from 0) of the box that failed first; null if no box failed"),
     "margin": (
         pa.float32(),
-        "distance to the nearest threshold, as in the column margin of a run; null without a verdict",
+        "distance to the nearest threshold, as in the column `margin` of a run; null without a verdict",
     ),
     "share": (
         pa.float32(),

@@ -205,7 +205,7 @@ def _options(physics: Any, ground: Any) -> Simulation:
     """The simulation's options with the given physics and ground. Raises InputError if the physics or the ground is
     unknown."""
     if not isinstance(physics, str | Mapping | Physics):
-        raise InputError(f"physics must be the name of a preset, a table or a record, {shown_value(physics)}")
+        raise InputError(f"physics must be a table, a record or the name of a preset, {shown_value(physics)}")
     sim = Simulation(physics=physics, placing="exact")
     fixed = [str(carrier) for carrier, extent in CARRIER_EXTENT_M.items() if extent is not None]
     is_named = isinstance(ground, str) and ground in (PLANE, *fixed)

@@ -24,19 +24,19 @@ class Confidence(CheckedRecord):
         "that the share differs from one half",
     )
     errors: Annotated[File | None, CliFlag("--errors", "FILE", default="the ready-made sweep confidence")] = Field(
-        None, description="sweep file with the random errors of the robot and of its cartons"
+        None, description="sweep file with the random errors of the robot and of the cartons"
     )
 
     exact_too: Annotated[bool, CliFlag("--exact-too")] = Field(
         False,
-        description="also simulate each world with errors a second time, in which boxes appear at their places instead "
-        "of being carried, and report the plans for which the two shares of standing worlds differ by more than chance",
+        description="also simulate each world with errors a second time, with boxes that appear at their places "
+        "instead of being carried; report the plans whose two shares of standing worlds differ by more than chance",
     )
 
     @model_validator(mode="after")
     def _errors_of_something(self) -> Self:
         if self.errors is not None and self.confidence is None:
-            raise complaint("needs confidence, the number of worlds", "errors")
+            raise complaint("needs the option confidence (the number of worlds)", "errors")
         if self.exact_too and self.confidence is None:
-            raise complaint("needs confidence, the number of worlds", "exact_too")
+            raise complaint("needs the option confidence (the number of worlds)", "exact_too")
         return self

@@ -132,9 +132,9 @@ class Physics(CheckedRecord):
     )
     slip_correction: bool = Field(
         True,
-        description="whether the normal force of a contact stays the same while the contact slides, with elliptic "
-        "cones (petmjx/world/contact_laws.py); if false, sliding increases the normal force, as in MuJoCo itself, so "
-        "that sliding boxes hop",
+        description="whether sliding leaves the normal force of a contact unchanged, with elliptic cones "
+        "(petmjx/world/contact_laws.py); if false, sliding increases the normal force, as in MuJoCo itself, and "
+        "sliding boxes hop",
     )
     kinetic_friction_share: Annotated[float, within(0.1, 1)] = Field(
         1.0,
@@ -185,7 +185,7 @@ class Physics(CheckedRecord):
         elliptic friction cones."""
         return self.cone is Cone.ELLIPTIC and any(self.solreffriction)
 
-    @computed_field(description="name of the preset that has these values, or custom")  # type: ignore[prop-decorator]  # pydantic's own way
+    @computed_field(description="name of the preset that has these values, or 'custom'")  # type: ignore[prop-decorator]  # pydantic's own way
     @property
     def name(self) -> str:
         """The name of the preset that has exactly these values, or "custom"."""

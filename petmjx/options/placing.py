@@ -41,27 +41,27 @@ class Placing(CheckedRecord):
         "sizes have errors, else exact",
     )
     height_mm: Annotated[float, within(0, 2000), CliFlag("--placing-height-mm", "MM")] = Field(
-        5.0, description="with placing drop, hand or tines: height above its place at which a box starts, mm"
+        5.0, description="with placing=drop, hand or tines: a box starts at this height above its place, mm"
     )
     side_mm: Annotated[float, within(0, 1000), CliFlag("--placing-side-mm", "MM")] = Field(
         5.0,
-        description="with placing hand or tines: level distance from its place at which a box starts, against its "
+        description="with placing=hand or tines: a box starts at this horizontal distance from its place, against its "
         "direction of approach, mm; if another box is in the way, the start moves sideways by at most twice this "
         "distance",
     )
     speed_m_s: Annotated[float, within(0.001, 10), CliFlag("--placing-speed", "M/S")] = Field(
         0.08,
-        description="with placing hand or tines: largest speed of a carried box, m/s; a box moves faster if its path "
+        description="with placing=hand or tines: largest speed of a carried box, m/s; a box moves faster if its path "
         "would otherwise take more than 2 s",
     )
     force_n: Annotated[float, within(0.1, 100_000), CliFlag("--placing-force-n", "N")] = Field(
         100.0,
-        description="with placing hand or tines: largest force with which the robot presses a carried box, in addition "
+        description="with placing=hand or tines: largest force with which the robot presses a carried box, in addition "
         "to the force that holds the box's weight, N",
     )
     tines_mm: Annotated[float, within(0, 1000), CliFlag("--tines-height-mm", "MM")] = Field(
         10.0,
-        description="with placing tines: height of the edge that comes down last when the box is released, mm; the box "
+        description="with placing=tines: height of the edge that comes down last when the box is released, mm; the box "
         "is tilted by at most half of thresholds.tilt_deg",
     )
 

@@ -59,7 +59,7 @@ class Quiet(CheckedRecord):
         5, ge=1, description="number of steps between two checks whether the pallet is quiet"
     )
     still_m_s: Annotated[float, within(0, 100)] = Field(
-        0.0001, ge=0, description="a box is still if the speed of its fastest point is at most this, m/s"
+        0.0001, ge=0, description="a box counts as still if the speed of its fastest point is at most this, m/s"
     )
     still_steps: Annotated[int, within(1, MOST_STEPS)] = Field(
         50,
@@ -76,8 +76,8 @@ class Quiet(CheckedRecord):
     tremble_share: Annotated[float, within(0, 1)] = Field(
         0.25,
         ge=0,
-        description="a box trembles if, during a window of tremble_steps, its distance from its place at the beginning "
-        "of the window stays below this share of the path that it travels",
+        description="a box trembles if it stays near its place at the beginning of a window of tremble_steps: nearer "
+        "than this share of the path that it travels in the window",
     )
 
     @property

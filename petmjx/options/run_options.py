@@ -151,20 +151,21 @@ class RunOptions(CheckedRecord):
     world_timeout_s: Annotated[float | None, within(0, 1e9), CliFlag("--world-timeout", "S")] = Field(
         None,
         gt=0,
-        description="wall-clock time after which the simulation of a world ends as invalid by timeout, s; engine "
-        "mujoco only; by default 32 times the expected CPU time of the world (70 times if a hand or tines carry "
-        "boxes), but at least 30 s in a static check and 300 s otherwise",
+        description="wall-clock time after which the simulation of a world ends, s (verdict invalid, reason timeout); "
+        "engine mujoco only; by default 32 times the expected CPU time of the world (70 times if a hand or tines "
+        "carry boxes), but at least 30 s in a static check and 300 s otherwise",
     )
     workers: Annotated[int | str | None, BeforeValidator(_workers), CliFlag("--workers", "N|auto")] = Field(
         None,
-        description="run in this many worker processes with Ray (needs petmjx's extra ray): each worker has a share of "
-        "the CPU threads, or a GPU, which up to four workers can share; auto: one worker for each GPU or, with mujoco, "
-        "for each machine",
+        description="run in this many worker processes with Ray (needs the extra 'ray' of petmjx): each worker has a "
+        "share of the CPU threads, or a GPU, which up to four workers can share; auto: one worker for each GPU or, "
+        "with mujoco, for each machine",
     )
     ray: Annotated[str | None, AfterValidator(_address), CliFlag("--ray", "ADDRESS")] = Field(
         None,
-        description="run on the Ray cluster whose head is at HOST:PORT (auto: the cluster on this machine), with "
-        "workers=auto if the option workers is not given; by default, workers run on this machine",
+        description="run on the Ray cluster whose head is at HOST:PORT; auto: on the cluster on this machine. "
+        "If the option workers is not given, workers=auto is used. By default, workers run on this machine, without a "
+        "cluster",
     )
     limit: Annotated[int | None, within(1, 2**63 - 1), CliFlag("--limit", "N")] = Field(
         None, ge=1, description="number of plans that are used, from the first plan on; by default all"
@@ -178,9 +179,9 @@ class RunOptions(CheckedRecord):
     )
     anchor: Annotated[Anchor | None, CliFlag("--anchor", "POINT", default=f"corner; {_OR_BY_FILE}")] = Field(
         None,
-        description="point of a box that coordinates in the plans describe: corner, the corner with the smallest x, y "
-        "and z; centre; base-centre, the centre of its base; far-corner, the corner with the largest x, y and z; "
-        "top-centre, the centre of its top; or corner-x, corner-xy and the like, the corner with the largest "
+        description="point of a box that coordinates in the plans describe: corner: the corner with the smallest x, y "
+        "and z; centre: its middle; base-centre: the centre of its base; far-corner: the corner with the largest x, y "
+        "and z; top-centre: the centre of its top; corner-x, corner-xy and the like: the corner with the largest "
         "coordinates along the named axes and the smallest coordinates along the others",
     )
     up: Annotated[Literal["x", "y", "z", "-y", "-z"] | None, CliFlag("--up", "x|y|z|-y|-z", default=_BY_FILE)] = Field(
@@ -211,13 +212,14 @@ class RunOptions(CheckedRecord):
     )
     articles: Annotated[File | None, CliFlag("--articles", "FILE")] = Field(
         None,
-        description="table of articles or product groups, as for petmjx loads: it gives the materials of boxes, which "
-        "determine the friction between them, and centres of mass",
+        description="table of articles or product groups, as for petmjx loads: it gives the boxes' centres of mass and "
+        "materials; the materials determine the friction between boxes",
     )
     record: Annotated[str | tuple[str, ...] | None, CliFlag("--record", "failed|all|ID,…", "--record-plans")] = Field(
         None,
-        description="keep histories (motion, frame by frame) of the worlds that are not stable, of all worlds, or of "
-        "the plans with these ids; all other results stay the same; in Python also a list of ids",
+        description="worlds whose histories (motion, frame by frame) are kept: failed: the worlds that are not stable; "
+        "all: all worlds; ids: the worlds of the plans with these ids. All other results stay the same; in Python "
+        "also a list of ids",
     )
     record_interval_s: Annotated[float, within(0.0001, 3600), CliFlag("--record-interval", "S")] = Field(
         FRAME_INTERVAL_S, description="time between two frames of a history, s; each placement is a frame too"
@@ -232,8 +234,8 @@ class RunOptions(CheckedRecord):
     )
     keep: Annotated[Literal["all", "worlds"], CliFlag("--keep", "all|worlds")] = Field(
         "all",
-        description="tables that are kept: all tables, or only the table worlds; in a large sweep, nearly all bytes "
-        "are in the table boxes; the results that are kept stay the same",
+        description="tables that are kept: all: all tables; worlds: only the table 'worlds'. In a large sweep, nearly "
+        "all bytes are in the table 'boxes'; the results that are kept stay the same",
     )
     orders: Annotated[File | None, CliFlag("--orders", "FILE")] = Field(
         None,
@@ -268,7 +270,7 @@ class RunOptions(CheckedRecord):
     @model_validator(mode="after")
     def _folder_is_named(self) -> Self:
         if self.resume and self.out is None:
-            raise complaint("needs out, the folder of the run to continue", "resume")
+            raise complaint("needs the option out (the folder of the run to continue)", "resume")
         if self.resume and self.overwrite:
             raise complaint("contradicts overwrite: drop one of them", "resume")
         return self
@@ -276,13 +278,15 @@ class RunOptions(CheckedRecord):
     @model_validator(mode="after")
     def _details_of_something(self) -> Self:
         if self.record_details and self.record is None:
-            raise complaint("needs record, which says what to record", "record_details")
+            raise complaint("needs the option record, which says what to record", "record_details")
         return self
 
     @model_validator(mode="after")
     def _kept_what_is_asked(self) -> Self:
         if self.force_intervals and not self.keeps_boxes:
-            raise complaint("adds columns to the table boxes, which the option keep leaves out", "force_intervals")
+            raise complaint(
+                "adds columns to the table 'boxes', but the option keep leaves this table out", "force_intervals"
+            )
         return self
 
     @property

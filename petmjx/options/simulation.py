@@ -87,8 +87,8 @@ class Simulation(CheckedRecord):
     )
     physics: Annotated[Physics, CliFlag("--physics")] = Field(
         PHYSICS["pallet"],
-        description="physics of contacts: with pallet, stacks of boxes come to rest, and the carrier is of wood; "
-        "reference is as in PET-Physics",
+        description="physics of contacts: pallet: stacks of boxes come to rest, and the carrier is of wood; reference: "
+        "as in PET-Physics",
     )
     carrier: Annotated[AnyCarrier, CliFlag("--carrier", "NAME|FILE")] = Field(
         Carrier.FOOTPRINT,
@@ -101,15 +101,14 @@ class Simulation(CheckedRecord):
     friction_pairs: tuple[FrictionPair, ...] = Field(
         (),
         max_length=100,
-        description="coefficients of friction between materials of boxes and boards, in addition to petmjx's own "
-        "table: each entry is a table with the keys between (a list of two materials) and friction",
+        description="coefficients of friction for pairs of materials (boxes and boards), in addition to petmjx's own; "
+        "each entry has two keys: 'between', a list of two materials, and 'friction'",
     )
     landing_pairs: tuple[LandingPair, ...] = Field(
         (),
         max_length=100,
-        description="how boxes bounce and stop when they land, by pairs of materials, in addition to petmjx's own "
-        "table: each entry is a table with the key between (a list of two materials), and with restitution, landing_s "
-        "or both",
+        description="how boxes bounce and stop when they land, for pairs of materials, in addition to petmjx's own; "
+        "each entry has the key 'between', a list of two materials, and 'restitution', 'landing_s' or both",
     )
     size_reduction_mm: Annotated[float, within(0, 1000), CliFlag("--size-reduction-mm", "MM")] = Field(
         0.1,
@@ -120,36 +119,36 @@ class Simulation(CheckedRecord):
     interval_s: Annotated[float, within(0, LONGEST_INTERVAL_S), CliFlag("--interval", "S")] = Field(
         0.7,
         gt=0,
-        description="time between two placements, s; with schedule adaptive: longest wait for the next placement once "
+        description="time between two placements, s; with schedule=adaptive: longest wait for the next placement once "
         "a box has failed",
     )
     longest_wait_s: Annotated[float, within(0, LONGEST_INTERVAL_S), CliFlag("--longest-wait", "S")] = Field(
         10.0,
         ge=0,
-        description="longest wait for a pallet to come to rest, s: before a world ends and, with schedule adaptive, "
+        description="longest wait for a pallet to come to rest, s: before a world ends and, with schedule=adaptive, "
         "before the next box is placed. A world that still moves after this wait has the flag moving",
     )
     duration_s: Annotated[float, within(0, LONGEST_S), CliFlag("--duration", "S")] = Field(
         10.0,
         gt=0,
-        description="length of the static check, s; with schedule adaptive: largest length of the static check",
+        description="length of the static check, s; with schedule=adaptive: largest length of the static check",
     )
     settle_s: Annotated[float, within(0, LONGEST_S), CliFlag("--settle", "S")] = Field(
         2.0,
         ge=0,
-        description="pause between the last placement and a profile (a motion of the carrier), s; with schedule "
-        "adaptive, only pallets that have failed make this pause",
+        description="pause between the last placement and a profile (a motion of the carrier), s; with "
+        "schedule=adaptive, only pallets that have failed make this pause",
     )
     rest_s: Annotated[float, within(0, LONGEST_S), CliFlag("--rest", "S")] = Field(
         1.0,
         ge=0,
         description="time to come to rest after the last sample of a profile (a motion of the carrier), s; with "
-        "schedule adaptive: less if the pallet is quiet sooner",
+        "schedule=adaptive: less if the pallet is quiet sooner",
     )
     total_time_factor: Annotated[float | None, within(1, 10)] = Field(
         None,
         gt=1,
-        description="only with schedule fixed and check one-by-one: length of the whole simulation, as a multiple of "
+        description="only with schedule=fixed and check=one-by-one: length of the whole simulation, as a multiple of "
         "the time in which boxes are placed; replaces rest_s",
     )
     sample_interval_s: Annotated[float, within(0, LONGEST_S), CliFlag("--sample-interval", "S")] = Field(
@@ -164,7 +163,7 @@ class Simulation(CheckedRecord):
     early_stop: Annotated[bool, CliFlag("--early-stop/--no-early-stop")] = Field(
         True,
         description="end a world as soon as a box has dropped, instead of simulating it to the end of the schedule; "
-        "worlds with random errors, and drives, also end as soon as a box is lost (tilted too far)",
+        "worlds with random errors, and worlds that are shaken, also end as soon as a box is lost (tilted too far)",
     )
     check_timestep: Annotated[bool, CliFlag("--check-timestep")] = Field(
         False,
@@ -178,8 +177,8 @@ class Simulation(CheckedRecord):
     )
     attempts: Annotated[Attempts, CliFlag("--attempts")] = Field(
         Attempts.RIGID,
-        description="soft: a world that is invalid after all other attempts, or whose verdict soft contacts may have "
-        "decided, gets one more attempt, with all boxes as flex bodies; rigid: it does not",
+        description="soft: a world gets one more attempt, with all boxes as flex bodies, if it is invalid after all "
+        "other attempts, or if soft contacts may have decided its verdict; rigid: it does not get this attempt",
     )
     placing: Placing = Field(Placing(), description="how a box is placed")
     wrap: Wrap = Field(Wrap(), description="stretch film around a pallet that is shaken")
@@ -194,8 +193,9 @@ class Simulation(CheckedRecord):
     iteration_limit: Annotated[int | None, within(1, MOST_ITERATIONS), CliFlag("--iteration-limit", "N")] = Field(
         None,
         gt=0,
-        description="largest number of solver iterations of a world; a drive gets this number in addition. A world "
-        "that reaches this number ends, and has a verdict only if a box has dropped or tilted too far; none: no limit",
+        description="largest number of solver iterations of a world; with a profile: of the placement, and again of "
+        "the profile. A world that reaches this number ends, and has a verdict only if a box has dropped or tilted "
+        "too far; none: no limit",
     )
     solver_tolerance: Annotated[float | None, within(0, 1)] = Field(
         None, gt=0, description="MuJoCo's opt.tolerance; none: the engine's own choice"
@@ -206,7 +206,7 @@ class Simulation(CheckedRecord):
     def _no_brisk(cls, value: Any) -> Any:
         if value == "brisk":  # petmjx 0.1 had the schedule ``brisk``
             raise ValueError(
-                "must be 'fixed' or 'adaptive': 'brisk' was removed, since adaptive now takes as few steps"
+                "must be 'fixed' or 'adaptive': 'brisk' was removed, since 'adaptive' now takes as few steps"
             )
         return value
 
@@ -233,7 +233,7 @@ class Simulation(CheckedRecord):
     def _whole_run(self) -> Self:
         if self.total_time_factor is not None:
             if self.check is not Check.ONE_BY_ONE or self.schedule is not Schedule.FIXED:
-                raise complaint("needs check one-by-one and schedule fixed", "total_time_factor")
+                raise complaint("needs check='one-by-one' and schedule='fixed'", "total_time_factor")
             if self.rest_s != type(self).model_fields["rest_s"].default:
                 raise complaint("contradicts total_time_factor: drop one of them", "rest_s")
         return self
@@ -252,7 +252,7 @@ class Simulation(CheckedRecord):
             )
         if self.placing.carries and self.schedule is Schedule.FIXED:
             raise complaint(
-                f"{way} needs schedule adaptive: the fixed schedule does not wait until a box is let go", "placing"
+                f"{way} needs schedule='adaptive': the fixed schedule does not wait until a box is let go", "placing"
             )
         return self
 
@@ -261,7 +261,7 @@ class Simulation(CheckedRecord):
         for name, is_on in (("soft", self.soft), ("attempts", self.attempts is Attempts.SOFT)):
             if is_on and self.placing.name not in (Way.AUTO, Way.EXACT):
                 raise complaint(
-                    f"needs placing exact: soft boxes appear at their places, got {self.placing.name}", name
+                    f"needs placing='exact': soft boxes appear at their places, got {self.placing.name}", name
                 )
         return self
 

@@ -37,12 +37,12 @@ class Thresholds(CheckedRecord):
     lin_acc_m_s2: Annotated[float, within(0, 1e9)] = Field(
         110.0,
         gt=0,
-        description="linear acceleration of a box above which the simulation may have exploded, unless a box has "
-        "failed before, m/s²",
+        description="the simulation may have exploded if the linear acceleration of a box exceeds this before any box "
+        "has failed, m/s²",
     )
     ang_acc_rad_s2: Annotated[float, within(0, 1e9)] = Field(
         110.0,
         gt=0,
-        description="angular acceleration of a box above which the simulation may have exploded, unless a box has "
-        "failed before, rad/s²",
+        description="the simulation may have exploded if the angular acceleration of a box exceeds this before any box "
+        "has failed, rad/s²",
     )

@@ -16,8 +16,8 @@ class Transport(CheckedRecord):
 
     chain: Annotated[File | None, CliFlag("--chain", "NAME|FILE")] = Field(
         None,
-        description="take each plan through a transport chain, from the robot to the dock, in worlds with random "
-        "errors, and report how likely the pallet is to arrive: the name of a ready-made chain, such as "
-        "chain-film-truck, or a sweep file with legs; the option confidence, else the chain's file, sets the number of "
-        "worlds",
+        description="transport chain, from the robot to the dock, through which each plan is taken in worlds with "
+        "random errors; the run reports how likely each pallet is to arrive. Give the name of a ready-made chain, "
+        "such as chain-film-truck, or a sweep file with legs. The option confidence, else the chain's file, sets the "
+        "number of worlds",
     )

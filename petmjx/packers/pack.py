@@ -106,7 +106,7 @@ def pack_each(
     if packer not in (PHYSICAL, LEARNED):
         raise InputError(f"packer must be {PHYSICAL} or {LEARNED}, {shown_value(packer)}")
     if packer == PHYSICAL and look_ahead is not None:
-        raise InputError(f"look_ahead needs the packer {LEARNED}")
+        raise InputError(f"look_ahead needs the packer '{LEARNED}'")
     ahead = integer_of(1 if look_ahead is None else look_ahead, "look_ahead", 1, MOST_LOOK_AHEAD)
     sees = ahead if packer == LEARNED else None
     if simulation_options.get("engine", AUTO) == AUTO:
@@ -180,7 +180,9 @@ def _split_options(options: Mapping[str, Any]) -> tuple[PhysicalOptions, dict[st
     if other := next((name for name in run if name not in OF_RUN), None):
         raise InputError(f"{other}: a packer has no such option; the run options that it has are {', '.join(OF_RUN)}")
     if "confidence" in sure:
-        raise InputError("confidence: a packer has no such option; set worlds, the number of worlds with errors")
+        raise InputError(
+            "confidence: a packer has no such option; set the option worlds (the number of worlds with errors)"
+        )
     if "exact_too" in sure:
         raise InputError("exact_too is an option of scores with confidence, not of packers; leave it out")
     packer_options = PhysicalOptions(**of_packer)

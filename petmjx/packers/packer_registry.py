@@ -67,7 +67,7 @@ PACKERS: Final[Mapping[str, Packer]] = MappingProxyType(
 )
 
 LEFT_OUT_REASONS: Final[Mapping[str, str]] = MappingProxyType(
-    {LEARNED: "when they came, no place below 2 m was in balance and likely to stand"}
+    {LEARNED: "when these boxes came, they had no place below 2 m at which they would be in balance and probably stand"}
 )
 """Name of a packer → why it leaves boxes out. Other packers leave out boxes for which there is no place below 2 m."""
 
@@ -90,5 +90,5 @@ def packer_named(name: str, look_ahead: int | None = None) -> Packer:
     if look_ahead is None:
         return PACKERS[name]
     if name != LEARNED:
-        raise InputError(f"look_ahead needs the packer {LEARNED}")
+        raise InputError(f"look_ahead needs the packer '{LEARNED}'")
     return partial(_learned_packer, look_ahead=integer_of(look_ahead, "look_ahead", 1, MOST_LOOK_AHEAD))

@@ -178,7 +178,7 @@ LAYOUTS: Final[tuple[Convention, ...]] = (
     Convention(*_YZ, lambda corner, size: (corner[:, [0, 2, 1]], size[:, [0, 2, 1]]), least_odd=3, least_share=_MOST),
     Convention(
         "length and width look swapped",
-        "give the extents of the boxes as they stand along x and y, or also give the orientation",
+        "give the extents along x and y of the boxes as they stand, or also give the orientation",
         lambda corner, size: (corner, size[:, [1, 0, 2]]),
     ),
     *(_scale_convention(unit, sizes=False) for unit in ("cm", "in", "m")),

@@ -212,7 +212,10 @@ def number_hint(text: str) -> str:
     if mark == "," and not decimal:
         return f": write {plain.replace(',', '')} or {plain.replace(',', '.', 1)}, whichever is meant"
     if _DECIMAL_COMMA.fullmatch(plain):
-        return f": it has a decimal comma; write {plain.replace(',', '.')}, or semicolons between the table's columns"
+        return (
+            f": it has a decimal comma; write {plain.replace(',', '.')}, or separate the table's columns with "
+            "semicolons"
+        )
     return ""
 
 

@@ -261,7 +261,8 @@ class PlanBuilder:
                     apart.append(name)
         if apart:
             self.notes.append(
-                f"rows of {first_names(apart, 3)} stand apart, and boxes overlap: two plans with one name?"
+                f"rows of {first_names(apart, 3)} are not next to each other, and their boxes overlap: do two "
+                "plans have one name?"
             )
 
     def _place_of(self, row: int) -> str:

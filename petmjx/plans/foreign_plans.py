@@ -75,9 +75,9 @@ def _other_plans(sources: Sequence[BoxSource]) -> list[str]:
         where = printable_name(boxes.table.title or boxes.path or "another table")
         count = count_text(len(boxes.table.rows), "box", "boxes")
         if boxes.has_places and boxes.has_sizes and boxes.table.has_header:
-            lines.append(f"{count} in {where} not read, because the columns differ")
+            lines.append(f"not read: {count} in {where}, because the columns differ")
         elif not (boxes.table.has_header or first.table.has_header) and boxes.table.header == first.table.header:
-            lines.append(f"{count} in {where} not read: only the list with the most boxes is")
+            lines.append(f"not read: {count} in {where}, because only the list with the most boxes is read")
     return lines
 
 

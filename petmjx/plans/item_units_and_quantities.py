@@ -200,7 +200,9 @@ class _OrderBuilder:
         if column is None and self.form.name in _NUMBERED:
             return [f"{stem}-{name}" if name else stem for name in names]
         if column is not None and (nameless := sum(not name for name in names)):
-            self.notes.append(f"{count_text(nameless, 'row')} without an order's name: order {printable_name(stem)}")
+            self.notes.append(
+                f"rows without an order's name are read as order {printable_name(stem)} ({count_text(nameless, 'row')})"
+            )
         return [name or stem for name in names]
 
     def _leave_out_empty_rows(self) -> None:

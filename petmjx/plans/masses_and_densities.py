@@ -77,7 +77,7 @@ def masses_kg(
     name = columns.columns["total weight" if "total weight" in columns.columns else "weight"]
     mass = columns.weight * MASS_UNITS[unit]
     if counts is not None:
-        notes.append("weights are those of whole rows")
+        notes.append("the weight in a row is the weight of all boxes of the row")
         mass = mass / np.maximum(counts, 1)
     empty = np.isnan(mass) | ~(mass > 0)
     if wishes.density_kg_m3 is not None and empty.any():
@@ -106,10 +106,10 @@ def _density_factor(columns: BoxColumns | ItemColumns, length_unit: str, notes: 
     densities = columns.weight[~np.isnan(columns.weight)]
     largest, median = (densities.max(), float(np.median(densities))) if len(densities) else (math.inf, math.inf)
     if columns.weight_unit:
-        notes.append(f"weights from densities in {columns.weight_unit.replace('3', '³')}")
+        notes.append(f"weights are computed from densities in {columns.weight_unit.replace('3', '³')}")
         return DENSITY_UNITS[columns.weight_unit]
     if largest <= _RELATIVE:
-        notes.append("weights from densities relative to water")
+        notes.append("weights are computed from densities relative to water")
         return _WATER_KG_M3
     imperial = LENGTH_UNITS[length_unit] in (LENGTH_UNITS["in"], LENGTH_UNITS["ft"])
     if imperial or median < _LEAST_KG_M3:
@@ -118,5 +118,5 @@ def _density_factor(columns: BoxColumns | ItemColumns, length_unit: str, notes: 
             f"{name} has densities in an unknown unit (median: {median:g}); write their unit into the name of the "
             f'column, such as "{name} [kg/m3]" or "{name} [lb/ft3]"'
         )
-    notes.append("weights from densities in kg/m³")
+    notes.append("weights are computed from densities in kg/m³")
     return 1.0

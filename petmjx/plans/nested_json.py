@@ -359,7 +359,7 @@ def _box_list(path: str, members: Sequence[NestedBox]) -> BoxList | None:
     table = RawTable(header, rows, places, decimal_of(rows) or "", title=path, has_header=not numbered)
     parts = plan_names_of([members[number] for number in box_members], articles)
     if ids := repeated_ids([members[number] for number in box_members], articles):
-        notes.append(f"plans are numbered, because several have {first_names(ids)}")
+        notes.append(f"plans are numbered, because several have the same {first_names(ids)}")
     containers: dict[str, Mapping[str, float]] = {}
     for number, part in zip(box_members, parts, strict=True):
         if part not in containers:

@@ -225,7 +225,7 @@ def _list_files(paths: list[Path]) -> list[Path]:
             if not path.is_dir():
                 if (run := _run_around(path)) is not None:
                     raise InputError(
-                        f"{printable(str(path))}: belongs to a run: name its folder, {printable(str(run))}"
+                        f"{printable(str(path))}: belongs to a run: name the run's folder, {printable(str(run))}"
                     )
                 files.append(path)
                 continue
@@ -431,7 +431,7 @@ class _PlanLoader:
         # A pipe's name has no suffix, so the content shows whether the data are a table.
         if is_csv(path) or (regular_file(path) != path and looks_like_table(data)):
             if looks_like_json(data):
-                self._skip(source, None, f"{source}: is JSON: it is read as such if its name ends in .json")
+                self._skip(source, None, f"{source}: is JSON, but is read as JSON only if its name ends in .json")
                 return
             from petmjx.plans.table_files import parse_csv
 
@@ -611,7 +611,7 @@ def _kind_of_text(data: bytearray, named: bool) -> str | None:
             table is taken for damaged JSON.
     """
     if looks_like_table(data):
-        return "looks like a table as text: it is read as one if its name ends in .csv or .tsv"
+        return "looks like a table as text, but is read as one only if its name ends in .csv or .tsv"
     first = data[: 1 << 16].split(b"\n", 1)[0].strip().lower()
     begins_so = not first or first[:1] in b'{["-0123456789' or first.startswith((b"true", b"false", b"null"))
     if named or begins_so:

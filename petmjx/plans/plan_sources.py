@@ -37,7 +37,7 @@ PathArgument = str | PathLike[str]
 PlanSource = PathArgument | Plan | Sequence[PathArgument] | Sequence[Plan] | PlanSet | SupportsArrow
 """A file, a folder, or several of them; a plan, a list of plans, or a ``PlanSet``; a data frame of placements."""
 
-_SOURCES = "paths or Plan objects, or one of them, a PlanSet or a data frame"
+_SOURCES = "paths or Plan objects, a single path or Plan, a PlanSet, or a data frame"
 
 
 def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanSet:
@@ -115,7 +115,7 @@ def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
         given: list[Any] = [source] if alone else list_of(source, "plans", object, _SOURCES)
         plan_objects = [plan for plan in given if isinstance(plan, Plan)]
         if plan_objects and len(plan_objects) != len(given):
-            raise InputError("plans: give either paths or plans, not both")
+            raise InputError("plans: give either paths or Plan objects, not both")
         source = PlanSet(plan_objects) if plan_objects else [path_of(path, "plans") for path in given]
     if isinstance(source, PlanSet):
         plan_set = with_conventions(_distinct_plan_ids(source, options), extent_mm)

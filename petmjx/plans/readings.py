@@ -30,8 +30,8 @@ from petmjx.plans.input_conventions import ANCHORS
 
 ROTATION_RULES: Final = {
     "none": "sizes are as placed",
-    "swap": "1 swaps the two level sizes",
-    "swap back": "0 swaps the two level sizes",
+    "swap": "the value 1 swaps the two level sizes",
+    "swap back": "the value 0 swaps the two level sizes",
     "degrees": "90 and 270 degrees swap the two level sizes",
     "letters": "letters tell which size lies along x, y and z",
     "py3dbp": "0 WHD, 1 HWD, 2 HDW, 3 DHW, 4 DWH, 5 WDH",
@@ -400,13 +400,13 @@ def read_reading(path: Path) -> Wishes:
     units = table.get("units", "")
     parts = units.split("/") if isinstance(units, str) and units else []
     if not isinstance(units, str) or len(parts) > 2 or not set(parts) <= LENGTH_UNITS.keys():
-        raise InputError(f"{name}: units must be a unit of length, such as mm, {shown_value(units)}")
+        raise InputError(f"{name}: 'units' must be a unit of length, such as mm, {shown_value(units)}")
     along = table.get("along", [])
     if not (isinstance(along, list) and len(along) in (0, 3) and all(isinstance(axis, str) for axis in along)):
-        raise InputError(f"{name}: along must be three names of sizes, {shown_value(along)}")
+        raise InputError(f"{name}: 'along' must be three names of sizes, {shown_value(along)}")
     columns = table.get("columns", {})
     if not (isinstance(columns, dict) and all(isinstance(column, str) for column in columns.values())):
-        raise InputError(f"{name}: columns must be a table of names, {shown_value(columns)}")
+        raise InputError(f"{name}: 'columns' must be a table of names, {shown_value(columns)}")
     density = table.get("density")
     if density is not None and (isinstance(density, bool) or not isinstance(density, int | float) or density <= 0):
         raise InputError(f"{name}: density must be a number > 0, {shown_value(density)}")

@@ -54,7 +54,7 @@ def tables_of_rows(
                 table,
                 places=[place.replace("row", "column") for place in table.places],
                 lost=(*lost, *table.lost),
-                notes=(*table.notes, "names are in the first column"),
+                notes=(*table.notes, "the first column has the names, so each further column is read as a row"),
             )
             for table in tables_of_rows(list(zip_longest(*cleaned)), 1, title)
         ]

@@ -441,7 +441,9 @@ def _weak_note(results: Sequence[Repaired], share: float) -> list[str]:
         return []
     verb = "stands" if len(weak) == 1 else "stand"
     plans_text = f"{count_text(len(weak), 'repaired plan')} {verb}"
-    return [f"{plans_text} in less than {100 * share:.0f} % of the worlds with errors (share): {first_names(weak)}"]
+    return [
+        f"{plans_text} in less than {100 * share:.0f} % of the worlds with errors (option share): {first_names(weak)}"
+    ]
 
 
 def _repaired_by(search: Search, state: State | None, before: Share | None, after: Share | None) -> Repaired:

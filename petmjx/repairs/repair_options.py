@@ -55,8 +55,8 @@ class RepairOptions(CheckedRecord):
     )
     max_height_mm: Annotated[float, within(0, 100_000), CliFlag("--max-height-mm", "MM")] = Field(
         2000.0,
-        description="largest height, mm, that the top of a box may have after it is placed elsewhere; if the plan is "
-        "higher, the plan's height",
+        description="largest height of the top of a box that the repair places elsewhere, mm; if the plan is higher, "
+        "the height of the plan",
     )
     most_changes: Annotated[int, within(1, 100), CliFlag("--most-changes", "N")] = Field(
         60, description="largest number of changes; boxes that are left out do not count"
@@ -68,9 +68,9 @@ class RepairOptions(CheckedRecord):
     )
     seconds: Annotated[float | None, within(0.1, 10_000_000), CliFlag("--seconds", "S", default="no limit")] = Field(
         None,
-        description="time for the repairs of all plans, s, without the start of the engine; with worlds with errors, "
-        "the search gets 70 % of this time. When the time is up, the results are the best repairs so far, and the "
-        "results say so. Without a limit, results depend only on plans and options",
+        description="time for the repairs of all plans, s, without the start of the engine; if worlds with errors are "
+        "simulated, the search gets 70 % of this time. When the time is up, the results are the best repairs so "
+        "far, and the results say so. Without a limit, results depend only on plans and options",
     )
     worlds: Annotated[int, AfterValidator(_worlds), CliFlag("--worlds", "N")] = Field(
         8,

@@ -169,7 +169,9 @@ class Question:
                 f"{other}: a repair has no such option; the run options that it has are {', '.join(OF_RUN)}"
             )
         if other := next((name for name in sure if name != "errors"), None):
-            raise InputError(f"{other}: a repair has no such option; set worlds, the number of worlds with errors")
+            raise InputError(
+                f"{other}: a repair has no such option; set the option worlds (the number of worlds with errors)"
+            )
         if "errors" in sure and not options.worlds:
             raise InputError("errors needs worlds > 0")
         self.sim, run = Simulation(**of_simulation), RunOptions(**of_run)

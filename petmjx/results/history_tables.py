@@ -122,7 +122,8 @@ def read_history(run: RunResults, plan_id: str, variant: int, n_boxes: int) -> H
     exists = (frame >= 0) & (frame < f) & (box >= 0) & (box < n_boxes)
     if not np.array_equal(frames["frame"], np.arange(f)) or not exists.all():
         raise InputError(
-            f"{run.path}: the tables histories and frames do not fit together for plan {printable_name(plan_id)}"
+            f"{run.path}: the tables `histories` and `frames` contradict each other about plan "
+            f"{printable_name(plan_id)}"
         )
 
     def spread(values: FloatArray) -> FloatArray:

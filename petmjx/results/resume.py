@@ -38,7 +38,7 @@ class CompletedWorlds:
     def __init__(self, parts: Parts | None = None, columns: Sequence[str] = ()) -> None:
         for boxes in parts.files("boxes") if parts is not None else ():
             if not boxes.is_file():
-                raise InputError(f"{boxes}: missing, although the table worlds has a part of this number")
+                raise InputError(f"{boxes}: missing, although the table `worlds` has a file with the same number")
         tables = parts.table("worlds", [*_COLUMNS, *columns]) if parts is not None else []
         self._table = pa.concat_tables(tables) if tables else None
         self._spans: dict[str, tuple[int, int]] = {}
@@ -138,8 +138,8 @@ def resume_state(
     if lacking:
         if parts.files("frames"):
             raise InputError(
-                f"{folder / 'boxes' / part_name(lacking[0])}: missing, although the table worlds has a part of this "
-                f"number; simulate the run again, with {option('--overwrite', 'True')}"
+                f"{folder / 'boxes' / part_name(lacking[0])}: missing, although the table `worlds` has a file with "
+                f"the same number; simulate the run again, with {option('--overwrite', 'True')}"
             )
         before = sum(len(table) for table in parts.table("worlds", ("variant",)))
         parts = parts.without_numbers(lacking)

@@ -128,7 +128,7 @@ def check_run_file(info: Mapping[str, Any], file: Path) -> None:
     if read.digest is not None and read.digest != run_digest(info):
         raise InputError(
             f"{file}: damaged: it differs from what the run wrote (if you changed it on purpose, delete its entry "
-            "digest)"
+            "'digest')"
         )
 
 

@@ -264,7 +264,7 @@ class RunResults:
         """
         if not self.keeps_boxes:
             kept = option(f"--keep {WORLDS}", python=f'keep="{WORLDS}"')
-            raise InputError(f"{self.where}: the run was made with {kept}, so it has no table boxes")
+            raise InputError(f"{self.where}: the run was made with {kept}, so it has no table `boxes`")
         return self._read("boxes")
 
     @property

@@ -220,6 +220,6 @@ def open_part(file: Path) -> Iterator[pq.ParquetFile]:
         with open_for_arrow(file) as stream, pq.ParquetFile(stream) as parquet:
             yield parquet
     except FileNotFoundError:
-        raise InputError(f"{file}: missing, although the table worlds has a part of this number") from None
+        raise InputError(f"{file}: missing, although the table `worlds` has a file with the same number") from None
     except (pa.ArrowException, OSError) as error:
         raise InputError(f"{file}: damaged part, it is not a whole Parquet file") from error

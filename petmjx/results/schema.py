@@ -281,8 +281,8 @@ def schemas(
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
         raise ValueError(
-            f"a variant's parameter cannot be called {repeated[0]!r}: the table worlds already has a column of this "
-            "name"
+            f"a variant's parameter cannot be called {repeated[0]!r}: the table `worlds` already has a column of "
+            "this name"
         )
     intervals = metrics.FORCE_INTERVAL if force_intervals else ()
     boxes = (*_BOX_COLUMNS, *_metrics((*metrics.box_columns(driven=dynamic, legs=legs), *intervals)))

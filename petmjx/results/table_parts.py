@@ -80,7 +80,9 @@ class Tables:
                 try:
                     yield path, copy_file(file, path)
                 except FileNotFoundError:
-                    raise InputError(f"{file}: missing, although the table worlds has a part of this number") from None
+                    raise InputError(
+                        f"{file}: missing, although the table `worlds` has a file with the same number"
+                    ) from None
 
     def drop_others(self) -> None:
         """Delete all parts of tables that are in the folder but do not belong to the run."""

@@ -158,7 +158,7 @@ def _check_event(event: Event, defined: Mapping[str, Profile], path: tuple[str |
                 has = "an angle of its own" if profile.strength is Strength.ANGLE else f"a {profile.strength}"
                 raise complaint(f"contradicts profile {profile.name!r}, which has {has}", *path, name)
             if isinstance(drawn := getattr(event, name), Range) and not drawn.continuous:
-                raise complaint("is drawn at random between from and to: leave out step and count", *path, name)
+                raise complaint("is drawn at random between 'from' and 'to': leave out 'step' and 'count'", *path, name)
         if profile.strength is Strength.LEVEL and event.level is None:
             raise complaint(f"is missing: profile {profile.name!r} needs a level in g", *path, "level")
 

@@ -48,22 +48,23 @@ _DESCRIPTIONS: Final = {
     "n_worlds": "number of worlds that reached the leg; in rows about the whole journey: number of all worlds",
     "n_standing": "number of worlds that stand after the leg; in rows about the whole journey: number of worlds that "
     "arrive",
-    "n_invalid": "number of worlds without a verdict, which the column share does not count",
+    "n_invalid": "number of worlds without a verdict, which the column `share` does not count",
     "share": "n_standing / (n_worlds - n_invalid); null if no world has a verdict",
-    "low": "lower end of the Wilson 95 % interval of the column share; null if nothing is drawn at random",
-    "high": "upper end of the Wilson 95 % interval of the column share; null if nothing is drawn at random",
+    "low": "lower end of the Wilson 95 % interval of `share`; null if nothing is drawn at random",
+    "high": "upper end of the Wilson 95 % interval of `share`; null if nothing is drawn at random",
     "weakest_leg": "in rows about the whole journey: leg in which most worlds failed; empty if no world failed",
-    "box": "number of the box that most often failed first in the leg weakest_leg; null if the row is about all plans",
-    "only_with": "in rows about the whole journey with a remedy: number of draws of random numbers with which the "
-    "pallet arrives with the remedy, but not without it",
-    "only_without": "in rows about the whole journey with a remedy: number of draws of random numbers with which the "
-    "pallet arrives without the remedy, but not with it",
-    "gain": "share of worlds that arrive with the remedy, minus the share that arrive without it; both over the draws "
-    "of random numbers that have a verdict with and without the remedy",
-    "gain_low": "lower end of the 95 % interval of the column gain (Newcombe's interval for paired shares); null if "
-    "nothing is drawn at random",
-    "gain_high": "upper end of the 95 % interval of the column gain (Newcombe's interval for paired shares); null if "
-    "nothing is drawn at random",
+    "box": "number of the box that most often failed first in the leg `weakest_leg`; null if the row is about all "
+    "plans",
+    "only_with": "in rows about the whole journey with a remedy: number of pairs of worlds (with the same random "
+    "numbers, one with and one without the remedy) of which only the world with the remedy arrives",
+    "only_without": "in rows about the whole journey with a remedy: number of pairs of worlds (with the same random "
+    "numbers, one with and one without the remedy) of which only the world without the remedy arrives",
+    "gain": "share of worlds that arrive with the remedy, minus the share that arrive without it; the worlds with "
+    "and without the remedy form pairs with the same random numbers, and a pair counts if both worlds have a verdict",
+    "gain_low": "lower end of the 95 % interval of `gain` (Newcombe's interval for paired shares); null if nothing is "
+    "drawn at random",
+    "gain_high": "upper end of the 95 % interval of `gain` (Newcombe's interval for paired shares); null if nothing is "
+    "drawn at random",
 }
 
 _TEXTS: Final = frozenset({"scope", "plan_id", "remedy", "leg", "weakest_leg"})

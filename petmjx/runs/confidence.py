@@ -52,11 +52,11 @@ _DESCRIPTIONS: Final = {
     "n_standing": "number of stable worlds with errors",
     "n_not_placed": "number of unstable worlds with errors in which the hand found no room for a box before any box "
     "failed",
-    "n_fell": "number of the unstable worlds with errors that n_not_placed does not count",
-    "n_invalid": "number of worlds with errors that have no verdict; the column share does not count them",
+    "n_fell": "number of the unstable worlds with errors that the column `n_not_placed` does not count",
+    "n_invalid": "number of worlds with errors that have no verdict; the column `share` does not count them",
     "share": "share of stable worlds among the worlds with errors that have a verdict; null if no world has a verdict",
-    "low": "lower end of the Wilson 95 % interval of the column share",
-    "high": "upper end of the Wilson 95 % interval of the column share",
+    "low": "lower end of the Wilson 95 % interval of `share`",
+    "high": "upper end of the Wilson 95 % interval of `share`",
     "coin_toss": "whether the interval from low to high contains one half, so that the worlds do not show whether the "
     "pallet stands more often than it falls",
 }
@@ -65,8 +65,8 @@ _OF_BOTH: Final = {
     "n_standing_exact": "number of stable worlds with errors in which boxes appear at their places",
     "share_exact": "share of stable worlds among the worlds with errors that have a verdict and in which boxes appear "
     "at their places; null if no such world has a verdict",
-    "only_carried": "number of draws of errors with which the pallet stands only if boxes are carried",
-    "only_exact": "number of draws of errors with which the pallet stands only if boxes appear at their places",
+    "only_carried": "number of sets of random errors with which the pallet stands only if boxes are carried",
+    "only_exact": "number of sets of random errors with which the pallet stands only if boxes appear at their places",
     "p_value": "p-value of McNemar's exact two-sided test of whether carrying the boxes changes how often the pallet "
     "stands (only_carried against only_exact); Holm's method corrects it for the number of plans",
     "placing_matters": f"whether p_value is below {SIGNIFICANCE:g}, so that share and share_exact differ beyond chance",
@@ -102,8 +102,8 @@ def confidence_sweep(
         carried = error_sweep.simulation.placing.for_errors
         if not (error_sweep.simulation.may_carry and carried.carries):
             raise InputError(
-                "exact_too compares carried boxes with boxes that are placed exactly, so it needs placing auto, hand "
-                "or tines"
+                "exact_too compares carried boxes with boxes that are placed exactly, so it needs placing='auto', "
+                "'hand' or 'tines'"
             )
         axes = {**axes, PLACING: Axis(PLACING, (carried.name.value, Way.EXACT.value))}
     return error_sweep.model_copy(update={"nominal": True, "replicates": n_worlds, "axes": axes})
@@ -118,7 +118,7 @@ def _error_sweep_fault(sweep: Sweep) -> str:
     if sweep.has_drives:
         return "axes.profile contradicts confidence, which is about pallets at rest: use petmjx sweep"
     if sweep.sample is not None:
-        return 'mode = "sample" contradicts confidence, which draws every world from the same errors'
+        return 'mode = "sample" contradicts confidence, in which all worlds have errors from the same distributions'
     for name, axis in sweep.axes.items():
         if not isinstance(axis.values[0], Distribution):
             return f"axes.{name} contradicts confidence: its value is not random, so it is no error"

@@ -35,8 +35,8 @@ EUMOS_COLUMNS = (
     Param(
         "eumos_foot_permanent_m",
         "m",
-        "largest horizontal displacement that remains after the test, of the boxes that reach into the lowest 20 cm of "
-        "the load",
+        "among the boxes that reach into the lowest 20 cm of the load: largest horizontal displacement that "
+        "remains after the test",
     ),
     Param(
         "eumos_passed",

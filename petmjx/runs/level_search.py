@@ -181,7 +181,7 @@ class Bisection:
         If a test is invalid, its level counts as failed, and the mode of failure is the reason why the test is invalid.
         """
         if len(tests) != len(worlds):
-            raise ValueError("record needs one answer for each test")
+            raise ValueError("tests and worlds must have the same length, since each test has one world")
         survivors = []
         for (item, level), world in zip(tests, worlds, strict=True):
             bracket = self.items[item]

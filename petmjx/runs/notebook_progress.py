@@ -151,7 +151,7 @@ def watching(watcher: AnyWatcher | None, progress: bool) -> Iterator[AnyWatcher 
     """
     flag_of(progress, "progress")
     if watcher is not None and not all(callable(getattr(watcher, name, None)) for name in ("begin", "world_done")):
-        raise InputError(f"watcher must have the methods begin and world_done, {shown_value(watcher)}")
+        raise InputError(f"watcher must have the methods 'begin' and 'world_done', {shown_value(watcher)}")
     bar = watcher if watcher is not None else notebook_bar()
     if bar is not None or not progress:
         yield bar

@@ -127,7 +127,7 @@ class Range(CheckedRecord, Generic[Number]):
         if self.high <= self.low:
             raise complaint(f"must be > from = {self.low:g}, got {self.high:g}", "to")
         if self.step is not None and self.count is not None:
-            raise ValueError("has both step and count: give one of them")
+            raise ValueError("has both 'step' and 'count': give one of them")
         if self.step is not None and (self.high - self.low) / self.step >= MAX_AXIS_VALUES:
             raise complaint(f"{self.step:g} makes more than {MAX_AXIS_VALUES:,} values", "step")
         return self
@@ -351,7 +351,7 @@ AXIS_KINDS: Final = {
             "drop_height_mm",
             "mm",
             Heights,
-            "height above its place at which a box is released",
+            "height of a box above its place when it is released",
             ("drop_height_mm",),
             plain=DistributionShape.FIXED,
         ),
@@ -360,14 +360,14 @@ AXIS_KINDS: Final = {
             "placing_height_mm",
             "mm",
             Positives,
-            "height above its place at which the carrying of a box begins",
+            "height of a box above its place when its carrying begins",
             ("placing_height_mm",),
         ),
         AxisKind(
             "placing_side_mm",
             "mm",
             Positives,
-            "level distance from its place at which the carrying of a box begins",
+            "horizontal distance of a box from its place when its carrying begins",
             ("placing_side_mm",),
         ),
         AxisKind("placing_speed_m_s", "m/s", Positives, "largest speed of a carried box", ("placing_speed_m_s",)),
@@ -466,5 +466,5 @@ def _axis(name: str, setting: Any, sampled: bool) -> Axis:
     if not setting.continuous:
         return Axis(name, setting.values())
     if not sampled:
-        raise complaint('needs step or count: mode = "grid" needs single values, not a continuous range', name)
+        raise complaint("needs 'step' or 'count': mode = 'grid' needs single values, not a continuous range", name)
     return Axis(name, (), setting.low, setting.high)

@@ -144,7 +144,7 @@ class Sweep(CheckedRecord):
         "drawn",
     )
     sample: StrictInt | None = Field(
-        None, ge=1, le=MAX_REPEATS, description="number of random combinations, if mode is sample"
+        None, ge=1, le=MAX_REPEATS, description="number of random combinations, if mode is 'sample'"
     )
     seed: StrictInt = Field(
         0,
@@ -170,7 +170,8 @@ class Sweep(CheckedRecord):
     simulation: Simulation = Field(Simulation(), description="how worlds are simulated")
     search: Search | None = Field(
         None,
-        description="search for the largest level or scale that pallets survive; it replaces the axis level or scale",
+        description="search for the largest level or scale that pallets survive; it replaces the axis 'level' or "
+        "'scale'",
     )
     own_profiles: Annotated[dict[str, Any], PlainValidator(_own_profiles)] = Field(
         {}, alias="profiles", description="the file's own profiles, by name"

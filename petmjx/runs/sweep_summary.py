@@ -297,14 +297,14 @@ _DESCRIPTIONS = {
     "scope": "all: the row is about all plans together; plan: the row is about one plan",
     "plan_id": "id of the packing plan; null if the row is about all plans",
     "axis": "name of the varied parameter; empty: the row is about all worlds",
-    "value": "value that the parameter axis has in the worlds of the row",
+    "value": "value that the varied parameter has in the worlds of the row",
     "n_standing": "number of stable worlds",
-    "n_invalid": "number of worlds without a verdict, which the column share does not count",
+    "n_invalid": "number of worlds without a verdict, which the column `share` does not count",
     "share": "share of stable worlds among the worlds with a verdict",
     "n_draws": "number of independent random draws in the worlds of the row; 0 if any of these worlds is not drawn at "
     "random",
-    "low": "lower end of the Wilson 95 % interval of the column share, for n_draws draws; null without draws",
-    "high": "upper end of the Wilson 95 % interval of the column share, for n_draws draws; null without draws",
+    "low": "lower end of the Wilson 95 % interval of `share`, for `n_draws` draws; null without draws",
+    "high": "upper end of the Wilson 95 % interval of `share`, for `n_draws` draws; null without draws",
     "n_eumos": "number of worlds that were checked against the limits of EUMOS 40509",
     "n_eumos_passed": "number of worlds that keep the limits of EUMOS 40509",
     "eumos_share": "n_eumos_passed / n_eumos: share of the checked worlds that keep the limits of EUMOS 40509",
@@ -315,8 +315,8 @@ _DESCRIPTIONS = {
     "largest_scale": "largest survived scale that is below all failed scales; null if there is no such scale",
     "first_failed_level_g": "smallest level that failed; null if no level failed",
     "first_failed_scale": "smallest scale that failed; null if no scale failed",
-    "box": "number of the box that failed first, at the smallest level that failed or, if the pallet does not stand "
-    "without a profile, at rest",
+    "box": "number of the box that failed first at the smallest level that failed; if the pallet does not stand "
+    "without a profile: of the box that failed first at rest",
     "mode": "how the first box failed, at the smallest level that failed or at rest: slide, tilt or drop; for an "
     "invalid world, the reason why the world is invalid",
     "monotone": "whether the pallet also failed at every tested level above the smallest failed level",

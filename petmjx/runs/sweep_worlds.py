@@ -100,7 +100,7 @@ class SweepPlan(Design):
                 f"pass {option('--yes', 'True', python='allow_large')} to confirm"
             )
         if "placing" in self.sweep.axes and not self.sweep.simulation.may_carry:
-            needs = "simulation.placing auto, hand or tines, check one-by-one and schedule adaptive"
+            needs = "simulation.placing='auto', 'hand' or 'tines', check='one-by-one' and schedule='adaptive'"
             raise InputError(f"{file}: axes.placing needs {needs}")
         if self.sweep.legs:
             sim = self.sweep.simulation

@@ -77,8 +77,8 @@ def worlds_of_run(
     sweep, plan = sweep_of_run(run), plan_of_run(run, plan_id, plans)
     if variant is None and not sweep.nominal:
         raise InputError(
-            f"{run.path}: plan {printable_name(plan_id)} has several worlds: name a variant (column variant of the "
-            "table worlds)"
+            f"{run.path}: plan {printable_name(plan_id)} has several worlds: name a variant (column `variant` of "
+            "the table `worlds`)"
         )
     worlds = SweepPlan(sweep, [plan])
     if variant is not None:

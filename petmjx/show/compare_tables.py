@@ -30,13 +30,17 @@ def comparison_tables(comparison: Comparison, max_rows: int = 40) -> Iterator[Re
     yield _confusion_table(comparison)
     if comparison.n_not_stable:
         of = f"of {count_text(comparison.n_not_stable, 'world')} that are stable in neither run"
-        yield line(f"{of}: same reason {comparison.same_reason:,}, same first box {comparison.same_culprit:,}")
+        yield line(
+            f"{of}: {comparison.same_reason:,} with the same reason, {comparison.same_culprit:,} with the same first "
+            "box to fail"
+        )
     if len(comparison.flips):
         yield ""
         yield _flips_table(comparison.flips, max_rows)
         if comparison.flips_within is not None:
             yield line(
-                f"each has a margin within ±{three_digits(comparison.flips_within)} of a threshold in one of the runs"
+                f"each has a margin from -{three_digits(comparison.flips_within)} to "
+                f"{three_digits(comparison.flips_within)} in one of the runs"
             )
     several = (("worlds", comparison.worlds), ("boxes", comparison.boxes))
     tables = [table for table_name, differences in several for table in _differences_tables(table_name, differences)]

@@ -45,8 +45,8 @@ def load_tables(loads: Loads, out: Path | None = None) -> Iterator[RenderableTyp
     if "surely_overloaded" in loads.plans:
         surely, possibly = (int(loads.plans[name].sum()) for name in ("surely_overloaded", "possibly_overloaded"))
         yield line(
-            f"{surely:,} surely, {possibly:,} possibly overloaded, by the smallest and the largest force that statics "
-            "allows"
+            f"overloaded by the smallest force that statics allows: {surely:,} (surely), by the largest force: "
+            f"{possibly:,} (possibly)"
         )
     counts = {name: int((loads.plans["crushed"] == name).sum()) for name in (SURELY, POSSIBLY, NOT)}
     unsure = len(loads.plans) - sum(counts.values())
@@ -72,7 +72,7 @@ def _ways_table(ways: pd.DataFrame) -> FittedTable:
         TableColumn("arrive", percent_of("share")),
         TableColumn("possibly\nwhole", percent_of("share_possibly_whole")),
         TableColumn("surely\nwhole", percent_of("share_whole")),
-        title="share of worlds that arrive; whole: that arrive without a crushed box",
+        title="shares of worlds that arrive; whole: no box of the pallet is crushed",
         caption=f"{len(ways) - FEW_ROWS:,} more in way_loads" if len(ways) > FEW_ROWS else "",
     )
 

@@ -83,7 +83,7 @@ def _not_compared(comparison: PackerComparison) -> Iterator[RenderableType]:
     of = count_text(int(packers[0]["n_orders"]), "order")
     yield line(f"{left:,} of {of} {'is' if left == 1 else 'are'} not compared: {', '.join(parts)}", style="yellow")
     worst = ", ".join(f"{printable_name(row['packer'])} {percent(row['share_at_worst'])}" for row in packers)
-    yield line(f"share that stands if these plans count as unstable: {worst}")
+    yield line(f"share that stands if missing and invalid plans count as unstable: {worst}")
 
 
 _PACKER: Final = name_column("packer", "packer", least=8)

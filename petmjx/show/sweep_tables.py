@@ -172,7 +172,7 @@ def confidence_table(summary: pd.DataFrame) -> FittedTable:
         *([TableColumn("share,\nexact", share_exact)] if has_exact else []),
         *([TableColumn("", lambda row: "coin toss" if row["coin_toss"] else "", "left")] if tosses else []),
         title="worlds with errors",
-        caption="* beyond chance, this share differs from the share with carried boxes"
+        caption="* this share differs from the share with carried boxes by more than chance"
         if has_exact and summary["placing_matters"].any()
         else "",
     )

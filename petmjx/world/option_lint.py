@@ -168,7 +168,7 @@ def _stiffness_notes(sim: Simulation, plans: Sequence[Plan], errors: bool) -> It
     """Notes on boxes that are too soft for their loads, and on options of soft boxes that have no effect."""
     if sim.has_soft and errors and sim.placing.name is Way.AUTO:
         raise InputError(
-            "soft: a hand would place boxes with errors, but soft boxes appear at their places; pass placing exact"
+            "soft: a hand would place boxes with errors, but soft boxes appear at their places; pass placing='exact'"
         )
     giving = [plan for plan in plans if plan.stiffness_n_mm is not None]
     if sim.soft and (not giving or not sim.physics.has_own_friction):
@@ -188,7 +188,10 @@ def _stiffness_notes(sim: Simulation, plans: Sequence[Plan], errors: bool) -> It
 
 def _attempt_notes(sim: Simulation, driven: bool) -> Iterator[str]:
     if driven and sim.attempts is Attempts.SOFT:
-        yield "attempts soft has no effect on drives: a drive begins from a settled placement, whose boxes are rigid"
+        yield (
+            "attempts='soft' has no effect on worlds with a profile: the profile begins from a settled placement, "
+            "whose boxes are rigid"
+        )
 
 
 def _static_notes(sim: Simulation) -> Iterator[str]:
@@ -196,11 +199,11 @@ def _static_notes(sim: Simulation) -> Iterator[str]:
     duration_set = sim.duration_s != Simulation.model_fields["duration_s"].default
     if duration_set and sim.check is Check.STATIC and sim.schedule is Schedule.ADAPTIVE:
         yield (
-            f"duration_s of {sim.duration_s:g} s is an upper limit: with the schedule adaptive, a static check ends "
-            "when the pallet rests; with the schedule fixed, it lasts exactly this long"
+            f"duration_s of {sim.duration_s:g} s is an upper limit: with schedule='adaptive', a static check ends "
+            "when the pallet rests; with schedule='fixed', it lasts exactly this long"
         )
     elif duration_set and sim.check is not Check.STATIC:
-        yield "duration_s has no effect: only the check static uses it"
+        yield "duration_s has no effect: only check='static' uses it"
 
 
 def _check_soft(sim: Simulation, plans: Sequence[Plan]) -> None:

@@ -115,7 +115,7 @@ def test_every_command_explains_itself(
         for flag in (entry for record in (Simulation, Thresholds, *more) for entry in flags_of(record)):
             assert re.search(rf"^  {flag}\b", printed, flags=re.MULTILINE), flag
         text = " ".join(printed.split())
-        assert "s; with schedule adaptive: longest wait for the next placement once a box has failed" in text
+        assert "s; with schedule=adaptive: longest wait for the next placement once a box has failed" in text
         assert "[default: 0.7]" in text
         assert "petmjx-results/DATE-TIME" in text.replace("- ", "-").replace("/ ", "/")  # lines may end at a hyphen
 

@@ -211,7 +211,7 @@ def test_a_file_of_a_run_is_no_file_of_plans(capsys: pytest.CaptureFixture[str])
     petmjx.score(plan, engine=LargestFirst(), out="run")
     for name in ("run/run.json", "run/worlds/part-00000.parquet"):
         assert run("convert", name, "-o", "again.json") == 2
-        assert only_line(capsys.readouterr().err) == f"petmjx: {name}: belongs to a run: name its folder, run"
+        assert only_line(capsys.readouterr().err) == f"petmjx: {name}: belongs to a run: name the run's folder, run"
 
 
 @pytest.mark.parametrize("columns", ["0", "7", "40"])

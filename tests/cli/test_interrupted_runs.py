@@ -86,7 +86,7 @@ def test_another_run_is_not_gone_on_with(plans: Path, tmp_path: Path, capsys: py
     line = only_line(capsys.readouterr().err)
     assert line.endswith("cannot be resumed, because the folder has another run (simulation.rest_s is 2.0, was 1.0)")
     assert run("score", plans, "--engine", "mujoco", "--resume") == 2
-    assert "--resume needs out" in only_line(capsys.readouterr().err)
+    assert "--resume needs the option out" in only_line(capsys.readouterr().err)
     assert run("score", plans, "--engine", "mujoco", "--shard", "4/3") == 2
     assert "--shard must be I/N" in only_line(capsys.readouterr().err)
 

@@ -108,7 +108,10 @@ def test_unusable_files(content: str, tmp_path: Path, capsys: pytest.CaptureFixt
         (["--physics", "foo"], "petmjx: --physics must be pallet or reference, or a table of values, got 'foo'"),
         (["--set", "quiet.steps=0"], "petmjx: --set quiet.steps must be ≥ 1, got 0"),
         (["--set", "quiet.steep=1"], "petmjx: --set quiet.steep: unknown field"),
-        (["--set", "total_time_factor=4"], "petmjx: --set total_time_factor needs check one-by-one and schedule fixed"),
+        (
+            ["--set", "total_time_factor=4"],
+            "petmjx: --set total_time_factor needs check='one-by-one' and schedule='fixed'",
+        ),
         (["--set", "plans=x"], "petmjx: --set plans: unknown field; there are check, schedule,"),
         (["--set", "quiet.steps"], "petmjx: --set quiet.steps: must be FIELD=VALUE"),
         (["--set", "=3"], "petmjx: --set =3: must be FIELD=VALUE"),

@@ -38,7 +38,7 @@ def test_confidence_says_what_stands_and_what_is_a_coin_toss(
     ("options", "expected"),
     [
         (("--confidence", "2"), "--confidence must be from 4 to 100000, got 2"),
-        (("--errors", "confidence"), "--errors needs confidence, the number of worlds"),
+        (("--errors", "confidence"), "--errors needs the option confidence (the number of worlds)"),
         (("--confidence", "8", "--errors", "tilt"), "axes.profile contradicts confidence"),
     ],
 )

@@ -100,7 +100,7 @@ def test_the_page_of_a_run(capsys: pytest.CaptureFixture[str]) -> None:
     assert "x.html" in printed
     assert "hand-overhang-55" in Path("x.html").read_text(encoding="utf-8")
     refused = lines_of(capsys, "hand-overhang-55", "run", "--check", "static", code=2)
-    assert "--check: a story of a run uses the run's options; drop this option" in refused
+    assert "--check: a world of a run has the run's options; drop this option" in refused
 
 
 @pytest.mark.parametrize(
@@ -115,7 +115,7 @@ def test_the_page_of_a_run(capsys: pytest.CaptureFixture[str]) -> None:
         (("hand-bridge", "--png", "x.png", "--size", "9"), "--size must be WIDTHxHEIGHT"),
         (("hand-bridge", "--png", "x.png", "--at", "later"), "--at: unknown moment later"),
         (("hand-bridge", "--colour", "blue"), "--colour must be 'article', 'order'"),
-        (("hand-bridge", "--variant", "3"), "variant and plans select a world of a run"),
+        (("hand-bridge", "--variant", "3"), "the arguments variant and plans select a world of a run"),
         (("hand-bridge", "--viewer"), "--viewer: no display here (DISPLAY is not set)"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",

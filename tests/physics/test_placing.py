@@ -149,7 +149,7 @@ def test_no_box_begins_in_another_one() -> None:
     ("options", "line"),
     [
         ({"placing": "hand", "check": "static"}, "placing hand needs check='one-by-one': in a static check"),
-        ({"placing": "tines", "schedule": "fixed"}, "placing tines needs schedule adaptive"),
+        ({"placing": "tines", "schedule": "fixed"}, "placing tines needs schedule='adaptive'"),
         ({"placing": "throw"}, "placing.name must be 'auto', 'exact', 'drop', 'hand' or 'tines', got 'throw'"),
         ({"placing": {"name": "hand", "force_n": 0}}, "placing.force_n must be from 0.1 to 100000, got 0"),
     ],

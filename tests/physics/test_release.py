@@ -270,7 +270,7 @@ def test_what_ran_astray_is_no_number(monkeypatch: pytest.MonkeyPatch) -> None:
         ({"ground": "moon"}, "ground must be 'plane', 'euro-pallet', .* or a TOML file of boards, got 'moon'"),
         ({"ground": "footprint"}, "ground must be .* got 'footprint'"),
         ({"ground": "none.toml"}, "none.toml: "),
-        ({"physics": np.zeros(3)}, "physics must be the name of a preset, a table or a record"),
+        ({"physics": np.zeros(3)}, "physics must be a table, a record or the name of a preset"),
         ({"physics": "lunar"}, "physics must be pallet or reference"),
         ({"engine": "abacus"}, "engine must be one of mujoco"),
     ],

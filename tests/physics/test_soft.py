@@ -223,8 +223,8 @@ PAIRED = replace(PLAN, materials=("film", "cardboard"))
 @pytest.mark.parametrize(
     ("plan", "options", "words"),
     [
-        (PLAN, {"placing": {"name": "hand"}}, "soft needs placing exact"),
-        (PLAN, {"soft": False, "attempts": "soft", "placing": {"name": "drop"}}, "attempts needs placing exact"),
+        (PLAN, {"placing": {"name": "hand"}}, "soft needs placing='exact'"),
+        (PLAN, {"soft": False, "attempts": "soft", "placing": {"name": "drop"}}, "attempts needs placing='exact'"),
         (PLAN, {"confidence": 4}, "soft boxes appear at their places"),
         (OFF_CENTRE, {}, "that of box 1 is not"),
         (

@@ -126,7 +126,7 @@ def test_sources_of_plans() -> None:
     assert len(gathered(PLANS, limit=1)) == 1
     assert len(gathered(PlanSet(PLANS), limit=1)) == 1
     assert len(gathered(None)) >= 20
-    with pytest.raises(InputError, match="either paths or plans"):
+    with pytest.raises(InputError, match="either paths or Plan objects"):
         gathered([STANDS, "plans.json"])
     with pytest.raises(InputError, match="no plan files"):
         gathered([])

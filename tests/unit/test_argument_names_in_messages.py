@@ -111,8 +111,8 @@ def test_an_episode_that_has_ended_is_over() -> None:
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"check": "static", "duration_s": 60.0}, "duration_s of 60 s is an upper limit: with the schedule adaptive"),
-        ({"duration_s": 60.0}, "duration_s has no effect: only the check static uses it"),
+        ({"check": "static", "duration_s": 60.0}, "duration_s of 60 s is an upper limit: with schedule='adaptive'"),
+        ({"duration_s": 60.0}, "duration_s has no effect: only check='static' uses it"),
         ({"check": "static", "duration_s": 0.4, "schedule": "fixed"}, None),
     ],
 )

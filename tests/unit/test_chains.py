@@ -301,7 +301,7 @@ def test_worlds_arrive_while_others_have_not_begun_and_an_interrupted_run_keeps_
         (legs(a='{ profile = "tilt", direction = "up" }'), "legs[0].events[0].direction must be degrees or one of +x"),
         (
             legs(a='{ profile = "eumos-40509", level = { from = 0.1, to = 0.3, step = 0.1 } }'),
-            "legs[0].events[0].level is drawn at random between from and to: leave out step and count",
+            "legs[0].events[0].level is drawn at random between 'from' and 'to': leave out 'step' and 'count'",
         ),
         (legs(a=PUSH, placing=PUSH), "legs[1].name: 'placing' is already the name of the part before the first leg"),
         ('[[legs]]\nname = "film"\nwrap_turns = 3', "legs have no events"),

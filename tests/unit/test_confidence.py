@@ -171,14 +171,14 @@ def test_how_boxes_are_placed_is_an_axis_of_sweeps(tmp_path: Path) -> None:
     nominal, hand, drop, exact = worlds["n_steps"].tolist()
     assert nominal == exact != drop
     assert hand > 1.5 * exact
-    with pytest.raises(InputError, match=r"axes\.placing needs simulation\.placing auto, hand or tines"):
+    with pytest.raises(InputError, match=r"axes\.placing needs simulation\.placing='auto', 'hand' or 'tines'"):
         petmjx.sweep(file, [STANDS], engine="mujoco", schedule="fixed")
 
 
 def test_exact_too_is_about_boxes_that_are_carried() -> None:
-    with pytest.raises(InputError, match="exact_too needs confidence"):
+    with pytest.raises(InputError, match="exact_too needs the option confidence"):
         score(exact_too=True)
-    with pytest.raises(InputError, match="so it needs placing auto, hand or tines"):
+    with pytest.raises(InputError, match="so it needs placing='auto', 'hand' or 'tines'"):
         score(confidence=4, exact_too=True, placing="exact")
 
 
@@ -212,7 +212,7 @@ def test_files_that_hold_more_than_errors_are_refused(text: str, expected: str, 
     [
         ({"confidence": 3}, "confidence must be from 4 to 100000, got 3"),
         ({"confidence": "many"}, "confidence must be a whole number, got 'many'"),
-        ({"errors": "x.toml"}, "errors needs confidence, the number of worlds"),
+        ({"errors": "x.toml"}, "errors needs the option confidence (the number of worlds)"),
         ({"confidence": 4, "errors": "x.toml"}, "x.toml: no such sweep file; ready-made sweeps are chain-film-road, "),
     ],
 )

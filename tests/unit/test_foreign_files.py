@@ -71,7 +71,7 @@ KINDS = {
     "bare.xml": (b"\n <mujoco model='x'/>", "is a MuJoCo scene in which no free body"),
     "page.csv": (b"<!DOCTYPE html><html>", "is a web page (HTML)"),
     "words.txt": (b"hello\nworld\n", "is text of another kind: plans are JSON, or tables whose names end in .csv"),
-    "plans.csv": (b'{\n "a": []}', "is JSON: it is read as such if its name ends in .json"),
+    "plans.csv": (b'{\n "a": []}', "is JSON, but is read as JSON only if its name ends in .json"),
     "x.bin": (bytes(range(256)), "is no text: plans are JSON, or tables in CSV or Parquet"),
     "x.bz2": (b"BZh91AY", "is packed with bzip2: unpack it, or pack it with gzip"),
     "x.pdf": (b"%PDF-1.7", "is a PDF document"),
@@ -158,7 +158,7 @@ MESSAGES = {
     ),
     "decimal comma": (
         table(length_mm='"400,0"').encode(),
-        'plan a, row 2: length_mm must be a number, got "400,0": it has a decimal comma; write 400.0, or semicolons',
+        'plan a, row 2: length_mm must be a number, got "400,0": it has a decimal comma; write 400.0, or separate',
     ),
     "thousands with semicolons": (
         table(";", length_mm="1.200,5").encode(),

@@ -1588,7 +1588,7 @@ def test_what_is_not_read_is_noted(tmp_path: Path) -> None:
     other = [["box", *(f"{name} [cm]" for name in FIELDS[:6])], *(row[:7] for row in BOX_ROWS[1:])]
     twice = [["box", "box", *FIELDS], *([row[0], *row] for row in BOX_ROWS[1:])]
     line = notes_of(load(tmp_path, "load.xlsx", sheets(A=BOX_ROWS, B=other, C=twice)))
-    assert "8 boxes in B not read, because the columns differ" in line
+    assert "not read: 8 boxes in B, because the columns differ" in line
     assert "sheet C not read: column box occurs twice" in line
     quantities = table(f"box,x,y,z,{SIZES},weight,qty", lambda k, box: [*named(k, box), 2 if k == 3 else 1])
     assert "qty is above 1 in some rows, but each row is read as one box" in notes_of(
@@ -2165,7 +2165,7 @@ def test_rows_of_numbers_of_several_plans_are_all_read(tmp_path: Path) -> None:
         ]
     plans = load(tmp_path, "rows.json", json.dumps({"order-a": rows, "order-b": rows[:6]}))
     (reading,) = plans.readings.values()
-    assert "6 boxes in order-b[] not read: only the list with the most boxes is" in reading.notes
+    assert "not read: 6 boxes in order-b[], because only the list with the most boxes is read" in reading.notes
 
 
 def test_numbers_that_name_plans_are_kept_as_texts(tmp_path: Path) -> None:

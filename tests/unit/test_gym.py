@@ -190,7 +190,7 @@ def test_the_mask_by_loads_keeps_boxes_off_weak_ones(tmp_path: Path) -> None:
     for wrong, message in (
         (
             {"orders": orders},
-            "mask: loads needs strengths of boxes; give orders the column strength_n, or pass articles",
+            "mask: 'loads' needs the strengths of boxes; give orders the column strength_n, or pass articles",
         ),
         (
             {"orders": pd.DataFrame({**sizes, "strength_n": [0, 1]})},
@@ -318,7 +318,7 @@ def test_what_is_wrong_is_one_line(tmp_path: Path) -> None:
         ({"rewards": {"plced": 1}}, "rewards: unknown term 'plced'"),
         ({"orders": tmp_path / "bad.txt"}, "bad.txt: line 1: must have three lengths"),
         ({"orders": tmp_path / "none.json"}, "none.json: cannot be read"),
-        ({"orders": [order((2000, 2000, 100))]}, "orders: none of 100 orders drawn has a box with a legal place"),
+        ({"orders": [order((2000, 2000, 100))]}, "orders: none of 100 drawn orders has a box with a legal place"),
         ({"carrier": "footprint"}, "carrier: the size of footprint depends"),
         ({"render_mode": "window"}, "render_mode must be None or rgb_array or human"),
         ({"masks": "x"}, "unknown option masks"),

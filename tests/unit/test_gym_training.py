@@ -194,7 +194,7 @@ def test_boxes_with_errors_are_placed_by_a_hand_beside_their_places() -> None:
     again = pallets.place(corner_mm=[(400, 200, 200)] * 12, error=error + 9, error_strength=strengths, **box)
     np.testing.assert_array_equal(on_top.middle_mm, again.middle_mm)
     for wrong in ([-1] * 12, [0.5] * 12, [1]):
-        with pytest.raises(InputError, match="error must be 12 whole numbers of at least 0"):
+        with pytest.raises(InputError, match="'error' must be 12 whole numbers of at least 0"):
             pallets.place(corner_mm=[(0, 0, 0)] * 12, error=wrong, **box)
 
 

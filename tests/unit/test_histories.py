@@ -194,7 +194,7 @@ def test_the_worlds_that_are_asked_for_have_histories(record: Any, kept: set[str
     [
         ({"record": "stands,none,nor"}, "record: none, nor: not among the 4 plans of the run"),
         ({"record": ["all"]}, "record: all: not among"),
-        ({"record_details": True}, "record_details needs record"),
+        ({"record_details": True}, "record_details needs the option record"),
         ({"record": "all", "record_interval_s": 0}, "record_interval_s must be from 0.0001 to 3600, got 0"),
         ({"record": "all", "record_details": True, "engine": Forgetful(1)}, "record_details needs the engine mujoco"),
     ],

@@ -18,7 +18,7 @@ from petmjx.analysis.kpi_stability import read_stability
 from petmjx.show.run_tables import run_tables
 
 PLANS = [make_plan(f"p{k}", stack(1 + k % 3)) for k in range(6)]
-NOT_KEPT = 'the run was made with keep="worlds", so it has no table boxes'
+NOT_KEPT = 'the run was made with keep="worlds", so it has no table `boxes`'
 
 
 def score(out: Path | None, keep: Any = "worlds", **options: Any) -> petmjx.RunResults:
@@ -69,7 +69,7 @@ def test_shards_that_keep_the_same_are_joined(tmp_path: Path) -> None:
 def test_worlds_are_compared_without_boxes(runs: tuple[petmjx.RunResults, petmjx.RunResults]) -> None:
     comparison = petmjx.compare_runs(*runs)
     assert comparison.n_agree == 6
-    assert "b kept no table boxes: only worlds are compared" in comparison.notes
+    assert "b kept no table `boxes`: only worlds are compared" in comparison.notes
     assert (comparison.boxes["n"] == 0).all()
     assert (comparison.worlds["n"] > 0).any()
 
@@ -101,6 +101,7 @@ def test_what_is_about_boxes_says_so(
         console.print(part)
     assert re.search(r"p1 +2 unstable drop .* 1 ", capsys.readouterr().out)
     with pytest.raises(
-        petmjx.InputError, match="force_intervals adds columns to the table boxes, which the option keep leaves out"
+        petmjx.InputError,
+        match="force_intervals adds columns to the table 'boxes', but the option keep leaves this table out",
     ):
         score(None, force_intervals=True)

@@ -259,8 +259,8 @@ def test_runs_that_do_not_fit(runs: dict[str, Path]) -> None:
     kpis = rate({"stands": tower(2), "new": tower(1)}, run=runs["static"])
     assert kpis.plans.set_index("plan_id")["kpi_6"].isna().to_dict() == {"stands": False, "new": True}
     assert (
-        "1 plan is not in the run or invalid there, so kpi_6 is empty, which counts as not stable in the rating (new)"
-        in kpis.notes
+        "1 plan is not in the run, or is invalid there, so the column kpi_6 is empty, which counts as not stable in "
+        "the rating (new)" in kpis.notes
     )
     assert kpis.summary["rating"] == 2 / 3
     with pytest.raises(petmjx.InputError, match="no such folder"):

@@ -321,8 +321,8 @@ def test_the_command_says_what_is_left_out_and_why(tmp_path: Path, capsys: pytes
         f"2 plans in {out}; 1 box of 1 order left out",
     ]
     assert run(*how, "--packer", "balanced", "--lookahead", "3") == 2
-    assert "--lookahead needs the packer learned" in only_line(capsys.readouterr().err)
-    with pytest.raises(InputError, match="look_ahead needs the packer learned"):
+    assert "--lookahead needs the packer 'learned'" in only_line(capsys.readouterr().err)
+    with pytest.raises(InputError, match="look_ahead needs the packer 'learned'"):
         next(generate(1, 0, packer="balanced", look_ahead=2))
     with pytest.raises(InputError, match="look_ahead must be"):
         next(generate(1, 0, packer="learned", look_ahead=0))

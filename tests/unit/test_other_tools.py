@@ -244,8 +244,8 @@ def test_a_bad_written_reading_is_one_line(tmp_path: Path) -> None:
     for text, message in (
         ('anchor = "edge"', "anchor must be one of corner, centre, .*, corner-yz, got .edge."),
         ('colour = "red"', "unknown field colour"),
-        ('units = "miles"', "units must be a unit of length, such as mm, got .miles."),
-        ('units = "mm/cm/m"', "units must be a unit of length, such as mm, got .mm/cm/m."),
+        ('units = "miles"', "'units' must be a unit of length, such as mm, got .miles."),
+        ('units = "mm/cm/m"', "'units' must be a unit of length, such as mm, got .mm/cm/m."),
     ):
         with pytest.raises(InputError, match=f"as.toml: {message}"):
             read_reading(write(tmp_path / "as.toml", text))

@@ -115,7 +115,7 @@ def test_missing_and_invalid_orders_are_told_and_not_compared(tmp_path: Path) ->
     assert comparison.plans.set_index(["plan_id", "packer"]).loc[("z", "b"), "verdict"] == "missing"
     text = printed(comparison, 100)
     assert "2 of 3 orders are not compared: a 1 invalid, b 1 missing" in text
-    assert "share that stands if these plans count as unstable: a 66.7 %, b 33.3 %" in text
+    assert "share that stands if missing and invalid plans count as unstable: a 66.7 %, b 33.3 %" in text
 
 
 def test_no_common_order(tmp_path: Path) -> None:
@@ -203,7 +203,7 @@ def test_runs_of_before_say_that_they_have_no_utilisation(tmp_path: Path) -> Non
     with RunWriter(tmp_path / "old", CONFIG) as run:
         run.add(plans.make_plan("x"), 0, "adaptive", stands())
     comparison = compare_packers([tmp_path / "old", write(tmp_path / "b", {"x": stands()})])
-    assert any("no utilisation of old" in note for note in comparison.notes)
+    assert any("the utilisation of old is unknown" in note for note in comparison.notes)
     assert np.isnan(only(comparison.packers, size=ALL_SIZES, packer="old")["kpi_2"])
 
 

@@ -376,7 +376,7 @@ def test_without_worlds_only_exact_placement_counts() -> None:
         ({"clearances_mm": []}, "clearances_mm must be 1 to 16 different numbers"),
         ({"clearances_mm": [-1]}, "clearances_mm must be from 0 to 200 mm"),
         ({"maximise": "height"}, "maximise must be 'utilisation' or 'share'"),
-        ({"confidence": 8}, "confidence: a packer has no such option; set worlds"),
+        ({"confidence": 8}, "confidence: a packer has no such option; set the option worlds"),
         ({"out": "x"}, "out: a packer has no such option"),
         ({"worlds": 0, "errors": "confidence"}, "errors needs worlds > 0"),
         ({"worlds": 0, "maximise": "share"}, "maximise share needs worlds > 0"),
@@ -408,7 +408,7 @@ def test_the_command_says_what_it_made(
     assert run(*how, "--clearances", "3,x") == 2
     assert "--clearances must be numbers separated by commas, got '3,x'" in only_line(capsys.readouterr().err)
     assert run("samples", "-n", "1", "--width", "3", "-o", out, "--overwrite") == 2
-    assert "--width needs the packer physical" in only_line(capsys.readouterr().err)
+    assert "--width needs the packer 'physical'" in only_line(capsys.readouterr().err)
 
 
 @pytest.mark.parametrize(

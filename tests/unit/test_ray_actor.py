@@ -173,7 +173,7 @@ def test_an_engine_that_leaves_jobs_out_is_told() -> None:
         def run(self, jobs: Any, sim: Any, progress: Progress) -> Iterator[Outcome]:
             yield from 2 * [*super().run(jobs, sim, progress)]
 
-    for engine, line in ((Forgets(), "ended before all jobs had outcomes"), (Repeats(), "returned two outcomes")):
+    for engine, line in ((Forgets(), "ended before all jobs had outcomes"), (Repeats(), "already has an outcome")):
         worker = Worker(MUJOCO, None, None)
         worker._built.set_result(UserEngine(engine, None))
         *_, last = simulated(worker, [(k, Job(fake_scene(1.0))) for k in range(3)])

@@ -339,11 +339,11 @@ def test_a_repeated_id_of_plans_is_noted(tmp_path: Path) -> None:
     box = dict(zip(("x", "y", "z", "length", "width", "height", "kg"), PILE[0], strict=True))
     content = json.dumps([{"id": "p", "boxes": [box]}, {"id": "p", "boxes": [box, {**box, "z": 300}]}])
     reading = load(tmp_path, "a.json", content, units="mm", up="z").readings[str(tmp_path / "a.json")]
-    assert "plans are numbered, because several have id p" in reading.notes
+    assert "plans are numbered, because several have the same id p" in reading.notes
     rows = [(name, *PILE[0]) for name in "ABA"]
     content = table("plan,x,y,z,length,width,height,kg", rows)
     reading = load(tmp_path, "a.csv", content, units="mm", up="z").readings[str(tmp_path / "a.csv")]
-    assert "rows of A stand apart, and boxes overlap: two plans with one name?" in reading.notes
+    assert "rows of A are not next to each other, and their boxes overlap: do two plans have one name?" in reading.notes
 
 
 @pytest.mark.parametrize("unit", ["cm", "mm"])

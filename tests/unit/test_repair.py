@@ -1364,7 +1364,7 @@ def test_a_repair_that_stands_in_too_few_worlds_with_errors_is_told() -> None:
     weak = replace(repaired(COUNTERWEIGHT, trials=3), share_after=Share(8, 5))
     assert _weak_note([weak], 5 / 8) == []
     (note,) = _weak_note([weak, replace(weak, share_after=Share(8, 8))], 0.75)
-    assert note == "1 repaired plan stands in less than 75 % of the worlds with errors (share): 00000001"
+    assert note == "1 repaired plan stands in less than 75 % of the worlds with errors (option share): 00000001"
 
 
 @pytest.mark.parametrize(("forbid", "profile"), [((), None), (("place",), None), ((), "eumos-40509")])
@@ -1440,7 +1440,7 @@ def test_notes_are_those_of_a_score() -> None:
         ({"level": 0.5}, "level needs a profile"),
         ({"profile": "eumos"}, "eumos"),
         ({"out": "x"}, "out: a repair has no such option"),
-        ({"confidence": 8}, "confidence: a repair has no such option; set worlds"),
+        ({"confidence": 8}, "confidence: a repair has no such option; set the option worlds"),
         ({"most_move": 8}, "unknown option most_move"),
         ({"worlds": 0, "errors": Path("x.toml")}, "errors needs worlds"),
     ],

@@ -255,7 +255,7 @@ def test_a_run_that_does_not_say_what_it_is_of_cannot_be_resumed(tmp_path: Path)
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"resume": True}, "resume needs out"),
+        ({"resume": True}, "resume needs the option out"),
         ({"resume": True, "out": "x", "overwrite": True}, "resume contradicts overwrite"),
         ({"shard": "0/4"}, "shard must be I/N with 1 ≤ I ≤ N"),
         ({"shard": "5/4"}, "shard must be I/N"),

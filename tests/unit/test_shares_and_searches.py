@@ -235,7 +235,7 @@ def test_the_mode_is_that_of_the_box_that_went_first() -> None:
 
 def test_an_answer_for_each_test_is_asked_for() -> None:
     search = Bisection([0.0, 0.1], [STANDS])
-    with pytest.raises(ValueError, match="one answer for each test"):
+    with pytest.raises(ValueError, match="must have the same length"):
         search.record([(0, 1)], [STANDS, STANDS])
 
 

@@ -42,9 +42,9 @@ from petmjx.options.sorted_options import sorted_options
         (
             Simulation,
             {"schedule": "brisk"},
-            "schedule must be 'fixed' or 'adaptive': 'brisk' was removed, since adaptive now takes as few steps",
+            "schedule must be 'fixed' or 'adaptive': 'brisk' was removed, since 'adaptive' now takes as few steps",
         ),
-        (Simulation, {"total_time_factor": 2.0}, "total_time_factor needs check one-by-one and schedule fixed"),
+        (Simulation, {"total_time_factor": 2.0}, "total_time_factor needs check='one-by-one' and schedule='fixed'"),
         (
             Simulation,
             {"schedule": "fixed", "total_time_factor": 2.0, "rest_s": 3.0},

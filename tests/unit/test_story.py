@@ -142,8 +142,8 @@ def test_what_a_story_needs_and_is_not_there_is_said_in_a_line(plan_file: Path, 
     assert petmjx.tell("tower", run, plans=moved).outcome.verdict is Verdict.STABLE
     refused("swept: plan tower has no variant 7", "tower", swept, plans=moved, variant=7)
     refused("run: plan tower has no variant 1", "tower", run, plans=moved, variant=1)
-    refused("schedule: a story of a run uses the run's options; drop this option", "tower", run, schedule="fixed")
-    refused("variant and plans select a world of a run", "tower", moved, variant=1)
+    refused("schedule: a world of a run has the run's options; drop this option", "tower", run, schedule="fixed")
+    refused("the arguments variant and plans select a world of a run", "tower", moved, variant=1)
     refused("plan none is not among the 2 plans read", "none", moved)
     refused("no such file", "tower", tmp_path / "nowhere")
     refused("interval_s must be > 0, got -1", "tower", moved, interval_s=-1)

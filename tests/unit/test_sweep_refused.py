@@ -34,7 +34,7 @@ AXES = {
     "random by name": ("profile = 'random'", "axes.profile: 'random' needs a PSD table"),
     "friction twice": ("friction_factor = 1\nbox_friction_factor = 1", "axes.friction_factor contradicts"),
     "error twice": ("placement_error_mm = 1\nplacement_error_x_mm = 1", "axes.placement_error_mm contradicts"),
-    "range without step": ("mass_factor = {from = 1, to = 2}", "axes.mass_factor needs step or count"),
+    "range without step": ("mass_factor = {from = 1, to = 2}", "axes.mass_factor needs 'step' or 'count'"),
     "range backwards": ("mass_factor = {from = 2, to = 1, step = 1}", "axes.mass_factor.to must be > from = 2"),
     "range step": ("mass_factor = {from = 1, to = 2, step = 0}", "axes.mass_factor.step must be > 0, got 0"),
     "range too fine": (
@@ -115,7 +115,7 @@ FILES = {
     "bad seed": ("seed = 'a'\n[axes]\nmass_factor = 1", "seed must be a whole number, got 'a'"),
     "total time": (
         "[simulation]\ntotal_time_factor = 2\n[axes]\nprofile = 'radial'",
-        "simulation.total_time_factor needs check one-by-one and schedule fixed",
+        "simulation.total_time_factor needs check='one-by-one' and schedule='fixed'",
     ),
     "sample without number": ("mode = 'sample'\n[axes]\nmass_factor = 1", "sample is missing"),
     "number without sample": ("sample = 3\n[axes]\nmass_factor = 1", 'sample contradicts mode = "grid"'),

@@ -316,7 +316,7 @@ def test_damaged_csv() -> None:
         (f"{HEADER}\0\n{row()}", "column z_mm is missing"),
         (f"{HEADER},z_mm\n{row()},1", "column z_mm occurs twice"),
         (f"{HEADER},length/mm\n{row()},1", "column length_mm occurs twice"),
-        ('{"A": []}\n1', "is JSON: it is read as such if its name ends in .json"),
+        ('{"A": []}\n1', "is JSON, but is read as JSON only if its name ends in .json"),
     ],
 )
 def test_files_of_which_nothing_can_be_used(text: str, message: str) -> None:

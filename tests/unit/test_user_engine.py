@@ -83,7 +83,7 @@ def test_an_engine_with_flags_of_an_older_version_is_told() -> None:
     class Dated(Bare):
         takes_more = True
 
-    with pytest.warns(UserWarning, match="engine bare: takes_more has no effect; use capabilities instead"):
+    with pytest.warns(UserWarning, match="engine bare: takes_more has no effect; set the attribute 'capabilities'"):
         lent(Dated())
 
 

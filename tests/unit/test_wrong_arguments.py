@@ -141,16 +141,16 @@ def test_strange_arguments_are_one_line(seed: int) -> None:
 
 
 NO_PLANS = (
-    "plans must be paths or Plan objects, or one of them, a PlanSet or a data frame, got {}; petmjx.load_plans reads "
-    "dictionaries and arrays"
+    "plans must be paths or Plan objects, a single path or Plan, a PlanSet, or a data frame, got {}; petmjx.load_plans "
+    "reads dictionaries and arrays"
 )
 
 
 @pytest.mark.parametrize(
     ("call", "name", "value", "line"),
     [
-        ("score of", "plans", 3, "plans must be a list of paths or Plan objects, or one of them, a PlanSet or a data "
-         "frame, got 3"),
+        ("score of", "plans", 3, "plans must be a list of paths or Plan objects, a single path or Plan, a PlanSet, or "
+         "a data frame, got 3"),
         ("score of", "plans", "", "plans must be a path, got ''"),
         ("score of", "plans", [b"x"], "plans must be a path, got b'x'"),
         ("score of", "plans", {"a": []}, NO_PLANS.format("a dict")),
@@ -159,7 +159,7 @@ NO_PLANS = (
         ("score of", "plans", [[0, 0, 0, 400, 300, 200]], NO_PLANS.format("a list")),
         ("score", "out", "", "out must be a path, got ''"),
         ("score", "orders", 3, "orders must be a path, got 3"),
-        ("score", "watcher", 3, "watcher must have the methods begin and world_done, got 3"),
+        ("score", "watcher", 3, "watcher must have the methods 'begin' and 'world_done', got 3"),
         ("score", "limit", "many", "limit must be a whole number, got 'many'"),
         ("sweep", "file", None, "file must be a path, got None"),
         ("tell", "plan_id", 3, "plan_id must be text, got 3"),

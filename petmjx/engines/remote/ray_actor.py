@@ -253,7 +253,8 @@ class _RunJobs:
             outcome.job, job = self.stream.answered(outcome.job)
         except KeyError:
             raise RuntimeError(
-                f"engine {engine} returned two outcomes for job {outcome.job}, or had no such job"
+                f"engine {engine} returned an outcome for job {outcome.job}, but this job already has an outcome, "
+                "or does not exist"
             ) from None
         self._news.put((job, outcome))
 

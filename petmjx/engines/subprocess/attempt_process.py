@@ -124,7 +124,7 @@ class AttemptProcess:
             self._process.end()
             self._process = None
             for number in died:
-                yield AttemptAnswer(number, None, "the process that simulates further attempts beside the run died")
+                yield AttemptAnswer(number, None, "the process that simulates further attempts died")
             return
 
     def close(self) -> None:

@@ -131,7 +131,9 @@ class WarpWorlds(OpenWorlds):
 
     def _new_box(self, before: Stacks, boxes: NextBoxes, rows: int) -> NewBox:
         if before.mass.shape[1] >= self.width and np.isfinite(before.mass[:, self.width - 1]).any():
-            raise ValueError(f"each world has room for {self.width} boxes, and one is full; use a larger most_boxes")
+            raise ValueError(
+                f"each world has room for {self.width} boxes, and one world is full; use a larger most_boxes"
+            )
         return new_box(before, boxes, self._blank, self._sim, rows)
 
     def _try_scenes(

@@ -95,7 +95,7 @@ def sentence(row: Mapping[Any, Any]) -> str:
     interval = "" if pd.isna(row["low"]) else f" (95 % interval: {percent(row['low'])} to {percent(row['high'])})"
     text = f"Arrives in {row['n_standing']:,} of {judged:,} worlds: P = {percent(row['share'])}{interval}."
     if not row["weakest_leg"]:
-        return f"{text} It fails in no leg."
+        return f"{text} The pallet fails in no leg."
     box = "" if pd.isna(row["box"]) else f"; there, box {int(row['box'])} fails first most often"
     return f"{text} Weakest leg: {row['weakest_leg']}{box}."
 
@@ -181,7 +181,7 @@ def _facts(run: RunResults, plan: Plan) -> Iterator[str]:
     slides_g = float(simulation["physics"]["box_friction"][0])
     tips_g = float(load_tipping_g(find_contacts(plan, DEFAULT_TOLERANCE_MM))[-1])
     limits = f"EN 12195-1 asks for {EN_12195_FORWARD_G:g} g forward, {EN_12195_SIDEWAYS_G:g} g sideways and rearward"
-    begins = f"the load slides from {slides_g:.2f} g and tips from {tips_g:.2f} g"
+    begins = f"the load slides from {slides_g:.2f} g on and tips from {tips_g:.2f} g on"
     yield f"As one rigid body without film, {begins}; {limits}."
     yield _film(run, plan, slides_g)
     yield from _most_loaded(run, plan)
@@ -211,7 +211,7 @@ def _film(run: RunResults, plan: Plan, slides_g: float) -> str:
     film = film_of(build_scene(plan, sim.changed(wrap=wrap)))
     weight_n = float(plan.mass_kg.sum()) * sim.physics.gravity_m_s2
     held_g = slides_g * (1 + wrap.hat_n / weight_n) + float(film.hold.sum()) / weight_n
-    return f"{text} Held to its carrier by {most:g} turns, the load slides from {held_g:.2f} g."
+    return f"{text} Held to its carrier by {most:g} turns, the load slides from {held_g:.2f} g on."
 
 
 def _most_loaded(run: RunResults, plan: Plan) -> Iterator[str]:

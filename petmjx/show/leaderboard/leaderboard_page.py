@@ -124,8 +124,8 @@ class Board:
             )
         if lost:
             lines.append(
-                f"the files of the plans of {', '.join(lost)} were not found, so this page has no stories and no file "
-                "of these plans"
+                f"the files of the plans of {', '.join(lost)} were not found, so this page has no simulations to "
+                "play and no file of these plans"
             )
         return lines
 
@@ -269,7 +269,9 @@ def _orders(board: Board) -> Content:
     n_more = len(differ) - MOST_ORDERS
     more_line = element("p", f"{count_text(n_more, 'order')} more.", class_="hint") if n_more > 0 else None
     hint = element(
-        "p", f"{count_text(len(differ), 'order')}. Underlined verdicts lead to their stories.", class_="hint"
+        "p",
+        f"{count_text(len(differ), 'order')}. Underlined verdicts lead to pages that play the simulations.",
+        class_="hint",
     )
     return joined_markup(hint, table(["order", *names], rows, texts=1 + len(names)), more_line)
 

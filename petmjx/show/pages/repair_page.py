@@ -109,7 +109,7 @@ def _facts(repaired: Repaired) -> str:
     facts += [("margin", text)] if (text := margin_text(repaired)) else []
     for name, share in (("before", repaired.share_before), ("after", repaired.share_after)):
         if share is not None:
-            facts.append((f"worlds with errors that stand {name}", share_text(share)))
+            facts.append((f"{name} the repair, worlds with errors that stand", share_text(share)))
     facts.append(("plans simulated", f"{repaired.n_trials:,}"))
     if repaired.doubt:
         facts.append(("without a verdict", repaired.doubt))

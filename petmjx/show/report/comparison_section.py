@@ -129,7 +129,7 @@ def _two(runs: Sequence[ReportRun], pair: Comparison, n_plans: int) -> Markup:
     if pair.n_not_stable:
         text = f"Of {count_text(pair.n_not_stable, 'world')} that are stable in neither run, {pair.same_reason:,} have "
         text += "the same reason"
-        text += "." if pair.other_plans else f" and {pair.same_culprit:,} the same first box."
+        text += "." if pair.other_plans else f" and {pair.same_culprit:,} the same first box to fail."
     differ = _how_plans_differ(len(pair.other_plans), n_plans)
     return joined_markup(
         element("h3", f"{a} (a) against {b} (b)"),
@@ -176,7 +176,9 @@ def _flips(runs: Sequence[ReportRun], pair: Comparison) -> Markup:
     caption += f": the first {MOST_FLIPS}" if len(flips) > MOST_FLIPS else ""
     within = None if pair.other_plans else pair.flips_within  # margins of different plans say nothing about flips
     note = (
-        "" if within is None else f"Each has a margin within ±{three_digits(within)} of a threshold in one of the runs."
+        ""
+        if within is None
+        else f"Each has a margin from -{three_digits(within)} to {three_digits(within)} in one of the runs."
     )
     return joined_markup(
         table(["plan", a, b, f"margin, {a}", f"margin, {b}"], rows, caption=caption, texts=3),

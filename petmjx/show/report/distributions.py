@@ -109,7 +109,7 @@ def distributions(run: ReportRun) -> Markup:
         shares = [_share(size, worlds, one_each=not run.kind.sweeps) for size in sizes]
         metrics = [metric for metric in METRICS if metric.of(worlds).notna().sum() > 1]
         against = [_against(size, metric, worlds, limits) for metric in metrics for size in sizes]
-        parts.append(element("h3", "Against number of boxes, height and weight"))
+        parts.append(element("h3", "Results against number of boxes, height and weight"))
         parts.append(element("div", *shares, class_="charts three"))
         charts_title = element("summary", f"Shift, tilt, force and first sign against size: {len(against)} charts")
         parts.append(element("details", charts_title, element("div", *against, class_="charts three")))

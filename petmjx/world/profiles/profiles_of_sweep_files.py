@@ -121,7 +121,9 @@ class ChainTable(_Table):
             raise complaint(f"must take at most {MAX_PROFILE_S:g} s, got {chained.end_s:g} s", name, "of")
         strongest = max(abs(component) for window in chained.windows for component in window.vector)
         if not strongest <= MAX_FORCE:
-            raise complaint(f"must have forces of at most {MAX_FORCE:g} total weights, got {strongest:g}", name, "of")
+            raise complaint(
+                f"must have forces of at most {MAX_FORCE:g} times the total weight, got {strongest:g}", name, "of"
+            )
         return chained
 
 
