@@ -410,8 +410,8 @@ def _triple(values: FloatArray) -> tuple[float, float, float]:
 
 def _places(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposal]:
     """Proposals of other places for boxes. A box with a free top is placed at the same time as before, or last. A
-    floating box is put where it would come to lie. Any other box is put elsewhere together with all boxes that stand on
-    it alone."""
+    floating box is put where it would come to lie. Any other box is put elsewhere together with all boxes that have no
+    other support."""
     places: list[Place] = []
     for box in near:
         is_bare = draft.is_bare[box]

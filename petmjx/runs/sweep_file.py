@@ -105,7 +105,7 @@ def _own_profiles(tables: Any, info: ValidationInfo) -> dict[str, Profile]:
 
 def _named_axes(tables: Any, info: ValidationInfo) -> dict[str, Axis]:
     """Name → axis. If the axis ``profile`` names a family of profiles, the names of the profiles in the family replace
-    its name."""
+    the name of the family."""
     axes = read_axes(tables, info.data.get("mode") == "sample")
     if "profile" in axes:
         names: list[str] = []

@@ -57,7 +57,8 @@ class SearchAnswer:
     Attributes:
         largest_survived, first_failed: largest level survived, and smallest level that failed, in g or as a scale.
             ``largest_survived`` is None if no level was survived, and ``first_failed`` is None if no level failed.
-        at_largest, at_failure: results of the tests at these two levels; None if there was no test at the level.
+        at_largest, at_failure: results of the tests at the levels ``largest_survived`` and ``first_failed``; None if
+            there was no test at the level.
     """
 
     group: PlacementGroup
@@ -477,8 +478,8 @@ class SweepRun:
             )
 
     def _answer_again(self, group: PlacementGroup) -> bool:
-        """Find the answers of a search (the largest levels survived) for a placement in the rows of worlds that were
-        completed before the run was resumed. Returns False if a world is missing."""
+        """Find the answers of a search (the largest levels survived) for one placement again. The answers follow from
+        the rows of worlds that were completed before the run was resumed. Returns False if a world is missing."""
         if not len(self.recorded):
             return False
         numbers = range(len(self.plan.search_items()))
