@@ -81,8 +81,8 @@ def pose_choices(extraction: ColumnExtraction) -> list[Geometry]:
 
 
 def _check_scales(extraction: ColumnExtraction, scale: FloatArray, index: int) -> None:
-    """Report matrices that scale their box if most matrices of the column do not. Matrices of scenes of three.js and
-    glTF are not reported, since there any matrix may scale its box."""
+    """Report matrices that scale their boxes if most matrices of the column do not scale their boxes. Matrices of
+    scenes of three.js and glTF are not reported, since there any matrix may scale its box."""
     scaled = np.flatnonzero((np.abs(scale - 1.0) >= _ROUNDED_SCALE).any(axis=1))
     if extraction.source.form in (THREE_JS, GLTF) or len(scaled) * 2 > len(scale):
         return
