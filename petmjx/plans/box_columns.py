@@ -193,8 +193,8 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str], units: str, masses
 
 
 def _leave_blank(extraction: ColumnExtraction, index: int, plan: Sequence[str] | None) -> None:
-    """Remove the faults of blank cells in a column of packing orders. Only the faults of those plans are removed in
-    which all cells of the column are blank."""
+    """Remove the faults of blank cells in a column of packing orders. The faults of a plan are removed only if all
+    cells of the column are blank in the rows of this plan."""
     parts, cells = extraction.source.boxes.parts, extraction.cells(index)
     names = parts if plan is None else [f"{part}\n{name}" for part, name in zip(parts, plan, strict=True)]
     for rows in rows_by_name(names).values():

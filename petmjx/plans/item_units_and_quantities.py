@@ -57,9 +57,9 @@ weights of whole rows may have a cost that is lower by more than this value. Bot
 the file is refused. For example, boxes in rows of ten may have an implausible 1,500 kg/m³ if a weight is the weight of
 one box, and 150 kg/m³ if it is the weight of the row."""
 _FULL: Final = 1.02
-"""Largest share of an order's target (its carrier) that one layer can cover. Column names may not tell whether
-quantities count the boxes of one layer or of all layers. If the boxes of a quantity would cover a larger share in a
-single layer, quantities count the boxes of all layers."""
+"""Largest share of an order's target (its carrier) that one layer can cover. Some column names do not tell whether
+quantities count the boxes of one layer or of all layers. In this case, if the boxes of a quantity would cover a larger
+share in a single layer, quantities count the boxes of all layers."""
 
 PG: Final = KnownForm("RoboBPP's pg.xlsx", "cm", "kg")
 DELI: Final = KnownForm("RoboBPP's deli.xlsx", "cm")

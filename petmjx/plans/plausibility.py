@@ -141,8 +141,8 @@ _HIGHEST_DECK: Final = 0.2
 """Largest height of a deck above the level from which heights are measured, as a share of the longest side of the
 load: a pallet of 800 mm is 144 mm high."""
 _FEW_BELOW: Final = 0.1
-"""Boxes below a level count as errors of the file, and the level as the floor, only if they are at most this share of
-all boxes."""
+"""A level counts as the floor, and the boxes below the level as errors of the file, only if at most this share of all
+boxes is below the level."""
 _LEAST_AT_FLOOR: Final = 3
 """A level above the lowest box counts as the floor only if at least this number of boxes stand on the level and on no
 other box."""

@@ -102,8 +102,8 @@ def _without_scale(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _quaternions(extraction: ColumnExtraction) -> list[_Rotations]:
-    """Rotations by quaternions, if there are any. In a list without names, the component w may be the first or the last
-    number."""
+    """Rotations by quaternions, if there are any. In a list without names, the quaternion's component "w" may be the
+    first or the last number."""
     header = extraction.table.header
     named, turned = extraction.columns_of("quaternion"), extraction.columns_of("rotation")
     if "w" in named:

@@ -324,8 +324,8 @@ def _turning_axis(turn: FloatArray) -> str:
 def _pairs(
     geometry: Geometry, up: str, columns: BoxColumns, wishes: Wishes
 ) -> list[tuple[tuple[int, int, int], float]]:
-    """Pairs of an assignment of sizes to axes, and the prior of the assignment. An assignment has the indices of the
-    sizes that lie along the file's first, second and third axis. The prior is the cost of the assignment before any
+    """Pairs (assignment, prior), one for each possible assignment of sizes to axes. An assignment has the indices of
+    the sizes that lie along the file's first, second and third axis. The prior is the cost of the assignment before any
     numbers are considered."""
     axes = geometry.axes
     if len(wishes.along) == 3:
@@ -430,9 +430,9 @@ def _sizes_by_article(columns: BoxColumns, geometry: Geometry) -> str:
 
 
 _LEAST_BY_LENGTH: Final = 3
-"""Lengths and widths are evidence of whether sizes are given for placed boxes or for items. For this evidence, at least
-this number of turned boxes, and at least this number of unturned boxes, must have different lengths and widths. If no
-kind of boxes is both turned and unturned, kinds are counted instead of boxes."""
+"""Lengths and widths are evidence of whether sizes are given for placed boxes or for items. For this evidence, the
+length must differ from the width in at least this number of turned boxes, and in at least this number of unturned
+boxes. If no kind of boxes is both turned and unturned, kinds are counted instead of boxes."""
 _LONGER_SHARE: Final = 0.9
 """Lengths and widths are evidence of whether sizes are given for placed boxes or for items. For this evidence, the
 length must exceed the width in at least this share of the unturned boxes."""

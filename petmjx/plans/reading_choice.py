@@ -373,9 +373,9 @@ def _lies_better(best: _Judged, other: _Judged) -> bool:
 
 
 def _along_further_axes(judged: Sequence[_Judged], two: Sequence[_Judged]) -> list[_Judged]:
-    """Further readings beside two given ones: for each of the axes x, y and z that is the vertical in neither of the
-    two, the most plausible reading. A reading is left out if more boxes are odd in it (overlap, float or are outside)
-    than in the two, or if its layout is less plausible."""
+    """Further readings beside two given readings: for each vertical axis that neither of the two readings has, the most
+    plausible reading. A reading is left out if more boxes are odd in it (overlap, float or are outside) than in the
+    two, or if its layout is less plausible."""
     axes = {"-y", "-z", *(one.candidate.up for one in two)}
     further = []
     for other in judged:  # most plausible first

@@ -342,8 +342,8 @@ class Candidates:
         return sum(shares.values()) / max(len(shares), 1) + of_culprit
 
     def _expected_trouble(self, after: Balance, changed: Collection[int]) -> float:
-        """The trouble (``Balance``) of a changed plan. A load counts little if a simulation has shown that its box does
-        not fall with the load this far beyond an edge, because the box leans on something. A load of one of the boxes
+        """The trouble (``Balance``) of a changed plan. A load counts little if its box leans on something: a simulation
+        has shown that the box does not fall although the load is this far beyond an edge. A load of one of the boxes
         ``changed`` always counts in full."""
         held_mm = [0.0 if box in changed else self._held_mm.get(box, 0.0) for box in after.box.tolist()]
         return float((after.weight * np.where(after.depth_mm <= held_mm, HELD, 1.0)).sum())

@@ -62,7 +62,7 @@ class Target(NamedTuple):
             falls.
         cause: number of the box whose placement moves the load beyond the edge; equal to ``box`` if the own weight of
             the failing box is beyond the edge.
-        depth_mm: distance of the load beyond the edge; 0 if the load is inside by statics.
+        depth_mm: distance of the load beyond the edge; 0 if the load is inside the edge according to statics.
         is_squeezed: whether the box needs room beside it, since it falls with errors and is lowered between two others.
     """
 
@@ -134,7 +134,7 @@ def _makers(
     done: Collection[int],
     options: RepairOptions,
 ) -> tuple[tuple[Kind, Callable[[], Iterator[Proposal]]], ...]:
-    """Pairs of a kind of changes and a function that proposes changes of this kind for a cause.
+    """Pairs (kind of changes, function). The function proposes changes of this kind for the given cause.
 
     Args:
         near: boxes to change for the cause.

@@ -82,9 +82,9 @@ ITERATIONS_PER_BOX: Final = 150
 ``SCORED_ITERATIONS``."""
 
 JUDGED_TILT_DEG: Final = 5.0
-"""A box that tilts by more than this counts as fallen if a draft is only judged. A shift alone does not end the
-world, but most boxes that shift too far also tilt by more than this. Of 133 generated plans that stand, one has a box
-that tilts by more than 3° (by 5.4°)."""
+"""A box that tilts by more than this counts as fallen if a draft is only judged. A shift alone does not end the world,
+but most boxes that shift too far also tilt by more than this. Of 133 generated plans that stand, only one has a box
+that tilts by more than 3°. This box tilts by 5.4°."""
 
 ON_A_GPU: Final = "mjx-warp"
 ROWS: Final = 256

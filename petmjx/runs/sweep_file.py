@@ -50,7 +50,7 @@ MAX_TEXT: Final = 100_000
 """Largest number of characters of a description."""
 MIN_TOLERANCE: Final = 1e-5
 """Smallest tolerance of a search, in g or as a difference of scales: a thousandth of the default tolerance of levels.
-Neighbouring levels stay different, since 1e-5 is much larger than 1e-12, to which levels are rounded."""
+Levels are rounded to 12 decimals, that is, by far less than 1e-5, so neighbouring levels stay different."""
 MAX_REPEATS: Final = 2**31 - 1
 """Largest number of samples or replicates. The results store the number of a variant in 32 bits."""
 

@@ -84,7 +84,8 @@ class Boxes:
         )
 
     def of_scenes(self, numbers: IntArray) -> tuple[Boxes, IntArray]:
-        """The boxes of the scenes ``numbers``, in this order, and (k,) the numbers of these boxes in this object."""
+        """The boxes of the scenes ``numbers``, in this order, and (k,) the numbers that these boxes have in this
+        ``Boxes``."""
         counts = np.diff(self.first)
         rows = spans(counts, numbers)
         first = np.concatenate([[0], np.cumsum(counts[numbers])])
@@ -319,8 +320,8 @@ class Bearing:
         return some
 
     def of_scenes(self, numbers: IntArray) -> tuple[Bearing, IntArray]:
-        """The contacts of the scenes ``numbers``, in this order, and (k,) the numbers of these scenes' boxes in this
-        object."""
+        """The contacts of the scenes ``numbers``, in this order, and (k,) the numbers that the boxes of these scenes
+        have in this ``Bearing``."""
         boxes, rows = self.boxes.of_scenes(numbers)
         counts = self.n_supports[rows]
         contacts = spans(self.n_supports, rows)
