@@ -328,8 +328,8 @@ _CORNER_NAME: Final = re.compile(r"([xyz])(?:[\s_.-]?([1-8])|\[([0-7])\])", re.I
 
 
 def _eight_corners(extraction: ColumnExtraction) -> Geometry | None:
-    """Sizes and places from the eight corners of each box, in columns x1, y1, z1 … z8 or x[0] … z[7] in any order; None
-    if there are no such columns."""
+    """Sizes and places from the eight corners of each box, in columns "x1", "y1", "z1" … "z8" or "x[0]" … "z[7]" in any
+    order; None if there are no such columns."""
     header = extraction.table.header
     names = {
         f"{match[1].lower()}{int(match[2] or 1 + int(match[3]))}": index

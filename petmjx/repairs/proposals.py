@@ -33,7 +33,7 @@ MOST_NEAR: Final = 8
 
 SPARE_MM: Final = (2.0, 6.0, 12.0, 25.0)
 """A load that is beyond an edge is moved inside the edge, to each of these distances from the edge, mm. Each distance
-gives a proposal of its own. When a robot places a box, the error has a standard deviation of 2 mm
+gives a proposal of its own. When a robot places a box, the error of the box's place has a standard deviation of 2 mm
 (docs/confidence.md)."""
 
 STEPS_MM: Final = (10.0, 20.0, 30.0, 45.0, 60.0, 80.0, 100.0, 130.0, 160.0, 200.0)

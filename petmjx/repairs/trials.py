@@ -393,8 +393,8 @@ def limit_of(n_boxes: int, iterations: int) -> int:
 
 
 def _simulated(*arguments: Any) -> RunResults:
-    """Call ``simulate`` without warnings about plans: the user has already been warned of the plans as they were given,
-    and drafts have numbers instead of ids."""
+    """Call ``simulate`` without warnings about plans. The user has already seen the warnings about the given plans.
+    Warnings about drafts would not help, since drafts have numbers instead of ids."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PlanWarning)
         return simulate(*arguments)

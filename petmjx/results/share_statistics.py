@@ -103,8 +103,8 @@ def share_standing(worlds: pd.DataFrame, axes: Sequence[str]) -> pd.DataFrame:
             one value on one axis, whatever their values on the other axes.
 
     Returns:
-        Data frame with the columns ``KEYS``, n_worlds, n_standing, n_invalid, share, n_draws (0 if the row has no
-        interval), low, high. A row with axis "" is about all worlds.
+        Data frame with the columns ``KEYS``, ``n_worlds``, ``n_standing``, ``n_invalid``, ``share``, ``n_draws`` (0 if
+        the row has no interval), ``low`` and ``high``. A row with axis "" is about all worlds.
     """
     verdict = worlds["verdict"].astype(str)
     invalid = verdict == str(Verdict.INVALID)

@@ -504,7 +504,7 @@ class SweepRun:
         """The result of a placement without a profile, according to the rows of completed worlds. If the pallet did not
         stand, the result is the outcome in the row of the search item; otherwise, it is a stable outcome. If the pallet
         did not stand, the search item has only one row, which is about the lowest level and has 0 steps. A failed test
-        at the lowest level may also have 0 steps, but then there are also rows about tests at higher levels.
+        at the lowest level may also have 0 steps, but then the search item also has rows about tests at higher levels.
         """
         row = self._row(group, number, 0)
         first = self._bisection([Probe(Verdict.STABLE)]).next_tests(0)
