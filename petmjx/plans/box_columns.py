@@ -60,8 +60,8 @@ class BoxColumns:
         plan, article, item_id, group: (n,) names; None: no column has them.
         sequence: (n,) packing order, NaN for plans without one; None: no column has it. A column of running numbers is
             not taken as a packing order, since boxes may be numbered in any order.
-        counters: columns of whole numbers that may be a packing order, since their names may mean one ("Nr", "Pick") or
-            are unknown: name → (n,) numbers; NaN for cells that are not whole numbers.
+        counters: name of a column → (n,) its numbers, for columns of whole numbers that may be a packing order, since
+            their names may mean one ("Nr", "Pick") or are unknown. NaN stands for cells that are not whole numbers.
         columns: role → name of its column, for all roles except sizes and places.
         faults: row → (column, error text) of the first bad cell in the row.
         unread: names of columns that are not used.
@@ -193,8 +193,8 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str], units: str, masses
 
 
 def _leave_blank(extraction: ColumnExtraction, index: int, plan: Sequence[str] | None) -> None:
-    """Remove the faults of blank cells in a column of packing orders. Only the faults of those plans are removed in
-    which all cells of the column are blank."""
+    """Remove the faults of blank cells in a column of packing orders. The faults of a plan are removed only if all
+    cells of the column are blank in the rows of this plan."""
     parts, cells = extraction.source.boxes.parts, extraction.cells(index)
     names = parts if plan is None else [f"{part}\n{name}" for part, name in zip(parts, plan, strict=True)]
     for rows in rows_by_name(names).values():

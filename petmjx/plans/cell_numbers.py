@@ -232,7 +232,7 @@ def thousands_faults(cells: Sequence[Any], decimal: str, unit: str, are_sizes: b
 
     "1.200" could mean 1200 if three conditions hold. First, all points of the column are followed by three digits.
     Second, no number would be too large if it were a thousand times larger. Third, the column also has numbers without
-    a point, or "1.200" as 1.2 would make boxes thinner than real boxes.
+    a point, or boxes would be thinner than real boxes if "1.200" were read as 1.2.
 
     Args:
         unit: unit of numbers that have no unit in their cell.
@@ -269,8 +269,9 @@ def decimal_of(rows: Sequence[Sequence[Any]]) -> str:
     """The decimal sign of numbers that are stored as text. The result is "" if the numbers do not show which sign it
     is, so that "1,200" could be 1200 or 1.2.
 
-    "1,200" has a decimal comma if whole numbers of four or more digits are written without a mark between thousands.
-    "1.200" may mean 1200 if there are no such whole numbers, but its column has whole numbers of three digits.
+    "1,200" has a decimal comma if whole numbers of four or more digits are written without a mark between thousands. If
+    there are no whole numbers of four or more digits, "1.200" may mean 1200 if its column has whole numbers of three
+    digits.
     """
     commas = points = 0
     maybe = {",": 0, ".": 0}

@@ -520,7 +520,8 @@ def _with_corners(meanings: list[ColumnMeaning | None]) -> list[ColumnMeaning | 
 
 
 def _letter_of_weight(single: Mapping[int, str]) -> int | None:
-    """The column of weights in a table whose sizes are l, d and h, if a column w follows them; else None.
+    """The column "w" of weights in a table whose columns of sizes are named "l", "d" and "h", if "w" follows them; else
+    None.
 
     Args:
         single: index of a column → the single letter that is its name.

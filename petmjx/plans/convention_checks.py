@@ -52,9 +52,9 @@ grams are read as kilograms, and also if lengths in centimetres are read as mill
 the two units is wrong."""
 
 LEAST_SHARE: Final = 0.25
-"""Smallest share of the plans with odd layouts that a convention must explain to be reported. If a packer uses another
-convention, all its plans have this convention. By chance, one in 300 plans with three floating boxes looks as if y and
-z were swapped."""
+"""A convention is reported only if it explains at least this share of the plans with odd layouts. If a packer uses
+another convention, all its plans have this convention. By chance, one in 300 plans with three floating boxes looks as
+if y and z were swapped."""
 
 _LEAST_FILLED: Final = 0.3
 """A convention explains a plan only if the boxes, when read in this convention, fill at least this share of the plan's

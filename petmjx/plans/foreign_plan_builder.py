@@ -225,9 +225,9 @@ class PlanBuilder:
             )
 
     def _note_quantities(self) -> None:
-        """Add a note about quantities above 1. There is no note if every such quantity equals the number of rows with
-        the same article, because each box then has a row. A row is read as one box whatever its quantity is, since it
-        has only one place."""
+        """Add a note about quantities above 1. There is no note if each of these quantities equals the number of rows
+        with the same article, because each box then has a row. A row has only one place, so it is read as one box
+        whatever its quantity is."""
         table, articles = self.boxes.table, self.columns.article or [""] * self.columns.n_boxes
         if self.columns.source.form == PACKINGSOLVER:  # the reader of this form adds a note about quantities itself
             return

@@ -1,5 +1,5 @@
-"""Recognises headers and rows of totals in raw tables. The module also adds to the names in headers the units below
-them and the merged headings above them. Repeated names are made distinct."""
+"""Recognises headers and rows of totals in raw tables. The module also adds units and merged headings to the names in a
+header: units from the line below the header, merged headings from the line above. Repeated names are made distinct."""
 
 from __future__ import annotations
 

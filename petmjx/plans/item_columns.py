@@ -104,7 +104,7 @@ BOX_PROPERTIES: Final = (STRENGTH, UPRIGHT)
 """Columns that are read only for environments in which packers are trained (``OrderReading.for_episodes``). These
 columns are recognised only under exactly these names."""
 SIZE_LETTERS: Final = "lwh"
-"""The letters that the column ``upright`` may have: l for length, w for width, h for height."""
+"""The letters that the column ``upright`` may have: "l" for length, "w" for width, "h" for height."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -57,9 +57,9 @@ weights of whole rows may have a cost that is lower by more than this value. Bot
 the file is refused. For example, boxes in rows of ten may have an implausible 1,500 kg/m³ if a weight is the weight of
 one box, and 150 kg/m³ if it is the weight of the row."""
 _FULL: Final = 1.02
-"""Largest share of an order's target (its carrier) that one layer can cover. If no column name tells whether a quantity
-counts the boxes of one layer or of all layers, it counts those of all layers if this number of boxes would cover a
-larger share."""
+"""Largest share of an order's target (its carrier) that one layer can cover. Some column names do not tell whether
+quantities count the boxes of one layer or of all layers. In this case, if the boxes of a quantity would cover a larger
+share in a single layer, quantities count the boxes of all layers."""
 
 PG: Final = KnownForm("RoboBPP's pg.xlsx", "cm", "kg")
 DELI: Final = KnownForm("RoboBPP's deli.xlsx", "cm")
@@ -458,4 +458,5 @@ class _OrderBuilder:
 
 _OWN_NAMES: Final = {"weight_kg", "quantity", "order_id", "plan_id", "article", "item_id"}
 _ROLES_IN_NOTES: Final = ("weight", "total weight", "density", "quantity", "per layer", "layers", "plan")
-"""Roles of the columns that are named, after the sizes, in the line that tells how a table of orders was read."""
+"""The line that tells how a table of orders was read names the columns of the sizes first, and then the columns with
+these roles."""

@@ -279,8 +279,8 @@ def rows_of(boxes: BoxList, kept: Sequence[int]) -> BoxList:
 
 
 def _certificate(boxes: BoxList) -> BoxSource:
-    """The boxes of packingsolver's certificate. Rows of type ITEM are boxes. A row of type BIN stands for one
-    or several equal containers; the column COPIES has their number."""
+    """The boxes of packingsolver's certificate. Rows of type "ITEM" are boxes. A row of type "BIN" stands for one or
+    several equal containers; the column "COPIES" has their number."""
     table = boxes.table
     upper = {name.upper(): table.header.index(name) for name in table.header}
     kinds = [cell_text(row[upper["TYPE"]]).upper() for row in table.rows]

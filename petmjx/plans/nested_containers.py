@@ -217,8 +217,8 @@ def _levels_of_plans(
 ) -> list[list[tuple[str, Mapping[str, Any]]]]:
     """The levels of nesting at which members are in several objects that are no layers, stacks or articles. Each level
     has the object around each member, and the object's path. Several levels may divide the members in the same way, as
-    in answers of GraphQL (``edges[0].node.placements``). Of such levels, only those count whose objects all have names.
-    If there is no level with names, the first one counts."""
+    in answers of GraphQL (``edges[0].node.placements``). Then a level counts only if all its objects have names. If
+    there is no such level, only the first one counts."""
     depth = max((len(member.around) for member in members), default=0)
     levels = [
         [member.around[level] if level < len(member.around) else ("", {}) for member in members]
@@ -371,7 +371,7 @@ def _sizes_in(value: Mapping[str, Any], unit: str = "mm", *, is_deck: bool = Fal
     """Axis → size, from the fields of an object; empty unless there are three sizes.
 
     Args:
-        unit: unit to which sizes are converted whose unit is given; "": sizes stay as they are in the file.
+        unit: sizes with a unit are converted to this unit; "": all sizes stay as they are in the file.
         is_deck: whether a length and a width are enough.
     """
     flat = flattened(value)

@@ -153,8 +153,8 @@ _BOXES: Final = word_set(
 
 def _outermost(lists: Sequence[BoxList]) -> list[BoxList]:
     """Lists of boxes without those that describe parts of a box, such as its corners or its pose. A list inside another
-    list with sizes and places describes boxes only if it has weights, if the outer list is one of containers or layers,
-    or if its own name means boxes."""
+    list with sizes and places describes boxes only if it has weights, if the outer list holds containers or layers, or
+    if the name of the inner list means boxes."""
     boxes_with_both = [boxes for boxes in lists if boxes.has_places and boxes.has_sizes]
 
     def is_part(boxes: BoxList) -> bool:

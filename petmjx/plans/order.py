@@ -30,8 +30,8 @@ class Item:
         kind: "box", "sheet" or "" (a box).
         strength_n: load that the box can bear on its top, N; None: unknown. Written files of orders do not contain
             ``strength_n``.
-        upright: the letters, among l, w and h, of the sizes that may be vertical; "": only the height. Written files of
-            orders do not contain ``upright``.
+        upright: the letters ("l", "w" and "h") of the sizes that may be vertical; "": only the height may be vertical.
+            Written files of orders do not contain ``upright``.
     """
 
     article: str

@@ -164,7 +164,8 @@ def pallet_rows(
 
 def named_decks(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]]) -> tuple[set[int], str]:
     """Numbers of the rows that describe pallets, one for each plan, and the vertical axis that these rows show, "y" or
-    "z". If a plan has no such row, or if the rows do not show exactly one axis, the set is empty and the axis is "".
+    "z". If any plan lacks a row of a pallet, or if the rows of all plans do not agree on exactly one axis, the set is
+    empty and the axis is "".
 
     The row of a pallet is named as a pallet, is flat, and has the largest base of its plan. Along the vertical axis,
     and only along this axis, all boxes of the plan have larger coordinates than the pallet.
@@ -289,8 +290,8 @@ def edge_faults(
 
     The first kind is the only box of a plan with a negative x or y. It is bad if most of it is beyond the edge of the
     load, and it touches no box at this edge. (If the origin is the middle of a side, a box of a sound plan may stand
-    beyond the edge and touch a box there.) The second kind is a box that is farther from all other boxes than these
-    extend together.
+    beyond the edge and touch a box there.) The second kind is a box whose distance from all other boxes is larger than
+    the extent of all other boxes together.
     """
     faults: dict[int, str] = {}
     names = _place_names(reading.columns)

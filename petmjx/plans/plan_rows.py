@@ -226,8 +226,8 @@ def _counts_all(values: FloatArray) -> bool:
 
 
 def _can_be_placed(order: NDArray[Any], low: FloatArray, size: FloatArray) -> bool:
-    """Whether, in this packing order, each box that lies on other boxes is placed after all boxes that touch it from
-    below, and after at least one of the boxes below it."""
+    """Whether boxes can be placed in this packing order: each box is placed after all boxes on which it rests, and no
+    box that has support in the complete plan floats when it is placed."""
     by_order = np.argsort(order, kind="stable")
     low, size = low[by_order], size[by_order]
     if n_before_support(low, size, DEFAULT_TOLERANCE_MM):

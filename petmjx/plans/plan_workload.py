@@ -102,7 +102,7 @@ def loose_and_ties(plan: Plan, deck_mm: FloatArray | None = None) -> tuple[int, 
 
 
 def mean_sink_mm(plan: Plan) -> float:
-    """The mean, over the boxes of a plan, of the length by which compliant boxes let a box sink, mm.
+    """Mean length by which the boxes of a plan sink because compliant boxes are compressed, mm.
 
     The boxes that bear a box share its load in proportion to the areas that touch. A compliant box is compressed by the
     mean of the loads on its two faces, divided by its stiffness. A box sinks by its own compression, and by the mean

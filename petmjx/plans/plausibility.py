@@ -141,8 +141,8 @@ _HIGHEST_DECK: Final = 0.2
 """Largest height of a deck above the level from which heights are measured, as a share of the longest side of the
 load: a pallet of 800 mm is 144 mm high."""
 _FEW_BELOW: Final = 0.1
-"""Boxes below a level count as errors of the file, and the level as the floor, only if they are at most this share of
-all boxes."""
+"""A level counts as the floor, and the boxes below the level as errors of the file, only if at most this share of all
+boxes is below the level."""
 _LEAST_AT_FLOOR: Final = 3
 """A level above the lowest box counts as the floor only if at least this number of boxes stand on the level and on no
 other box."""
@@ -276,7 +276,8 @@ def order_cost(layouts: Sequence[Layout]) -> float:
 
 
 def are_listed_downwards(layouts: Sequence[Layout]) -> bool:
-    """Whether boxes cannot have been placed in the order in which they are listed, but in the reversed order."""
+    """Whether boxes cannot have been placed in the order in which they are listed, but can have been placed in the
+    reversed order."""
     return _cost_in_order(layouts, -1) < _EARLY_BOX_COST <= _cost_in_order(layouts, 1)
 
 
@@ -338,8 +339,8 @@ _LEAST_OF_WALL: Final = 4  # fewer boxes may be a bridge, which people build to 
 
 
 def share_at_other_heights(layouts: Sequence[Layout]) -> float:
-    """Share of plans that do not begin at the height at which most plans of the file begin. If a plan begins at 0, the
-    others may also begin at the height of any of its boxes, since a plan may lack its bottom layer."""
+    """Share of plans that do not begin at the height at which most plans of the file begin. If some plans begin at 0, a
+    plan that begins at the height of one of their boxes is not counted, since it may lack its bottom layer."""
     low = [layout.low[:, 2] for layout in layouts if np.isnan(layout.container[2])]
     if not low:
         return 0.0

@@ -81,8 +81,8 @@ def pose_choices(extraction: ColumnExtraction) -> list[Geometry]:
 
 
 def _check_scales(extraction: ColumnExtraction, scale: FloatArray, index: int) -> None:
-    """Report matrices that scale their box if most matrices of the column do not. Matrices of scenes of three.js and
-    glTF are not reported, since there any matrix may scale its box."""
+    """Report matrices that scale their boxes if most matrices of the column do not scale their boxes. Matrices of
+    scenes of three.js and glTF are not reported, since there any matrix may scale its box."""
     scaled = np.flatnonzero((np.abs(scale - 1.0) >= _ROUNDED_SCALE).any(axis=1))
     if extraction.source.form in (THREE_JS, GLTF) or len(scaled) * 2 > len(scale):
         return
@@ -102,8 +102,8 @@ def _without_scale(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _quaternions(extraction: ColumnExtraction) -> list[_Rotations]:
-    """Rotations by quaternions, if there are any. In a list without names, the component w may be the first or the last
-    number."""
+    """Rotations by quaternions, if there are any. In a list without names, the quaternion's component "w" may be the
+    first or the last number."""
     header = extraction.table.header
     named, turned = extraction.columns_of("quaternion"), extraction.columns_of("rotation")
     if "w" in named:

@@ -217,8 +217,8 @@ _COMMENT: Final = re.compile(r"\s*(?:[;#].*)?")
 
 
 def values_of_blocks(text: str) -> Any:
-    """The values in blocks of lines with one named value each, below a line that begins the block; None for other
-    texts. Blocks whose names have the same letters become one list: "[box1]", "[box2]".
+    """The values in blocks of lines. A line such as "[box1]" begins a block, and each further line has one named value.
+    The result is None for other texts. Blocks whose names have the same letters become one list: "[box1]", "[box2]".
 
     Raises:
         InputError: a line of a block has no named value, or the name of an earlier line of the block. The error names
@@ -359,7 +359,7 @@ def _check_alike(text: str, places: Sequence[int], items: Sequence[Any], least: 
 
 
 def _has_objects(value: Any) -> bool:
-    """Whether a value is an object, or an empty list, or a list with one of these."""
+    """Whether a value is an object, an empty list, or a list that contains such a value."""
     return isinstance(value, dict) or (isinstance(value, list) and (not value or any(map(_has_objects, value))))
 
 

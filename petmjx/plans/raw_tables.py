@@ -127,7 +127,7 @@ def row_number(place: str, otherwise: int) -> int:
 def names_with_lost_rows(table: RawTable, names: Sequence[str]) -> dict[str, tuple[str, str]]:
     """Name of each plan (or order) that lacks a row → (place, fault) of the first missing row.
 
-    An unreadable row may belong to the plan before or after it, so both plans lack it.
+    An unreadable row may belong to the plan before or after it, so both plans count as plans that lack a row.
 
     Args:
         names: for each row of the table, the name of its plan.
@@ -210,8 +210,8 @@ def flags_unplaced(fields: Iterable[tuple[str, Any]]) -> bool:
 
 
 def rows_with_boxes(table: RawTable) -> list[int]:
-    """Numbers of the rows whose boxes are placed, as columns such as "packed" tell (``_PLACED_FLAGS``). Such a column
-    tells this only if it has no other texts than yes and no."""
+    """Numbers of the rows whose boxes are placed, according to columns such as "packed" (``_PLACED_FLAGS``). A column
+    counts only if all its texts mean yes or no."""
     flags = [
         (name, table.column(name))
         for name in table.header

@@ -138,7 +138,7 @@ def _sides_along_axes(turns: Turns, rule: str) -> NDArray[np.int64]:
 
 _TIPPED_COST, _TIPPED_NEXT_COST = 1.5, 1.0
 """Costs of a reading in which some boxes are tipped on a side. The second cost holds if py3dbp's rotations are only 0
-and 1, since py3dbp tries 1 next if a box does not fit unturned, whichever axis is the vertical."""
+and 1: if a box does not fit unturned, py3dbp tries rotation 1 next, whichever axis is the vertical."""
 
 
 def tipping_cost(columns: BoxColumns, candidate: Candidate, rows: NDArray[np.int64]) -> float:
@@ -261,8 +261,8 @@ def _ups(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tuple[
 
 
 def candidates_on_side(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
-    """Yield all readings with x upwards, unless ``candidates`` has them, or names, the form or the caller give the
-    vertical."""
+    """Yield all readings with x upwards. Yield none if ``candidates`` has these readings, or if column names, the form,
+    a container or the caller give the vertical."""
     free = [geometry for geometry in columns.geometries if not geometry.named_up and geometry.turn is None]
     form = columns.source.form
     if free and not (wishes.up or form.up or form.rule == "py3dbp" or columns.source.boxes.containers):
@@ -271,8 +271,8 @@ def candidates_on_side(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidat
 
 
 def candidates_downwards(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
-    """Yield all readings in which heights are counted downwards along z or y, unless names or the caller give the
-    vertical, or the form gives the vertical and the point of a box."""
+    """Yield all readings in which heights are counted downwards along z or y. Yield none if column names or the caller
+    give the vertical, or if the form gives both the vertical and the point of a box."""
     form = columns.source.form
     free = [geometry for geometry in columns.geometries if not geometry.named_up]
     ups = [way for way in (("-z", 2, 0.0), ("-y", 1, 1.0)) if form.up in ("", way[0][1])]
@@ -299,8 +299,8 @@ the largest height, instead of the upper one."""
 
 
 def candidates_of_corners(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
-    """Yield the readings in which coordinates describe a corner that ``candidates`` does not try. Yield none if names,
-    the form or the caller say which point of a box coordinates describe."""
+    """Yield the readings in which coordinates describe a corner that ``candidates`` does not try. Yield none if column
+    names, the form or the caller give the anchor (the point of a box that coordinates describe)."""
     free = [geometry for geometry in columns.geometries if not geometry.anchor and geometry.turn is None]
     is_known = not free or wishes.anchor or columns.source.form.anchor
     for corner in () if is_known else ANCHORS.keys() - _ANCHOR_PRIOR.keys():
@@ -326,8 +326,8 @@ def _turning_axis(turn: FloatArray) -> str:
 def _pairs(
     geometry: Geometry, up: str, columns: BoxColumns, wishes: Wishes
 ) -> list[tuple[tuple[int, int, int], float]]:
-    """Pairs of an assignment of sizes to axes, and the prior of the assignment. An assignment has the indices of the
-    sizes that lie along the file's first, second and third axis. The prior is the cost of the assignment before any
+    """Pairs (assignment, prior), one for each possible assignment of sizes to axes. An assignment has the indices of
+    the sizes that lie along the file's first, second and third axis. The prior is the cost of the assignment before any
     numbers are considered."""
     axes = geometry.axes
     if len(wishes.along) == 3:
@@ -432,12 +432,12 @@ def _sizes_by_article(columns: BoxColumns, geometry: Geometry) -> str:
 
 
 _LEAST_BY_LENGTH: Final = 3
-"""Lengths and widths show whether sizes are given for placed boxes or for items only if there are at least this number
-of turned boxes, and of unturned boxes, whose lengths and widths differ. If no kind of boxes is both turned and
-unturned, kinds are counted instead of boxes."""
+"""Lengths and widths are evidence of whether sizes are given for placed boxes or for items. For this evidence, the
+length must differ from the width in at least this number of turned boxes, and in at least this number of unturned
+boxes. If no kind of boxes is both turned and unturned, kinds are counted instead of boxes."""
 _LONGER_SHARE: Final = 0.9
-"""Lengths and widths show whether sizes are given for placed boxes or for items only if the length exceeds the width in
-at least this share of the unturned boxes."""
+"""Lengths and widths are evidence of whether sizes are given for placed boxes or for items. For this evidence, the
+length must exceed the width in at least this share of the unturned boxes."""
 
 
 def _sizes_by_length(columns: BoxColumns, geometry: Geometry) -> str:

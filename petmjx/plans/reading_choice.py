@@ -58,8 +58,8 @@ TIE: Final = 1.5
 """Two readings whose costs differ by less than this value are a tie. Costs behave like negative log likelihoods: a
 difference of 1.5 corresponds to odds of 4 to 1."""
 _FEW_BOXES, _FEW_MORE = 6, 0.8
-"""In files with few boxes, the limit of a tie is raised by this amount, because a wrong reading of three boxes is often
-as plausible as the right one by chance."""
+"""In files with few boxes, the limit of a tie is raised by this amount, because by chance, a wrong reading of three
+boxes is often as plausible as the right reading."""
 WEAK: Final = 5.0
 """A reading is weak if the cost of its layout exceeds this value. A layout has this cost if a fifth of its boxes
 overlap, or if a quarter of them float."""
@@ -203,8 +203,9 @@ def _judge(columns: BoxColumns, wishes: Wishes, candidate: Candidate, sample: _S
 
 
 _UNEQUAL_FLOOR_COST: Final = 5.0
-"""Cost of a reading, times the share of plans that do not begin at the height at which other plans of the file begin.
-This is implausible, since a program measures the heights in all plans of a file from the same level."""
+"""Cost of a reading in which plans of a file begin at different heights. It is multiplied by the share of plans that do
+not begin at the height at which other plans begin. Different heights are implausible, since a program measures the
+heights in all plans of a file from the same level."""
 _PY3DBP_ORDER_WEIGHT: Final = 0.4
 """Weight with which the order of boxes counts in the cost of a reading, for files of py3dbp. The weight is low because
 py3dbp fills a container along x, then y, then z, whichever axis is the vertical."""
@@ -216,7 +217,7 @@ def _begin_and_order_cost(judged: _Judged, mm: float, weight: float, knows_ancho
     Args:
         mm: millimetres of a unit of the layouts.
         weight: weight with which the order of boxes counts.
-        knows_anchor: whether names or the caller say which point of a box coordinates describe.
+        knows_anchor: whether column names or the caller give the anchor, the point of a box that coordinates describe.
     """
     anchor = judged.candidate.anchor
     is_close = judged.layout_cost <= 2 * WEAK  # readings with higher costs cannot win
@@ -333,9 +334,9 @@ def choose_reading(
 
 
 def _without_last_cells(judged: Sequence[_Judged]) -> _Judged:
-    """The most plausible reading. A far corner may be the end of a box, or the last grid cell inside the box. If the
-    most plausible reading takes far corners for last cells, another reading is returned if it takes them for ends, is
-    about as plausible, and gives the same piles in other units."""
+    """The most plausible reading. A far corner may be the end of a box, or the last grid cell inside the box. The most
+    plausible reading may take far corners for last cells. Then another reading is returned if it takes far corners for
+    ends, is about as plausible, and gives the same piles in other units."""
     best = judged[0]
     if LAST_CELLS not in best.candidate.geometry.columns:
         return best
@@ -366,15 +367,15 @@ def _reversed_piles(judged: Sequence[_Judged]) -> list[_Judged]:
 
 def _lies_better(best: _Judged, other: _Judged) -> bool:
     """Whether another reading is less plausible only because it is rare. If so, places and units speak clearly for it:
-    boxes overlap, float or are outside in the most plausible reading, but no box does or is in the other one."""
+    boxes overlap, float or are outside in the most plausible reading, but not in the other reading."""
     of_numbers, of_other_numbers = (one.cost - one.candidate.prior for one in (best, other))
     return best.evidence.n_odd > 0 == other.evidence.n_odd and of_other_numbers + WEAK_LEAD < of_numbers
 
 
 def _along_further_axes(judged: Sequence[_Judged], two: Sequence[_Judged]) -> list[_Judged]:
-    """Further readings beside two given ones: for each of the axes x, y and z that is the vertical in neither of the
-    two, the most plausible reading. A reading is left out if more boxes are odd in it (overlap, float or are outside)
-    than in the two, or if its layout is less plausible."""
+    """Further readings beside two given readings: for each vertical axis that neither of the two readings has, the most
+    plausible reading. A reading is left out if more boxes are odd in it (overlap, float or are outside) than in the
+    two, or if its layout is less plausible."""
     axes = {"-y", "-z", *(one.candidate.up for one in two)}
     further = []
     for other in judged:  # most plausible first

@@ -284,8 +284,8 @@ only a consequence, so it is not mentioned."""
 
 
 def differences(one: Reading, two: Reading) -> list[tuple[str, str, str]]:
-    """The differences between two readings: for each one, the option that decides, and how each reading has it, in
-    words."""
+    """The differences between two readings. For each difference: the option that decides, and in words the value in the
+    first and in the second reading."""
 
     def parts_of(fields: Sequence[Any]) -> list[tuple[str, str, str]]:
         return [
@@ -316,7 +316,7 @@ def tie_text(readings: Sequence[Reading], weak: bool) -> str:
 
 
 def implausible_text(reading: Reading) -> str:
-    """The line about a file in whose most plausible reading most boxes overlap, or that contradicts names."""
+    """The line about a file whose most plausible reading lets most boxes overlap, or contradicts column names."""
     options = f"if that is right, say --up {reading.up} --anchor {reading.anchor}"
     if 2 * reading.evidence.n_overlapping > reading.evidence.n_boxes:
         options = f"{SEVERAL}; if boxes really overlap, say --anchor {reading.anchor}"

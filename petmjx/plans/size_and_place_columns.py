@@ -47,9 +47,9 @@ _SIZE_SETS: Final = (
     ("length", "height", "depth"), XYZ, ("0", "1", "2"),
 )  # fmt: skip
 _GOALS: Final = word_set("to bis top")
-"""Words in names of columns that mark the end of a range, such as "to" in "x to". Beside columns of near corners
-("from"), a column with such a word has the far corners; without columns of near corners, it may have any point of the
-box."""
+"""Words in names of columns that mark the end of a range, such as "to" in "x to". If there are also columns of near
+corners ("from"), a column with one of these words has the far corners. If there are no columns of near corners, the
+column may have any point of the box."""
 _FAR_SIDES: Final = word_set("right back rear far rechts hinten droite arriere derecha destra")
 """Words for the sides of a box that are far from the origin. "back_right_top" is the far corner, whereas "top" alone
 may be any point of the top."""
@@ -328,8 +328,8 @@ _CORNER_NAME: Final = re.compile(r"([xyz])(?:[\s_.-]?([1-8])|\[([0-7])\])", re.I
 
 
 def _eight_corners(extraction: ColumnExtraction) -> Geometry | None:
-    """Sizes and places from the eight corners of each box, in columns x1, y1, z1 … z8 or x[0] … z[7] in any order; None
-    if there are no such columns."""
+    """Sizes and places from the eight corners of each box, in columns "x1", "y1", "z1" … "z8" or "x[0]" … "z[7]" in any
+    order; None if there are no such columns."""
     header = extraction.table.header
     names = {
         f"{match[1].lower()}{int(match[2] or 1 + int(match[3]))}": index
@@ -460,8 +460,8 @@ not match have bad cells."""
 
 
 def array_choices(extraction: ColumnExtraction) -> list[Geometry]:
-    """Possible sizes and places in a table without names of columns. Six columns, from the first or the second one on,
-    hold sizes and places, places and sizes, or two corners of each box."""
+    """Possible sizes and places in a table without names of columns. Six columns, of which the first is the table's
+    first or second column, hold sizes and then places, places and then sizes, or two corners of each box."""
     header, width = extraction.table.header, len(extraction.table.header)
     starts = [start for start in (0, 1) if width >= start + 6]
     geometries = []

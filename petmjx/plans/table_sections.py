@@ -287,7 +287,7 @@ def _is_title(row: Sequence[Any], geometric: Sequence[int], pallet_columns: Sequ
     that has a word for pallets or orders, and most sizes and places are missing.
 
     Args:
-        pallet_columns: columns whose cells name pallets in every row, so that a cell there is no title.
+        pallet_columns: columns whose cells name pallets in every row, so that their cells are never titles.
     """
     if row[0] is not None and not any(map(is_number, row)) and are_unplaced(_line(row)):
         return True

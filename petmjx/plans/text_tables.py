@@ -251,8 +251,8 @@ _MOST_HEADER_LINES: Final = 2
 """Largest number of lines of a header above its line of dashes: names, and units below them. If there are more lines
 without a blank line between them, only the last line is the header."""
 _LEAST_TABS: Final = 2
-"""Fewest tabs of a line that count as separators: fields are separated by tabs if all lines have equally many tabs, and
-at least this many."""
+"""Fields are separated by tabs if all lines have the same number of tabs, and this number is at least
+``_LEAST_TABS``."""
 
 
 def _delimiter_of(text: str) -> str:

@@ -191,8 +191,8 @@ def _degrees(angle_rad: float) -> float:
 
 
 _NEAR_QUARTER: Final = 5e-3
-"""An angle in radians counts as quarter turns if it differs from a whole number of quarter turns by at most this share
-of a quarter turn, since 1.57 has only three digits."""
+"""An angle in radians counts as a whole number of quarter turns if it differs from this number by at most this share of
+a quarter turn. The share is above 0, since numbers such as 1.57 have only three digits."""
 
 _LEVEL_RAD: Final = 0.1
 """Angles up to this value do not turn a box, whether they are in radians or in degrees: boxes that have settled are

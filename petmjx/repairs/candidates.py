@@ -27,8 +27,8 @@ from petmjx.repairs.requests import Asked, Steps, Trial
 
 PILE: Final = 4.0
 """A box that falls is taken off together with all boxes that would lose their support without it. A repair is expected
-to need one change for every ``PILE`` boxes that are taken off together (at least one change), because no single place
-has room for a large pile, and because a large pile hides further faults."""
+to need one change for every ``PILE`` boxes that are taken off together (at least one change). The larger the pile, the
+more changes are expected: no single place has room for a large pile, and a large pile hides further faults."""
 
 AT_ONCE: Final = 8
 """Number of changed plans that are judged at once. Statics ranks changes well: usually one of the first stands, or
@@ -249,8 +249,8 @@ class Candidates:
         film_turns: number of turns of film around the plan.
         is_wide: whether many plans are judged at once, for an engine that judges many as fast as a few.
         n_trials: number of simulations of changed plans.
-        invalid: reason → number of those simulations that were invalid for this reason. Invalid simulations count as
-            falls.
+        invalid: reason → number of simulations of changed plans that were invalid for this reason. Invalid simulations
+            count as falls.
     """
 
     plan: Plan
@@ -329,9 +329,9 @@ class Candidates:
 
     def _unsolved(self, after: Balance, failing: Mapping[int, float], culprit: int | None) -> float:
         """How much of a failure remains after a change, from 0 to 2. The plan fails because loads are beyond an edge of
-        their supports. The share of such a load is its distance beyond the edge after the change, divided by its
-        distance before the change, at most 1. The result is the mean of the shares of all these loads, plus the share
-        of the load of the box that fell first.
+        their supports. The remaining share of each of these loads is its distance beyond the edge after the change,
+        divided by its distance before the change, at most 1. The result is the mean of the remaining shares of all
+        these loads, plus the remaining share of the load of the box that fell first.
 
         Args:
             failing: box → distance of its load beyond the edge before the change, mm.
@@ -342,8 +342,8 @@ class Candidates:
         return sum(shares.values()) / max(len(shares), 1) + of_culprit
 
     def _expected_trouble(self, after: Balance, changed: Collection[int]) -> float:
-        """The trouble (``Balance``) of a changed plan. A load counts little if a simulation has shown that its box does
-        not fall with the load this far beyond an edge, because the box leans on something. A load of one of the boxes
+        """The trouble (``Balance``) of a changed plan. A load counts little if its box leans on something: a simulation
+        has shown that the box does not fall although the load is this far beyond an edge. A load of one of the boxes
         ``changed`` always counts in full."""
         held_mm = [0.0 if box in changed else self._held_mm.get(box, 0.0) for box in after.box.tolist()]
         return float((after.weight * np.where(after.depth_mm <= held_mm, HELD, 1.0)).sum())

@@ -33,7 +33,7 @@ MOST_NEAR: Final = 8
 
 SPARE_MM: Final = (2.0, 6.0, 12.0, 25.0)
 """A load that is beyond an edge is moved inside the edge, to each of these distances from the edge, mm. Each distance
-gives a proposal of its own. When a robot places a box, the error has a standard deviation of 2 mm
+gives a proposal of its own. When a robot places a box, the error of the box's place has a standard deviation of 2 mm
 (docs/confidence.md)."""
 
 STEPS_MM: Final = (10.0, 20.0, 30.0, 45.0, 60.0, 80.0, 100.0, 130.0, 160.0, 200.0)
@@ -62,7 +62,7 @@ class Target(NamedTuple):
             falls.
         cause: number of the box whose placement moves the load beyond the edge; equal to ``box`` if the own weight of
             the failing box is beyond the edge.
-        depth_mm: distance of the load beyond the edge; 0 if the load is inside by statics.
+        depth_mm: distance of the load beyond the edge; 0 if the load is inside the edge according to statics.
         is_squeezed: whether the box needs room beside it, since it falls with errors and is lowered between two others.
     """
 
@@ -134,7 +134,7 @@ def _makers(
     done: Collection[int],
     options: RepairOptions,
 ) -> tuple[tuple[Kind, Callable[[], Iterator[Proposal]]], ...]:
-    """Pairs of a kind of changes and a function that proposes changes of this kind for a cause.
+    """Pairs (kind of changes, function). The function proposes changes of this kind for the given cause.
 
     Args:
         near: boxes to change for the cause.
@@ -410,8 +410,8 @@ def _triple(values: FloatArray) -> tuple[float, float, float]:
 
 def _places(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposal]:
     """Proposals of other places for boxes. A box with a free top is placed at the same time as before, or last. A
-    floating box is put where it would come to lie. Any other box is put elsewhere together with all boxes that stand on
-    it alone."""
+    floating box is put where it would come to lie. Any other box is put elsewhere together with all boxes that have no
+    other support."""
     places: list[Place] = []
     for box in near:
         is_bare = draft.is_bare[box]

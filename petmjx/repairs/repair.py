@@ -72,8 +72,8 @@ class Repaired:
         share_before, share_after: shares of worlds with errors in which the plan stands before and after its repair;
             None: the worlds were not simulated, or the time was up before all of these worlds had ended.
         n_trials: number of simulations of changed plans.
-        invalid: reason → number of those simulations that were invalid for this reason, such as ``iteration-limit``.
-            Invalid simulations count as falls.
+        invalid: reason → number of simulations of changed plans that were invalid for this reason, such as
+            ``iteration-limit``. Invalid simulations count as falls.
         complete: whether the search came to its end. If the search is not complete, its time was up or its trials were
             spent, and a longer search might find smaller changes.
         trials_spent: whether the trials were spent too early: before a repair with all boxes was found, although
@@ -401,7 +401,8 @@ def _judge(searches: Sequence[Search], question: Question) -> None:
 def _score(searches: Sequence[Search], question: Question) -> None:
     """Score the plans that were not scored yet. On a GPU, plans are scored together: a separate score for each search
     would keep the other searches waiting, because no changed plan is judged during a score. Plans that stand in attempt
-    1 are scored before the searches, which may then be needless, and all other plans after the searches."""
+    1 are scored before the searches, since a plan that stands needs no search. All other plans are scored after the
+    searches."""
     unknown = [search for search in searches if search.before is None]
     if not unknown:
         return

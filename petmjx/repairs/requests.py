@@ -24,7 +24,8 @@ class Asked(NamedTuple):
             ``trials.JUDGED_TILT_DEG``. If False, the draft is scored.
         world: number of the world with random errors in which the draft is judged, from 1 to ``ERROR_WORLDS``. If 0,
             the draft is simulated without errors.
-        as_score: whether a draft that is judged has the options of a score: the trial is attempt 1 of its score.
+        as_score: whether a judged draft is simulated with the options of a score, so that its trial is attempt 1 of the
+            score.
         judged: for a draft that was judged before and is now scored, the trial of that judgement; None if the draft was
             not judged before.
     """
@@ -49,9 +50,10 @@ class Trial(NamedTuple):
         margin: as in the table ``worlds``; NaN: no margin.
         is_score: whether a score on the same engine would give this verdict, so that the draft need not be simulated
             again. A trial with the options of a score (``Asked.as_score``) counts as a score if no further attempt may
-            follow. Another judged trial counts as a score if, besides, the draft stands, and its boxes were at rest
-            whenever a wait was over. (In this case, the waits of the judged draft were as long as those of a score,
-            unless a box was over a threshold at one sample and below it later.)
+            follow. Any other judged trial counts as a score under three conditions: no further attempt may follow, the
+            draft stands, and its boxes were at rest whenever a wait was over. (Under these conditions, the waits of the
+            judged draft were as long as those of a score, unless a box was over a threshold at one sample and below it
+            later.)
     """
 
     verdict: str

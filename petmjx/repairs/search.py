@@ -145,9 +145,9 @@ repairs."""
 
 MOST_UNDONE: Final = 8
 """Limit of the total number of changes in all repairs that are compared. For each change, the search judges the repair
-without this change, so the more changes repairs have, the fewer repairs are compared. For the chosen repair, the plans
-without one of its changes are also scored, unless the repair has more changes than the limit. On a GPU, they are only
-judged: scores of plans that fall would keep all searches waiting."""
+without this change, so the more changes repairs have, the fewer repairs are compared. For the chosen repair, each plan
+that lacks one of the repair's changes is also scored, unless the repair has more changes than the limit. On a GPU,
+these plans are only judged: scores of plans that fall would keep all searches waiting."""
 
 
 @dataclass(eq=False)
@@ -245,9 +245,9 @@ class Search(Candidates):
         self.begin(trial)
 
     def _begun_with_built(self, judged: Trial) -> Steps[None]:
-        """Score the unchanged plan, and the boxes that are already built as a plan of their own. The method is called
-        if a built box fell before any other box was placed. Every changed plan begins with the same placements, so no
-        change helps if the built boxes fall alone."""
+        """Score the unchanged plan. Also score the boxes that are already built, as if they alone were a plan. The
+        method is called if a built box fell before any other box was placed. Every changed plan begins with the same
+        placements, so no change helps if the built boxes fall even without the other boxes."""
         alone = replace(self._start, order=self._start.order[: self.rules.built])
         parts: list[Steps[Any]] = [self._begun(judged)] if self.before is None else []
         *_, (trial,) = yield Together([*parts, self._simulated([alone])])

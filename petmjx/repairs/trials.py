@@ -66,11 +66,11 @@ LONGEST_WAIT_S: Final = 2.0
 """Longest wait for a pallet to come to rest, s, in the simulation of a draft that is only judged."""
 
 JUDGED_ITERATIONS: Final = 15_000
-"""Largest number of solver iterations of a world in which a draft is only judged, besides ``ITERATIONS_PER_BOX``
-(``Job.iteration_limit``). Of 160 generated plans of 15 to 50 boxes, the plans that stand take up to 1,275 steps, and
-the plans that fall take up to 4,400 steps. A plan of 248 boxes that stands takes 8,800 steps. Each step has two to four
-iterations. A pile that rocks without end would keep its search waiting: of 12,749 drafts that a GPU judged, one took
-13.5 s of the 40 s of all searches."""
+"""A world in which a draft is only judged may take this number of solver iterations, plus ``ITERATIONS_PER_BOX`` for
+each box (``Job.iteration_limit``). Of 160 generated plans of 15 to 50 boxes, the plans that stand take up to 1,275
+steps, and the plans that fall take up to 4,400 steps. A plan of 248 boxes that stands takes 8,800 steps. Each step has
+two to four iterations. A pile that rocks without end would keep its search waiting: of 12,749 drafts that a GPU judged,
+one took 13.5 s of the 40 s of all searches."""
 
 SCORED_ITERATIONS: Final = 15_000
 """As ``JUDGED_ITERATIONS``, for each attempt of a world in which a changed plan is scored. All searches wait while
@@ -78,13 +78,13 @@ scores are simulated. Of 400 generated plans, one changed plan that did not come
 14 s on a GPU. A changed plan whose attempt 1, 6 or 7 takes more iterations counts as one that falls."""
 
 ITERATIONS_PER_BOX: Final = 150
-"""Number of iterations that a draft may take for each of its boxes, besides ``JUDGED_ITERATIONS`` or
+"""Number of iterations that a draft may take for each of its boxes, in addition to ``JUDGED_ITERATIONS`` or
 ``SCORED_ITERATIONS``."""
 
 JUDGED_TILT_DEG: Final = 5.0
-"""A box that tilts by more than this counts as fallen if a draft is only judged. A shift alone does not end the
-world, but most boxes that shift too far also tilt by more than this. Of 133 generated plans that stand, one has a box
-that tilts by more than 3° (by 5.4°)."""
+"""A box that tilts by more than this counts as fallen if a draft is only judged. A shift alone does not end the world,
+but most boxes that shift too far also tilt by more than this. Of 133 generated plans that stand, only one has a box
+that tilts by more than 3°. This box tilts by 5.4°."""
 
 ON_A_GPU: Final = "mjx-warp"
 ROWS: Final = 256
@@ -397,8 +397,8 @@ def limit_of(n_boxes: int, iterations: int) -> int:
 
 
 def _simulated(*arguments: Any) -> RunResults:
-    """Call ``simulate`` without warnings about plans: the user has already been warned of the plans as they were given,
-    and drafts have numbers instead of ids."""
+    """Call ``simulate`` without warnings about plans. The user has already seen the warnings about the given plans.
+    Warnings about drafts would not help, since drafts have numbers instead of ids."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PlanWarning)
         return simulate(*arguments)

@@ -61,7 +61,8 @@ def records_of(plans: Sequence[Plan], numbers: Mapping[str, int] | None = None) 
     """Plan id → record of the plan, in the order of the input.
 
     Args:
-        numbers: plan id → position of the plan in the input; None if no plan was skipped.
+        numbers: plan id → position of the plan in the input. If no plan was skipped, ``numbers`` can be None: the
+            positions are then 0, 1, 2, …
     """
     if not plans:
         return {}

@@ -129,8 +129,9 @@ class Parts:
         return Parts(self.folder, remaining, set(self._checked))
 
     def with_worlds(self) -> Parts:
-        """A copy of this list of files for a run in which the user has deleted a file of ``worlds``, to have its worlds
-        simulated again. The copy lacks the deleted file, and the files of the other tables with the same number.
+        """A copy of this list of files for a run from which the user has deleted a file of ``worlds``, so that the
+        worlds in this file are simulated again. The copy lacks the deleted file, and the files of the other tables with
+        the same number.
         """
         missing = [part_number(file) for file in self.files("worlds") if not file.exists()]
         # If the run has histories, no file is left out, because it is unknown which histories belong to the deleted

@@ -103,8 +103,8 @@ def share_standing(worlds: pd.DataFrame, axes: Sequence[str]) -> pd.DataFrame:
             one value on one axis, whatever their values on the other axes.
 
     Returns:
-        Data frame with the columns ``KEYS``, n_worlds, n_standing, n_invalid, share, n_draws (0 if the row has no
-        interval), low, high. A row with axis "" is about all worlds.
+        Data frame with the columns ``KEYS``, ``n_worlds``, ``n_standing``, ``n_invalid``, ``share``, ``n_draws`` (0 if
+        the row has no interval), ``low`` and ``high``. A row with axis "" is about all worlds.
     """
     verdict = worlds["verdict"].astype(str)
     invalid = verdict == str(Verdict.INVALID)
@@ -132,12 +132,12 @@ def _text(value: object) -> str:
 
 @dataclass(frozen=True)
 class PairedCounts:
-    """Two alternatives a and b were both tried in each of a number of trials. This record counts the trials by their
-    four possible outcomes.
+    """Counts of trials by their four possible outcomes. In each trial, the two alternatives ``a`` and ``b`` were both
+    tried.
 
     Attributes:
-        both, only_a, only_b, neither: number of trials that succeeded with both, only with a, only with b, or with
-            neither.
+        both, only_a, only_b, neither: numbers of trials that succeeded with both alternatives, only with ``a``, only
+            with ``b``, or with neither.
     """
 
     both: int
@@ -147,7 +147,7 @@ class PairedCounts:
 
     @classmethod
     def of(cls, a: ArrayLike, b: ArrayLike) -> Self:
-        """Count trials. ``a`` and ``b`` are (n,) masks of the trials that succeeded with a, and with b."""
+        """Count trials. The (n,) masks ``a`` and ``b`` state in which trials each alternative succeeded."""
         return cls(**{name: int(trials.sum()) for name, trials in paired_outcomes(a, b).items()})
 
     @property
@@ -157,20 +157,21 @@ class PairedCounts:
 
     @property
     def difference(self) -> float:
-        """Share of trials that succeed with b, minus share that succeed with a; NaN if there are no trials."""
+        """Share of the trials that succeed with ``b`` minus the share that succeed with ``a``; NaN if there are no
+        trials."""
         return (self.only_b - self.only_a) / self.n if self.n else float("nan")
 
 
 def paired_outcomes(a: ArrayLike, b: ArrayLike) -> dict[str, NDArray[np.bool_]]:
-    """For each field of ``PairedCounts``, the (n,) mask of the trials with this outcome. ``a`` and ``b`` are (n,) masks
-    of the trials that succeeded with a, and with b."""
+    """For each field of ``PairedCounts``, the (n,) mask of the trials with this outcome. The (n,) masks ``a`` and ``b``
+    state in which trials each alternative succeeded."""
     in_a, in_b = np.asarray(a, bool), np.asarray(b, bool)
     return {"both": in_a & in_b, "only_a": in_a & ~in_b, "only_b": ~in_a & in_b, "neither": ~in_a & ~in_b}
 
 
 def newcombe_interval(counts: PairedCounts, confidence: float = DEFAULT_CONFIDENCE) -> tuple[float, float]:
-    """Newcombe's square-and-add confidence interval of the difference (share of b − share of a); (−1, 1) if there are
-    no trials.
+    """Newcombe's square-and-add confidence interval of the difference (share of ``b`` − share of ``a``); (−1, 1) if
+    there are no trials.
 
     Source: Newcombe (1998), "Improved confidence intervals for the difference between binomial proportions based on
     paired data", Statistics in Medicine 17, 2635–2650, method 10. The method combines the Wilson intervals of both
@@ -203,8 +204,8 @@ def _correlation(counts: PairedCounts) -> float:
 
 
 def mcnemar_p(counts: PairedCounts) -> float:
-    """Two-sided p-value of McNemar's exact test. The null hypothesis is that a and b succeed equally often in the
-    trials in which they differ. The p-value is 1 if a and b differ in no trial.
+    """Two-sided p-value of McNemar's exact test. The null hypothesis is that ``a`` and ``b`` succeed equally often in
+    the trials in which only one of them succeeds. If there are no such trials, the p-value is 1.
 
     Raises:
         InputError: SciPy, which the test needs, is not installed.

@@ -57,8 +57,8 @@ class Tables:
         self.parts = self.parts.without(table).plus(digests)
 
     def copies(self, others: Parts, ranks: WorldRanks | None) -> Iterator[tuple[Path, str]]:
-        """Copy the tables that have rows about worlds, from this run or from another run, file by file, to files with
-        unused numbers. Yields each copy with its digest. The copies belong to the run only after ``add`` or
+        """Copy the tables that have rows about worlds, of this run or of another run. Each file is copied to a file
+        with an unused number. Yields each copy with its digest. The copies belong to the run only after ``add`` or
         ``replace_worlds``.
 
         Args:

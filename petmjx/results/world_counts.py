@@ -24,8 +24,9 @@ class WorldCounts:
     """Numbers of worlds by verdict and reason, and of worlds that needed more than one attempt (simulation).
 
     If boxes still move at the end of a world, a longer simulation might have another verdict. ``moving`` is the number
-    of such worlds that are stable, and ``moving_by_shift`` the number of such worlds that are unstable because of a
-    shift. ``leans`` is the number of stable worlds in which a box leans or lies lower than planned.
+    of stable worlds with moving boxes at the end. ``moving_by_shift`` is the number of worlds with moving boxes at the
+    end that are unstable because of a shift. ``leans`` is the number of stable worlds in which a box leans or lies
+    lower than planned.
     """
 
     verdicts: Counter[tuple[Verdict, Reason]] = field(default_factory=Counter)
@@ -56,8 +57,8 @@ class WorldCounts:
         return WorldCounts(*(getattr(self, entry.name) + getattr(other, entry.name) for entry in fields(self)))
 
     def iteration_limit_warning(self, limit: int | None) -> str | None:
-        """The warning about the worlds that have used up the solver iterations that ``limit`` allows for a world; None
-        if there are no such worlds."""
+        """The warning about worlds without a verdict that reached ``limit``, the largest number of solver iterations of
+        a world; None if there are no such worlds."""
         count = self.verdicts[Verdict.INVALID, Reason.ITERATION_LIMIT]
         if not count:
             return None

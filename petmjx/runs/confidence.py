@@ -2,9 +2,10 @@
 (docs/confidence.md).
 
 A score with confidence is a sweep. Each axis (varied quantity) of this sweep is one random error, such as a normal
-distribution of the errors of boxes' places. With ``exact_too``, there is also the axis ``placing``. Each plan is
-simulated once without errors (the nominal world) and many times with random errors (the replicates). The summary has
-other columns than the summary of other sweeps.
+distribution of the errors of boxes' places. With the option ``exact_too``, the sweep also has the axis ``placing``:
+whether boxes are carried to their places or appear there. Each plan is simulated once without errors (the nominal
+world) and many times with random errors (the replicates). The summary has other columns than the summary of other
+sweeps.
 """
 
 from __future__ import annotations
@@ -110,7 +111,7 @@ def confidence_sweep(
 
 
 def _error_sweep_fault(sweep: Sweep) -> str:
-    """An error text about the first entry that a sweep file of errors must not have; "" if all entries are allowed."""
+    """An error text about the first forbidden entry of a sweep file of errors; "" if all entries are allowed."""
     if sweep.search is not None:
         return "[search] contradicts confidence, which computes a share of worlds: use petmjx sweep"
     if sweep.legs:
@@ -175,9 +176,10 @@ def _failures(drawn: pd.DataFrame) -> pd.DataFrame:
 
 
 def _paired_draws(carried: pd.DataFrame, exact: pd.DataFrame) -> pd.DataFrame:
-    """Compare, for each plan, carried boxes with boxes that appear at their places. The function counts the sets of
-    random errors with which the pallet stands in only one of the two cases, and tests whether the two numbers differ.
-    If a set of errors gives an invalid world in one of the two cases, the set is not counted."""
+    """Compare, for each plan, carried boxes with boxes that appear at their places. For each of the two cases, the
+    function counts the sets of random errors with which the pallet stands only in this case. Then the function tests
+    whether the two counts differ. If a set of errors gives an invalid world in one of the two cases, the set is not
+    counted."""
     pairs = carried.merge(exact, on=["plan_id", "replicate"], suffixes=("_carried", "_exact"))
     one, other = (pairs[f"verdict_{way}"].astype(str) for way in ("carried", "exact"))
     stands, stands_exact = one == Verdict.STABLE.value, other == Verdict.STABLE.value

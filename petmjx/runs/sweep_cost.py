@@ -197,8 +197,9 @@ def _leg_shares(worlds: SweepPlan) -> _LegShares:
 
 
 def _gentle_share(worlds: SweepPlan) -> float:
-    """For a sweep without legs, the expected share of the drives whose acceleration is at most ``STEADY_G``. A search
-    tests levels on both sides of the largest level that a pallet survives."""
+    """For a sweep without legs, the expected share of the drives whose acceleration is at most ``STEADY_G``. The share
+    of a search is ``_GENTLE_IN_SEARCHES``, since a search tests levels on both sides of the largest level that a pallet
+    survives."""
     sweep = worlds.sweep
     if sweep.search is not None:
         return _GENTLE_IN_SEARCHES

@@ -50,7 +50,7 @@ MAX_TEXT: Final = 100_000
 """Largest number of characters of a description."""
 MIN_TOLERANCE: Final = 1e-5
 """Smallest tolerance of a search, in g or as a difference of scales: a thousandth of the default tolerance of levels.
-Neighbouring levels stay different, since 1e-5 is much larger than 1e-12, to which levels are rounded."""
+Levels are rounded to 12 decimals, that is, by far less than 1e-5, so neighbouring levels stay different."""
 MAX_REPEATS: Final = 2**31 - 1
 """Largest number of samples or replicates. The results store the number of a variant in 32 bits."""
 
@@ -105,7 +105,7 @@ def _own_profiles(tables: Any, info: ValidationInfo) -> dict[str, Profile]:
 
 def _named_axes(tables: Any, info: ValidationInfo) -> dict[str, Axis]:
     """Name → axis. If the axis ``profile`` names a family of profiles, the names of the profiles in the family replace
-    its name."""
+    the name of the family."""
     axes = read_axes(tables, info.data.get("mode") == "sample")
     if "profile" in axes:
         names: list[str] = []

@@ -57,7 +57,8 @@ class SearchAnswer:
     Attributes:
         largest_survived, first_failed: largest level survived, and smallest level that failed, in g or as a scale.
             ``largest_survived`` is None if no level was survived, and ``first_failed`` is None if no level failed.
-        at_largest, at_failure: results of the tests at these two levels; None if there was no test at the level.
+        at_largest, at_failure: results of the tests at the levels ``largest_survived`` and ``first_failed``; None if
+            there was no test at the level.
     """
 
     group: PlacementGroup
@@ -477,8 +478,8 @@ class SweepRun:
             )
 
     def _answer_again(self, group: PlacementGroup) -> bool:
-        """Find the answers of a search (the largest levels survived) for a placement in the rows of worlds that were
-        completed before the run was resumed. Returns False if a world is missing."""
+        """Find the answers of a search (the largest levels survived) for one placement again. The answers follow from
+        the rows of worlds that were completed before the run was resumed. Returns False if a world is missing."""
         if not len(self.recorded):
             return False
         numbers = range(len(self.plan.search_items()))
@@ -504,7 +505,7 @@ class SweepRun:
         """The result of a placement without a profile, according to the rows of completed worlds. If the pallet did not
         stand, the result is the outcome in the row of the search item; otherwise, it is a stable outcome. If the pallet
         did not stand, the search item has only one row, which is about the lowest level and has 0 steps. A failed test
-        at the lowest level may also have 0 steps, but then there are also rows about tests at higher levels.
+        at the lowest level may also have 0 steps, but then the search item also has rows about tests at higher levels.
         """
         row = self._row(group, number, 0)
         first = self._bisection([Probe(Verdict.STABLE)]).next_tests(0)

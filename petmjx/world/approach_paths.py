@@ -26,8 +26,8 @@ MOST_WAY_S: Final = 2.0
 faster."""
 
 FREE_M: Final = 0.0003
-"""Largest overlap of two boxes that is ignored, m. In soft contacts, two boxes that touch side by side may move by half
-of this distance. An overlap of 0.3 mm does not visibly push neighbours apart."""
+"""Largest overlap of two boxes that is ignored, m. Contacts are soft: each of two boxes that touch side by side may be
+pressed out of its place by half of this distance. An overlap of 0.3 mm does not visibly push neighbours apart."""
 
 MOST_TILTED: Final = 0.5
 """Largest angle by which tines (of a fork that carries boxes) tilt a box, as a share of the tilt threshold. With a
@@ -46,8 +46,7 @@ CLEARANCE_M: Final = 0.001
 """Height of a box's bottom above the highest obstacle, m, if the box must start above obstacles."""
 
 BESIDE_M: Final = 0.005
-"""If two boxes overlap along an axis by no more than this length, m, in the plan, they count as side by side along this
-axis."""
+"""Two boxes of a plan count as side by side along an axis if they overlap along this axis by at most this length, m."""
 
 
 class ApproachPath(NamedTuple):
@@ -156,7 +155,7 @@ def progress(step: int, steps: int) -> float:
 
 
 def most_aside_m(placing: Placing) -> float:
-    """Largest distance by which the start of a path may be moved aside along x, and along y, m."""
+    """Largest distance, m, by which the start of a path may be moved aside along x. The same limit holds along y."""
     return ASIDE_SHARE * placing.side_mm / MM_PER_M
 
 
@@ -216,14 +215,14 @@ def _overlap(
 
 def _approaches(beside: NDArray[np.bool_], approaches: FloatArray | None) -> tuple[FloatArray, FloatArray]:
     """Two arrays: (…, n, 2) horizontal directions in which boxes move to their places; and (…, n, 2) the forward
-    directions that the boxes would have on tines, each a unit vector along x or y.
+    directions that the boxes would have on the tines of a fork, each a unit vector along x or y.
 
-    A box starts beside its place, at the horizontal distance (length of its direction) × (option ``placing.side_mm``).
-    If the plan gives no direction, a box moves along x towards the side that has a neighbour, provided that the
-    opposite side has no neighbour, and likewise along y. So a box without neighbours, or between two neighbours, moves
-    straight down. The forward direction on tines is along the axis that is nearest to the direction of movement. If the
-    box moves straight down, the forward direction is along an axis on which the box has no neighbour; if x and y are
-    equally good, it is along x.
+    A box starts beside its place. The horizontal distance from start to place is the length of the box's direction
+    vector times the option ``placing.side_mm``. If the plan gives no direction, a box moves along x towards the side
+    that has a neighbour, provided that the opposite side has no neighbour, and likewise along y. So a box without
+    neighbours, or between two neighbours, moves straight down. The forward direction on tines is along the axis that is
+    nearest to the direction of movement. If the box moves straight down, the forward direction is along an axis on
+    which the box has no neighbour; if x and y are equally good, it is along x.
 
     Args:
         beside: (…, n, 2, 2) whether each side of a box has a neighbour, from ``_neighbour_mask``.
@@ -243,8 +242,8 @@ def _approaches(beside: NDArray[np.bool_], approaches: FloatArray | None) -> tup
 
 
 def _neighbour_mask(place: FloatArray, half: FloatArray, placing: Placing, room: Room | None) -> NDArray[np.bool_]:
-    """(…, n, 2, 2) whether each side of a box has a neighbour when the box is placed, according to the plan. Axis −2 is
-    the low and the high side, axis −1 is x and y.
+    """(…, n, 2, 2) whether each side of a box will have a neighbour when the box is placed, if all boxes stand as
+    planned. Axis −2 is the low and the high side, axis −1 is x and y.
 
     A neighbour is a box or a wall that is nearer than the largest distance by which a path's start may be moved aside.
 

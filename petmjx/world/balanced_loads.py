@@ -51,8 +51,8 @@ def balanced_loads(
     bearing: Bearing, load: FloatArray, edge_m: FloatArray, placed: NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray] | None:
     """(n, 3) loads that balance the boxes of one scene as well as possible, and (n,) the distances by which these loads
-    are still beyond edges, m. The result is None if another sharing of loads among supports could not change any load
-    that is beyond an edge.
+    are still beyond edges, m. The result is None if every load beyond an edge stays the same however supports share
+    loads.
 
     Args:
         bearing: the contacts between boxes and their supports in one scene.

@@ -84,7 +84,8 @@ class Boxes:
         )
 
     def of_scenes(self, numbers: IntArray) -> tuple[Boxes, IntArray]:
-        """The boxes of the scenes ``numbers``, in this order, and (k,) the numbers of these boxes in this object."""
+        """The boxes of the scenes ``numbers``, in this order, and (k,) the numbers that these boxes have in this
+        ``Boxes``."""
         counts = np.diff(self.first)
         rows = spans(counts, numbers)
         first = np.concatenate([[0], np.cumsum(counts[numbers])])
@@ -319,8 +320,8 @@ class Bearing:
         return some
 
     def of_scenes(self, numbers: IntArray) -> tuple[Bearing, IntArray]:
-        """The contacts of the scenes ``numbers``, in this order, and (k,) the numbers of these scenes' boxes in this
-        object."""
+        """The contacts of the scenes ``numbers``, in this order, and (k,) the numbers that the boxes of these scenes
+        have in this ``Bearing``."""
         boxes, rows = self.boxes.of_scenes(numbers)
         counts = self.n_supports[rows]
         contacts = spans(self.n_supports, rows)
@@ -416,8 +417,9 @@ class Bearing:
 
     @cached_property
     def shares(self) -> FloatArray:
-        """(k, 3, 3) a matrix for each contact whose number is in ``together``. The matrix maps the load of the upper
-        box (mass and first moments) to the part of this load that the contact carries."""
+        """(k, 3, 3) a matrix for each contact whose upper box has several supports, in the order of ``together``. The
+        matrix maps the load of the upper box (mass and first moments) to the part of this load that the contact
+        carries."""
         boxes, upper = self.boxes, self.upper[self.together]
         # Places are relative to the upper box's middle, in units of its half extents. Relative coordinates keep the 3 ×
         # 3 systems well conditioned.

@@ -175,8 +175,8 @@ class Room:
         Args:
             place: (…, n, 3) middles of the boxes, m.
             half: (…, n, 3) half extents of the boxes along x, y and z, m.
-            least_m: length by which a box must reach below the wall's top, m. A box that reaches less far down is above
-                the wall.
+            least_m: length by which a box must reach below the wall's top, m. A box that reaches less far down counts
+                as above the wall.
         """
         inwards, beside = self._inwards(place, half, least_m)
         gap: FloatArray = np.where(beside & (inwards > 0), inwards - half[..., None, :2], np.inf)

@@ -28,17 +28,17 @@ from petmjx.world.scene import Scene
 from petmjx.world.supports import bearing_of
 
 MOST_PROGRAMMES: Final = 2
-"""Largest number of placements of a plan for which a linear programme is solved. One programme takes a few
-milliseconds, and more if a hundred boxes have several supports. After all other placements, loads that seem to be
-beyond edges are ignored, since only a programme could prove that they are beyond an edge however supports share
-loads."""
+"""For at most this number of a plan's placements, a linear programme is solved. One programme takes a few milliseconds,
+and more if a hundred boxes have several supports. After all other placements, loads that seem to be beyond edges are
+ignored. Such a load might be inside if supports shared loads in another way, and only a programme could rule this
+out."""
 
 
 class BuildingLoads(NamedTuple):
     """The loads of boxes after the placements of other boxes.
 
-    There is one entry for each of p pairs: a box, and a box whose placement changes the load of the first box. Pairs
-    are sorted by the first box, then by the second box.
+    There is one entry for each of p pairs of boxes. The placement of the second box of a pair changes the load of the
+    first box. Pairs are sorted by the first box, then by the second box.
 
     Attributes:
         box: (p,) number of the first box, which has the load.

@@ -86,8 +86,8 @@ def compliances(stiffness_n_m: FloatArray, half_size: FloatArray) -> FloatArray:
 
 def shared_area_m2(one: Face, two: Face) -> float:
     """Area in which two shapes overlap, seen from above, at their planned places, m². If they overlap by less than
-    ``LEAST_SHARE`` of the smaller shape, the area is this share. If neither shape is above the other, the area of the
-    smaller shape is used."""
+    ``LEAST_SHARE`` of the smaller shape's area, the result is ``LEAST_SHARE`` times this area. If neither shape is
+    above the other, the area of the smaller shape is used."""
     (ax, ay, az), (bx, by, bz) = one.middle, two.middle
     (al, aw, ah), (bl, bw, bh) = one.half, two.half
     smaller = 4.0 * min(al * aw, bl * bw)

@@ -2,7 +2,7 @@
 and landing exactly.
 
 **At rest.** MuJoCo's contacts are springs. If a contact of stiffness k and impedance d(x) carries the force f at rest,
-its depth x follows from (MuJoCo's documentation, chapter Computation, solver parameters)
+its depth x follows from this equation (MuJoCo's documentation, chapter Computation, "Solver parameters"):
 
     k · d(x)² · x / (1 − d(x)) = A · f,   k = 1 / (d₁ · τ · ζ)²
 

@@ -33,8 +33,8 @@ class EdgeRisk(IntEnum):
     """The result of a quick static test of the loads of a scene, whose boxes are placed one by one.
 
     The greater the value, the longer the simulation may take. Boxes with a load beyond an edge fall. If a load is near
-    an edge, soft contacts may decide, so that the world is simulated again with stiffer contacts. Engines simulate the
-    worlds with the greatest values first.
+    an edge, the softness of contacts may decide whether the box falls, so the world is simulated again with stiffer
+    contacts. Engines simulate the worlds with the greatest values first.
     """
 
     INSIDE = 0
@@ -100,8 +100,8 @@ def edge_risks(scenes: Sequence[Scene]) -> NDArray[np.int8]:
     """(m,) the ``EdgeRisk`` of each of m scenes. A generated plan of 43 boxes takes 0.15 to 0.3 ms.
 
     In this quick test, supports share loads like springs. ``building_edges`` takes several times as long as
-    ``edge_risks``: it also looks for another distribution of the loads among the supports that keeps all loads inside
-    the edges.
+    ``edge_risks``, since ``building_edges`` also looks for another distribution of the loads among the supports that
+    keeps all loads inside the edges.
     """
     n_boxes = np.array([scene.n_boxes for scene in scenes], int)
     risks = np.where(n_boxes > MOST_EXAMINED_BOXES, EdgeRisk.NEAR, EdgeRisk.INSIDE).astype(np.int8)

@@ -23,8 +23,8 @@ from petmjx.plans.plan import Plan
 from petmjx.world.carrier_boards import carrier_surfaces
 
 MOST_SURFACES: Final = 16
-"""Number of rows, one per surface, of a world's tables of friction and landings on a GPU, and so the largest number of
-surfaces, including surface 0."""
+"""Largest number of surfaces of a world, including surface 0. On a GPU, a world's tables of friction and landings have
+this number of rows, one per surface."""
 
 LARGER: Final = -1.0
 """Marks an entry of a friction table without a coefficient. A contact with this entry has the larger coefficient of the

@@ -118,11 +118,12 @@ class Job:
         start: the ``state`` of an earlier outcome. If the placement had settled, the world skips the soft start and the
             placement, and begins with the drive. If the placement had paused, the world begins with the placement of
             its next box. Engines get a state of their own type; outside engines, a ``KeptState`` holds the state.
-        pauses_after: number of boxes, fewer than the scene has, after which the placement pauses: the world ends when
-            the next box would be placed, and the outcome has the world's state. The state serves as ``start`` of all
-            jobs whose worlds are equal up to the pause (``petmjx.engines.warp.equal_beginnings``). The outcome has no
-            state if the world ended earlier. A placement can pause only on engines with ``Capability.PAUSES``, in
-            worlds without a drive in which each box is placed as soon as the other boxes are at rest.
+        pauses_after: number of boxes after which the placement pauses; smaller than the scene's number of boxes. The
+            world ends when the next box would be placed, and the outcome has the world's state. The state serves as
+            ``start`` of all jobs whose worlds are equal up to the pause (``petmjx.engines.warp.equal_beginnings``). The
+            outcome has no state if the world ended earlier. A placement can pause only on engines with
+            ``Capability.PAUSES``, in worlds without a drive in which each box is placed as soon as the other boxes are
+            at rest.
         poses: (n, 7) middles, m, and orientations (w, x, y, z) with which the boxes begin the drive. All boxes begin at
             rest. With ``poses``, a drive can continue where another drive left the boxes, on any engine. The carrier is
             where the placement left it, since engines clamp the carrier in acceleration profiles. If ``poses`` is None,

@@ -183,9 +183,9 @@ def _declare_pairs(
 ) -> None:
     """Declare a contact pair between each geom of ``these`` and each geom of ``other_partners``.
 
-    Only for declared pairs does MuJoCo allow the friction of a contact to have another time constant than the contact's
-    pressure. If friction has no time constant of its own, no pairs are declared. A pair has the larger friction
-    coefficient of its two geoms, unless the table of surfaces has an entry for the pair.
+    In MuJoCo, the friction of a contact can have another time constant than the contact's pressure only if the pair of
+    geoms is declared. If friction has no time constant of its own, no pairs are declared. A pair has the larger
+    friction coefficient of its two geoms, unless the table of surfaces has an entry for the pair.
     """
     if not physics.has_own_friction:
         return
@@ -210,8 +210,8 @@ def _declare_pairs(
 
 @lru_cache(maxsize=256)
 def _partners(scene: Scene, physics: Physics, held: bool = False) -> dict[int, list[_Partner]]:
-    """The geoms of each body and of the floor, by the number of the box, ``CARRIER`` or ``FLOOR``. ``held`` is True if
-    the carrier is clamped."""
+    """A dict with the geoms of each body and of the floor. The keys are the numbers of boxes, ``CARRIER`` and
+    ``FLOOR``. ``held`` is True if the carrier is clamped."""
     partners = {FLOOR: [_Partner(FLOOR_NAME, scene.floor_friction, 0.0)], CARRIER: []}
     shapes = scene.shapes
     faces = _faces(scene, held)

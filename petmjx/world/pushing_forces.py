@@ -2,10 +2,10 @@
 
 The pressure of a box on a bed of equal springs is a linear function of x and y (petmjx.world.bearings), called the
 pressure plane in this module. If a load is far from the middle of the supports, this pressure is negative at the
-opposite end, where springs would pull. Real supports only push. So this module computes pushing forces, each within its
-contact area. Of all such forces that balance the load, these have the least energy of the springs (Menabrea 1858,
-"Nouveau principe sur la distribution des tensions dans les systèmes élastiques"). If the pressure plane is nowhere
-negative, its forces already have the least energy.
+opposite end, where springs would pull. Real supports only push. So this module computes forces that balance the load,
+push, and act within their contact areas. From all forces that do so, the module chooses the forces with the least
+energy of the springs (Menabrea 1858, "Nouveau principe sur la distribution des tensions dans les systèmes élastiques").
+If the pressure plane is nowhere negative, its forces already have the least energy.
 
 A contact has the force F and the moments Mx, My about the middle of its area A, whose half lengths are a and b. The
 energy is
@@ -97,8 +97,8 @@ def pushes(load: FloatArray, owner: IntArray, low: FloatArray, high: FloatArray)
 def _projected_planes(to_cone: FloatArray, owner: IntArray, begins: IntArray, unit_loads: FloatArray) -> FloatArray:
     """(c, 3) forces at contacts in the coordinates z of this module's docstring.
 
-    For each box, this function searches for the pressure plane with which the projections onto the cones of the box's
-    contacts balance the box's load. The projections are the forces at the contacts.
+    For each box, this function searches for a pressure plane. The projections of the plane onto the cones of the box's
+    contacts are the forces at the contacts, and these forces must balance the box's load.
     """
 
     def energy(plane: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

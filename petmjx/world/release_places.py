@@ -27,7 +27,8 @@ from petmjx.world.scene import Scene
 from petmjx.world.scene_arrays import stacked_values
 
 NOTHING: Final = -2
-"""Number that stands for the support of a box without support: a box that hangs in the air or falls into its place."""
+"""Stands in place of the number of a support if a box has no support: the box hangs in the air, or falls into its
+place."""
 
 MOST_FOLLOWED_M: Final = 0.002
 """Largest distance by which a box is released higher or lower because its support has moved vertically, m. A pile that
@@ -172,9 +173,9 @@ def make_room(
     """(m, n, 2) horizontal places of the boxes of m worlds, m, at which no box overlaps a box beside it. The places are
     as near as possible to the given places: the sum of the squares of all translations is as small as possible.
 
-    Two boxes are kept apart along one axis: of the horizontal axes of the two boxes, the one along which the boxes
-    overlap least. The gap between the two boxes must be at least ``CLEAR_M``, or the planned gap if that is smaller; a
-    planned overlap is a negative gap. So each pair gives one linear inequality for the translations. Hildreth's method
+    Two rotated boxes have four horizontal axes. The two boxes are kept apart along the axis along which they overlap
+    least. The gap between the two boxes must be at least ``CLEAR_M``, or the planned gap if that is smaller; a planned
+    overlap is a negative gap. So each pair gives one linear inequality for the translations. Hildreth's method
     (Hildreth 1957, "A quadratic programming procedure", Naval Research Logistics Quarterly 4, 79-85) finds the smallest
     translations, pair by pair. The places in a world do not depend on other worlds.
 

@@ -65,9 +65,9 @@ impedance of the edges' constraints is increased instead."""
 
 CONTACT_SOLREF: Final = (0.004, 1.0)
 CONTACT_SOLIMP: Final = (MOST_IMPEDANCE, MOST_IMPEDANCE, 0.001)
-"""``solref`` and ``solimp`` of contacts of soft boxes. Contacts of soft boxes are as stiff as the timestep allows,
-since the lightest points have only a 216th of the mass of a box. If a load of 1,000 times a box's own weight presses on
-the box, its contacts are 0.1 mm deep."""
+"""``solref`` and ``solimp`` of contacts of soft boxes. In MuJoCo, contacts of light bodies are soft, and the lightest
+points have only a 216th of the mass of a box. So contacts of soft boxes are made as stiff as the timestep allows. If a
+load of 1,000 times a box's own weight presses on the box, its contacts are 0.1 mm deep."""
 
 _ALONE: Final = 1e9
 """Weight (``solmix``) of soft boxes when MuJoCo mixes the contact laws of the two shapes that touch. Rigid shapes have

@@ -205,9 +205,9 @@ def apply(scene: Scene, plan_id: str, variant: Variant, seed: int, *, standing: 
     """The scene of a plan with the changes in a variant's placement. The variant's drive is not used.
 
     When sizes change, boxes keep their horizontal centres, so neighbours that became larger overlap sideways. During
-    the simulation, the hand moves each box to a place with room. If boxes are placed ``exact``, without a hand, they
-    appear at the nearest places without overlaps (petmjx.world.release_places). Boxes are set down on the actual tops
-    of the boxes below.
+    the simulation, the hand moves each box to a place with room. With the way of placing ``exact``, there is no hand:
+    boxes appear at the nearest places without overlaps (petmjx.world.release_places). Boxes are set down on the actual
+    tops of the boxes below.
 
     Errors along x, along y and in yaw change ``start_pos`` and ``start_quat``. If an error moves a box over a slightly
     higher neighbour, the box is released above that neighbour. Shifts are measured from ``target``, which keeps the

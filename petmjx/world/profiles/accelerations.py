@@ -91,8 +91,8 @@ def en_12195_1() -> tuple[Trapezoid, ...]:
 
     The standard gives quasi-static coefficients, but no curve over time. In these profiles, the acceleration rises to
     the coefficient within 0.5 s, stays there for 1 s, and returns to 0 within 0.5 s. When the vehicle brakes, the load
-    is thrown forward: the carrier accelerates backward. The vertical coefficient is always 1.0. For goods that may tip,
-    the standard requires 0.6 g sideways: simulate this with a scale of 1.2.
+    is thrown forward: the carrier accelerates backward. The vertical coefficient is always 1.0. Sideways, the profiles
+    have 0.5 g. For goods that may tip, the standard requires 0.6 g sideways: simulate this with a scale of 1.2.
     """
     cases = (
         ("en-12195-1-forward", EN_12195_FORWARD_G, 180.0),

@@ -202,10 +202,10 @@ RADIAL_CHAIN = chain(
     replaces=True,
 )
 """Seven profiles ``radial`` of growing strength: the dynamic check in the demo of PET-Physics, the reference
-implementation. In that demo, the chain begins 2 s (``settle_s``) after the nominal end of the placement, n × interval,
-and the first push comes 2 s later. From the third profile on, the last two pushes of a profile act at the same time as
-two pushes of the next profile (the first time at 10.1 and 10.4 s). Of two pushes at the same time, the reference
-implementation applies only one, and so does this profile."""
+implementation. In that demo, the chain begins 2 s (``settle_s``) after the nominal end of the placement (number of
+boxes × interval), and the first push comes 2 s later. From the third profile on, the last two pushes of a profile act
+at the same time as two pushes of the next profile (the first time at 10.1 and 10.4 s). Of two pushes at the same time,
+the reference implementation applies only one, and so does this profile."""
 
 BUILT_IN_FORCES: tuple[Profile, ...] = (RADIAL, JOLTS, SINE, RADIAL_CHAIN)
 """To add a built-in force profile: define it above, list it here, and describe it in docs/profiles.md."""

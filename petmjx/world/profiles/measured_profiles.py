@@ -46,7 +46,8 @@ Density = Annotated[StrictFloat, Field(gt=0), within(0, MAX_DENSITY)]
 
 
 class WindowRow(CheckedRecord):
-    """One push. Sweep files may also give a push as a list of its five numbers: start_s, duration_s, x, y, z."""
+    """One push. Sweep files may also give a push as a list of its five numbers: ``start_s``, ``duration_s``, ``x``,
+    ``y``, ``z``."""
 
     start_s: Seconds = Field(description="time at which the push begins, s after the beginning of the profile")
     duration_s: LongerThanNothing = Field(description="how long the push acts, s")
@@ -85,8 +86,8 @@ class _WindowFile(CheckedRecord):
 def read_windows(path: Path) -> tuple[WindowRow, ...]:
     """The force windows in a file.
 
-    A Parquet file needs the columns start_s, duration_s, x, y and z; other columns are ignored. A TOML file needs an
-    array of tables ``[[window]]`` with these five keys.
+    A Parquet file needs the columns ``start_s``, ``duration_s``, ``x``, ``y`` and ``z``; other columns are ignored. A
+    TOML file needs an array of tables ``[[window]]`` with these five keys.
 
     Raises:
         InputError: the file is wrong. The message is one line with the file, the row and the field, such as
