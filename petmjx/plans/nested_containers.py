@@ -243,7 +243,7 @@ def _levels_of_plans(
 
 
 def repeated_ids(members: Sequence[NestedBox], articles: Collection[int]) -> list[str]:
-    """Ids that several plans have, with the names of their fields ("id 7"). Such plans are named by their numbers. The
+    """Ids that several plans have, with the names of their fields ("id 7"). These plans are named by their numbers. The
     list is empty if pallets are in several orders, because each order may have pallets with the same ids."""
     levels = _levels_of_plans(members, articles)
     if len(levels) != 1:
