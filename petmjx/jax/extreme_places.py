@@ -205,7 +205,8 @@ def _corner_points(
     """
     (x, y), (x_end, y_end) = start.T, end.T
     # Points beside a box start at the box's end in x and slide towards −y until they meet an obstacle, or start at its
-    # end in y and slide towards −x. Points on top of a box start at (x, y) and slide in both directions.
+    # end in y and slide towards −x. Two points on top of a box start at (x, y): one slides towards −y, the other
+    # towards −x.
     axes, levels = jnp.array([1, 0, 0, 1]), jnp.stack([bottom, bottom, top, top])[..., None]
     begins, across = jnp.stack([y, x, x, y])[..., None], jnp.stack([x_end, y_end, y, x])[..., None]
     lows, highs, ends = start.T[1 - axes][:, None], end.T[1 - axes][:, None], end.T[axes][:, None]

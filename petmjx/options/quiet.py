@@ -76,8 +76,8 @@ class Quiet(CheckedRecord):
     tremble_share: Annotated[float, within(0, 1)] = Field(
         0.25,
         ge=0,
-        description="a box trembles if it stays near its place at the beginning of a window of tremble_steps: nearer "
-        "than this share of the path that it travels in the window",
+        description="a box trembles if, during a window of tremble_steps, its distance from its place at the beginning "
+        "of the window is at most this share of the path that it travels in the window",
     )
 
     @property

@@ -96,7 +96,7 @@ def _is_path(value: Any) -> Any:
     if value is not None and not isinstance(value, Path) and not (isinstance(value, str | PathLike) and str(value)):
         raise ValueError(f"must be a path, {shown_value(value)}")
     if "\0" in str(value):
-        raise ValueError(f"must be a path that a file can have, {shown_value(value)}")
+        raise ValueError(f"must be a path without NUL characters, {shown_value(value)}")
     return value
 
 

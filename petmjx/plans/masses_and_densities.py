@@ -90,7 +90,8 @@ def masses_kg(
     for row in np.flatnonzero((mass < SMALLEST_KG) | (mass > LARGEST_KG)).tolist():
         fault = positive_fault(name, float(columns.weight[row]), *limits)
         if fault is None and counts is not None:
-            fault = f"{name} must be the weight of all {counts[row]:,} boxes of the row"
+            boxes = f"all {counts[row]:,} boxes of the row"
+            fault = f"{name} is the weight of {boxes}, and too small or too large for so many boxes"
         if fault is not None:
             faults.setdefault(row, fault)
     return np.asarray(mass)

@@ -24,7 +24,7 @@ _DEFAULTS: Final[dict[str, Any]] = {field.name: field.default for field in field
 _RARE_FIELDS: Final = tuple(name for name in _DEFAULTS if name not in (*_ARRAYS, *_TEXTS, "plan_id", "source"))
 """Fields that few plans have."""
 
-_SET_FIELD: Final = object.__setattr__  # the only means of setting a field, since the class is frozen
+_SET_FIELD: Final = object.__setattr__  # the only means of setting a field of a ``Plan``, which is frozen
 
 
 def plan_of_rows(

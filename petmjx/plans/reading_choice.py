@@ -58,8 +58,8 @@ TIE: Final = 1.5
 """Two readings whose costs differ by less than this value are a tie. Costs behave like negative log likelihoods: a
 difference of 1.5 corresponds to odds of 4 to 1."""
 _FEW_BOXES, _FEW_MORE = 6, 0.8
-"""In files with few boxes, the limit of a tie is raised by this amount, because by chance, a wrong reading of three
-boxes is often as plausible as the right reading."""
+"""In files with fewer than ``_FEW_BOXES`` boxes, ``_FEW_MORE`` is added to ``TIE``: by chance, a wrong reading of so
+few boxes is often as plausible as the right reading."""
 WEAK: Final = 5.0
 """A reading is weak if the cost of its layout exceeds this value. A layout has this cost if a fifth of its boxes
 overlap, or if a quarter of them float."""

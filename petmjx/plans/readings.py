@@ -38,8 +38,8 @@ ROTATION_RULES: Final = {
     "py3dbp from 1": "1 WHD, 2 HWD, 3 HDW, 4 DHW, 5 DWH, 6 WDH",
     "permutations": "0 XYZ, 1 XZY, 2 YXZ, 3 YZX, 4 ZXY, 5 ZYX",
     "permutations from 1": "1 XYZ, 2 XZY, 3 YXZ, 4 YZX, 5 ZXY, 6 ZYX",
-    "pose": "coordinates describe points of the turned boxes",
-    "pose about point": "coordinates describe points, and poses turn boxes about these points",
+    "pose": "poses turn boxes, and coordinates describe points of the boxes after they are turned",
+    "pose about point": "coordinates describe points of the boxes, and poses turn the boxes about these points",
 }
 """Rule of rotation → its description."""
 POSES: Final = ("pose", "pose about point")

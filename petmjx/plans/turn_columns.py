@@ -44,7 +44,7 @@ def turns_of(name: str, cells: Sequence[Any], decimal: str, on_fault: Callable[[
     """The rotations in a column; None if the column is empty.
 
     If the cells have two words of unknown meaning, either word may stand for a turned box. If the cells have more than
-    two words of unknown meaning, there is no rule.
+    two words of unknown meaning, no rule of rotation is possible (``Turns.rules`` is empty).
 
     Args:
         name: name of the column.

@@ -112,7 +112,7 @@ class Fault(NamedTuple):
 
     @classmethod
     def of(cls, box: int, n_boxes: int) -> Fault:
-        """The fault of a box that falls, if ``n_boxes`` boxes fall or must be taken off with it."""
+        """The fault of a box that falls. ``n_boxes``: number of boxes that are taken off with it, itself included."""
         return cls(box, max(1.0, n_boxes / PILE))
 
 

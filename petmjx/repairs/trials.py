@@ -284,7 +284,7 @@ class Question:
                 scenes = self._with_errors(draft.plan, scene, worlds) if has_errors else repeat(scene)
                 for number, its_scene in zip(numbers, scenes, strict=False):
                     limit = limit_of(its_scene.n_boxes, JUDGED_ITERATIONS)
-                    # no draft is to be simulated before others, so engines need not examine their loads
+                    # engines need not test the loads of drafts, since no draft is to be simulated before others
                     jobs[number] = Job(
                         its_scene,
                         has_errors=has_errors,
@@ -586,7 +586,7 @@ class TrialStream:
                     if outcome.state is not None and queue.common is not None:
                         for following in queue.common.go_on(placement, outcome):
                             stream.put(following.job, following)
-                    else:  # a common placement that ended before its pause is the whole simulation of all its worlds
+                    else:  # final for all worlds of the placement: a fall before their first different box
                         for world in placement.worlds:
                             request, number = world.tag
                             trial = self._question.judged(outcome, request.drafts[number], world.job, lane.sim)

@@ -92,7 +92,7 @@ def test_options_of_a_sweep_replace_those_of_its_file(tmp_path: Path) -> None:
 
 def test_a_path_that_no_file_can_have_is_refused() -> None:
     for name in ("out", "orders"):
-        with pytest.raises(InputError, match=rf"{name} must be a path that a file can have, got 'a\\x00b'"):
+        with pytest.raises(InputError, match=rf"{name} must be a path without NUL characters, got 'a\\x00b'"):
             petmjx.score(PLANS, **STATIC, **{name: "a\0b"})
 
 

@@ -139,7 +139,7 @@ def test_poses_turn_boxes_about_the_point_of_their_coordinates(tmp_path: Path, u
         boxes.append({"size": size.tolist(), "pose": pose.tolist(), "mass": box[6]})
     plan_set = load(tmp_path, "poses.json", json.dumps(boxes), units="mm", up=up)
     check(plan_set)
-    assert "turn boxes about these points" in plan_set.readings[str(tmp_path / "poses.json")].line()
+    assert "turn the boxes about these points" in plan_set.readings[str(tmp_path / "poses.json")].line()
     (reading,) = load(tmp_path, "poses.json", json.dumps(boxes), units="mm").readings.values()
     assert reading.up == up
 

@@ -207,7 +207,9 @@ def copy(main: Callable[[], None]) -> None:
                 for pid in copies:
                     os.waitpid(pid, 0)
                 os._exit(0)
-            with contextlib.suppress(OSError):  # memory is short: the pipes are closed, so the run learns of it
+            # If memory is too short for a copy, no process holds the pipes after they are closed below, so the run sees
+            # their end.
+            with contextlib.suppress(OSError):
                 copies.append(os.fork())
                 if not copies[-1]:
                     break
