@@ -211,14 +211,16 @@ class Rules:
         without overlapping other boxes, and without reaching farther beyond the carrier's edges than allowed. If the
         boxes cannot make a move, the draft with this move is not allowed."""
         ways = np.array(ways_mm).reshape(-1, 1, 2)
-        others, moved = np.setdiff1d(draft.rows, boxes), np.array(boxes)
-        low, size = draft.corner_mm, draft.size_mm
-        shared_z = np.minimum.outer((low + size)[moved, 2], (low + size)[others, 2])
+        is_other, moved = np.isfinite(draft.rank), np.array(boxes)
+        is_other[moved] = False
+        others = np.flatnonzero(is_other)
+        low, high = draft.corner_mm, draft.high_mm
+        shared_z = np.minimum.outer(high[moved, 2], high[others, 2])
         shared_z -= np.maximum.outer(low[moved, 2], low[others, 2])
-        most_mm = self._limits(len(low)).overlap_mm[np.ix_(moved, others)]
+        most_mm = self._limits(len(low)).overlap_mm[moved[:, None], others]
         at, beside = np.nonzero(shared_z > most_mm)  # only boxes that share some height can overlap too far
-        begin, low_end, high_end = low[moved, :2] + ways, low[others[beside], :2], (low + size)[others[beside], :2]
-        end = begin + size[moved, :2]
+        begin, low_end, high_end = low[moved, :2] + ways, low[others[beside], :2], high[others[beside], :2]
+        end = begin + draft.size_mm[moved, :2]
         shared = np.minimum(end[:, at], high_end) - np.maximum(begin[:, at], low_end)
         hits = (shared.min(axis=2) > most_mm[at, beside]).any(axis=1)
         outside = np.maximum(self.low_mm[:2] - begin, end - self.high_mm[:2]) > TOLERANCE_MM

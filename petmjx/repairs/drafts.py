@@ -98,6 +98,14 @@ class Draft:
         return x, y, z
 
     @cached_property
+    def in_line(self) -> tuple[BoolArray, BoolArray]:
+        """For x and y, (m, m) whether the row's box would meet the column's box if it moved far enough along this axis.
+        Boxes that are left out are met by none."""
+        x, y, z = self.shares
+        present = np.isfinite(self.rank)
+        return y & z & present, x & z & present
+
+    @cached_property
     def on_top(self) -> BoolArray:
         """(m, m) whether the column's box lies directly on the row's box."""
         low, high = self.corner_mm.T, self.high_mm.T

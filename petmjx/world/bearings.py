@@ -455,8 +455,8 @@ class Bearing:
 
 
 def _different(load: FloatArray, owner: IntArray, low: FloatArray, high: FloatArray) -> tuple[IntArray, IntArray]:
-    """(d,) the first of all equal loads on equal contacts, and (p,) for each load, its number among these d loads. Plans
-    that differ only in a few boxes have many equal loads. Arguments: as for ``Bearing.pushed``."""
+    """(d,) the first of all equal loads on equal contacts, and (p,) for each load, its number among these d loads.
+    Plans that differ only in a few boxes have many equal loads. Arguments: as for ``Bearing.pushed``."""
     ends = np.cumsum(np.bincount(owner, minlength=len(load)))
     loads, areas = load.tobytes(), np.concatenate([low, high], axis=1).tobytes()
     of_load, of_area = load.itemsize * load.shape[1], low.itemsize * 4
