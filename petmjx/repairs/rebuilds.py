@@ -18,7 +18,7 @@ from petmjx.options.simulation import Simulation
 from petmjx.repairs.balance import Balance, balances, balances_with_last
 from petmjx.repairs.changes import Change, LeaveOut, Place
 from petmjx.repairs.draft_rules import Rules
-from petmjx.repairs.drafts import TOLERANCE_MM, Draft, key_of
+from petmjx.repairs.drafts import TOLERANCE_MM, Draft, keys_of
 from petmjx.repairs.proposals import Proposal, Spot, Target, resting_corners
 
 MOST_CAUSES: Final = 2
@@ -139,7 +139,7 @@ def _side_by_side(parts: Sequence[Judging[Result]], rules: Rules, sim: Simulatio
 def _judged(requests: Sequence[PileRequest], rules: Rules, sim: Simulation) -> list[JudgedPile]:
     """The judged pile of each request; each request has one pile. Equal piles are judged only once. Statics judges the
     piles of all requests, or of none (``PileRequest.by_statics``)."""
-    keys = [key_of(pile) for (pile,), *_ in requests]
+    keys = keys_of([pile for (pile,), *_ in requests])
     different = dict(zip(keys, requests, strict=True))
     piles = {key: pile for key, ((pile,), *_) in different.items()}
     allowed = rules.allow([*piles.values()], [pile.order[-1:] for pile in piles.values()])
