@@ -227,7 +227,7 @@ class _Loads(NamedTuple):
     def take(self, rows: slice, first: int) -> _Loads:
         """The given rows of the loads. In the result, ``first`` is subtracted from the numbers of boxes and steps."""
         box, step, *others = (values[rows] for values in self)
-        return _Loads(box - first, step - first, *others)
+        return _Loads._make((box - first, step - first, *others))
 
     def of(self, rows: slice | IntArray) -> _Loads:
         """The given rows of the loads."""

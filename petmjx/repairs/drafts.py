@@ -285,7 +285,9 @@ def _keys_anew(drafts: Sequence[Draft]) -> list[bytes]:
     return [np.float64(draft.film_turns).tobytes() + every[begin:end] for draft, begin, end in spans]
 
 
-_FIRST_BYTES, _BYTES_PER_BOX = 8, 7 * 8
+_FIRST_BYTES: Final = 8
+_BYTES_PER_BOX: Final = 7 * 8
+"""Bytes of a key: first the turns of film, then seven numbers for each box."""
 
 
 def _closure(leads_to: Sequence[Sequence[int]], box: int) -> list[int]:

@@ -488,21 +488,19 @@ def resting_corners(
         size = _size(draft, box, turn)
         if turn and size[0] == size[1]:
             continue
+        base, least, most = size[:2], rules.low_mm[:2], rules.high_mm[:2]
+        corners = [[least, most - base, draft.corner_mm[box, :2]], high[:, :2], low[:, :2] - base, low[:, :2]]
+        if below is not None:
+            edge, length = draft.corner_mm[below, :2], draft.size_mm[below, :2]
+            corners.append([edge, edge + length - base, edge + (length - base) / 2])
+        values = np.concatenate(corners)
+        inside = (values >= least - TOLERANCE_MM) & (values + base <= most + TOLERANCE_MM)
         axes = []
-        for axis in (0, 1):
-            ends = [rules.low_mm[axis], rules.high_mm[axis] - size[axis]]
-            values = np.concatenate([ends, high[:, axis], low[:, axis] - size[axis], low[:, axis]])
-            values = np.append(values, draft.corner_mm[box, axis])
-            if below is not None:
-                edge, length = draft.corner_mm[below, axis], draft.size_mm[below, axis]
-                values = np.append(values, [edge, edge + length - size[axis], edge + (length - size[axis]) / 2])
-            inside = (values >= rules.low_mm[axis] - TOLERANCE_MM) & (
-                values + size[axis] <= rules.high_mm[axis] + TOLERANCE_MM
-            )
-            values = np.sort(values[inside].round(1))
-            is_new = np.ones(len(values), bool)
-            np.not_equal(values[1:], values[:-1], out=is_new[1:])
-            axes.append(values[is_new])  # as ``numpy.unique`` does, in half of the time
+        for along, is_inside in zip(values.round(1).T, inside.T, strict=True):
+            along = np.sort(along[is_inside])
+            is_new = np.ones(len(along), bool)
+            np.not_equal(along[1:], along[:-1], out=is_new[1:])
+            axes.append(along[is_new])  # as ``numpy.unique`` does, in half of the time
         spots: set[tuple[float, float, float]] = set()
         for x, y, z in _rests(axes[0], axes[1], size, low, high, fits):
             is_below = below is None or _shared_mm2(x, y, size, draft.corner_mm[below], draft.size_mm[below]) > 0
@@ -540,10 +538,8 @@ def _rests(
     under_x[:, :-1], under_y[:, :-1] = (some[:, from_top] > TOLERANCE_MM for some in shared)
     heights = np.append(high[from_top, 2], 0.0)
     z = heights[(under_x[:, None] & under_y).argmax(axis=2)]
-    for height in np.unique(heights[fits(heights)]).tolist():
+    for height in np.unique(z[fits(z)]).tolist():
         at_x, at_y = np.nonzero(z == height)
-        if not len(at_x):
-            continue
         share = np.ones(len(at_x))
         if height > 0:
             shared_x, shared_y = shared[0][at_x], shared[1][at_y]
