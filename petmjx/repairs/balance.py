@@ -227,8 +227,8 @@ class _Loads(NamedTuple):
 
     def take(self, rows: slice, first: int) -> _Loads:
         """The given rows of the loads. In the result, ``first`` is subtracted from the numbers of boxes and steps."""
-        some = self.of(rows)
-        return some._replace(box=some.box - first, step=some.step - first)
+        box, step, *others = (values[rows] for values in self)
+        return _Loads._make((box - first, step - first, *others))
 
     def of(self, rows: slice | IntArray) -> _Loads:
         """The given rows of the loads."""

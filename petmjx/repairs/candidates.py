@@ -19,7 +19,7 @@ from petmjx.plans.plan import Plan
 from petmjx.repairs.balance import SAFE_MM, Balance, balances
 from petmjx.repairs.changes import Change, Kind, applied, cost_of, with_change
 from petmjx.repairs.draft_rules import Rules
-from petmjx.repairs.drafts import Draft, key_of
+from petmjx.repairs.drafts import Draft, key_of, keys_of
 from petmjx.repairs.proposals import MOST_TARGETS, Proposal, Target, proposals, targets
 from petmjx.repairs.rebuilds import Failure, rebuilds
 from petmjx.repairs.repair_options import RepairOptions
@@ -299,9 +299,10 @@ class Candidates:
         pairs = [(draft, p) for p in some if (draft := applied(state.draft, p)) is not None]
         boxes = [{box for change in proposal for box in change.boxes} for _, proposal in pairs]
         allowed = self.rules.allow([draft for draft, _ in pairs], boxes, state.draft)
+        pairs = [pairs[number] for number in np.flatnonzero(allowed).tolist()]
         new: dict[bytes, tuple[Draft, Proposal]] = {}
-        for number in np.flatnonzero(allowed).tolist():
-            new.setdefault(key_of(pairs[number][0]), pairs[number])
+        for key, pair in zip(keys_of([draft for draft, _ in pairs]), pairs, strict=True):
+            new.setdefault(key, pair)
         new = {key: pair for key, pair in new.items() if key not in self._seen and not self._falls_early(key)}
         self._seen.update(new)
         ranked = []

@@ -127,7 +127,8 @@ class _Layouts(NamedTuple):
         pairs[np.arange(len(number)), box] = False
         for low, high in zip(self.low[:2], self.high[:2], strict=True):
             ends, begins = high[number, box, None], low[number, box, None]
-            pairs &= np.minimum(high[number], ends) - np.maximum(low[number], begins) > TOLERANCE_MM
+            of_draft = high.take(number, axis=0), low.take(number, axis=0)
+            pairs &= np.minimum(of_draft[0], ends) - np.maximum(of_draft[1], begins) > TOLERANCE_MM
         row, other = np.divmod(np.flatnonzero(pairs), max(pairs.shape[1], 1))
         return row, other
 
@@ -212,14 +213,16 @@ class Rules:
         without overlapping other boxes, and without reaching farther beyond the carrier's edges than allowed. If the
         boxes cannot make a move, the draft with this move is not allowed."""
         ways = np.array(ways_mm).reshape(-1, 1, 2)
-        others, moved = np.setdiff1d(draft.rows, boxes), np.array(boxes)
-        low, size = draft.corner_mm, draft.size_mm
-        shared_z = np.minimum.outer((low + size)[moved, 2], (low + size)[others, 2])
+        is_other, moved = np.isfinite(draft.rank), np.array(boxes)
+        is_other[moved] = False
+        others = np.flatnonzero(is_other)
+        low, high = draft.corner_mm, draft.high_mm
+        shared_z = np.minimum.outer(high[moved, 2], high[others, 2])
         shared_z -= np.maximum.outer(low[moved, 2], low[others, 2])
-        most_mm = self._limits(len(low)).overlap_mm[np.ix_(moved, others)]
+        most_mm = self._limits(len(low)).overlap_mm[moved[:, None], others]
         at, beside = np.nonzero(shared_z > most_mm)  # only boxes that share some height can overlap too far
-        begin, low_end, high_end = low[moved, :2] + ways, low[others[beside], :2], (low + size)[others[beside], :2]
-        end = begin + size[moved, :2]
+        begin, low_end, high_end = low[moved, :2] + ways, low[others[beside], :2], high[others[beside], :2]
+        end = begin + draft.size_mm[moved, :2]
         shared = np.minimum(end[:, at], high_end) - np.maximum(begin[:, at], low_end)
         hits = (shared.min(axis=2) > most_mm[at, beside]).any(axis=1)
         outside = np.maximum(self.low_mm[:2] - begin, end - self.high_mm[:2]) > TOLERANCE_MM
@@ -268,10 +271,11 @@ class Rules:
         is_placed, limits = layouts.is_placed, self._limits(layouts.rank.shape[1])
         number, box = np.nonzero(is_changed & is_placed)
         odd = self._oddities(layouts, number, box)
-        own = box[odd.row]
-        is_odd = odd.overlap_mm > limits.overlap_mm[own, odd.other]
-        is_odd |= odd.blocks & ~limits.blocked[own, odd.other]
-        is_odd |= odd.is_blocked & ~limits.blocked[odd.other, own]
+        own, m = box[odd.row], len(limits.gap_mm)
+        of_pair = own * m + odd.other  # with one index instead of two, NumPy takes half the time
+        is_odd = odd.overlap_mm > limits.overlap_mm.take(of_pair)
+        is_odd |= odd.blocks & ~limits.blocked.take(of_pair)
+        is_odd |= odd.is_blocked & ~limits.blocked.take(odd.other * m + own)
         worse = (odd.gap_mm > limits.gap_mm[box]) | (odd.outside_mm > TOLERANCE_MM)
         if self._room is not None:
             worse |= odd.through_mm > limits.through_mm[box]
@@ -337,22 +341,21 @@ class Rules:
         """The faults of r boxes. ``number``: (r,) number of each box's draft. ``box``: (r,) number of each box in its
         draft."""
         row, other = layouts.beside(number, box)
-        draft, own = number[row], box[row]
-        low, high = layouts.low, layouts.high
-        overlap = np.minimum.reduce(
-            [
-                np.minimum(e[draft, own], e[draft, other]) - np.maximum(b[draft, own], b[draft, other])
-                for b, e in zip(low, high, strict=True)
-            ]
-        )
-        earlier = layouts.rank[draft, other] < layouts.rank[draft, own]
-        z, other_z = low[2, draft, own], low[2, draft, other]
-        own_low, own_high = low[:, number, box].T, high[:, number, box].T
+        m = layouts.rank.shape[1]
+        at, at_other = number * m + box, number[row] * m + other  # with one index, NumPy takes half the time
+        low, high = layouts.low.reshape(3, -1), layouts.high.reshape(3, -1)
+        own_low, own_high, own_rank = low.take(at, axis=1), high.take(at, axis=1), layouts.rank.take(at)
+        other_low = low.take(at_other, axis=1)
+        overlap = np.minimum(own_high.take(row, axis=1), high.take(at_other, axis=1))
+        overlap -= np.maximum(own_low.take(row, axis=1), other_low)
+        earlier = layouts.rank.take(at_other) < own_rank.take(row)
+        z, other_z = own_low[2].take(row), other_low[2]
+        own_low, own_high = own_low.T, own_high.T
         outside = np.maximum(self.low_mm - own_low, own_high - self.high_mm).max(axis=1)
         return Oddities(
             row,
             other,
-            overlap,
+            overlap.min(axis=0),
             ~earlier & (z > other_z + TOLERANCE_MM),
             earlier & (other_z > z + TOLERANCE_MM),
             _gaps_mm(layouts, number, box, row, other),
@@ -376,10 +379,11 @@ AT_ONCE: Final = 256
 def _gaps_mm(layouts: _Layouts, number: IntArray, box: IntArray, row: IntArray, other: IntArray) -> FloatArray:
     """(r,) height of each of r boxes above its support when it is placed. ``row``, ``other``: the pairs of the r boxes
     and boxes beside them."""
-    draft = number[row]
-    bottom, low = layouts.low[2, number, box], layouts.low[2, draft, other]
-    bears = (layouts.rank[draft, other] < layouts.rank[number, box][row]) & (low < bottom[row])
+    m = layouts.rank.shape[1]
+    at, at_other = number * m + box, number[row] * m + other
+    bottom, low = layouts.low[2].take(at), layouts.low[2].take(at_other)
+    bears = (layouts.rank.take(at_other) < layouts.rank.take(at)[row]) & (low < bottom[row])
     support = np.zeros(len(number))
-    np.maximum.at(support, row[bears], layouts.high[2, draft, other][bears])
+    np.maximum.at(support, row[bears], layouts.high[2].take(at_other[bears]))
     gaps_mm: FloatArray = np.maximum(bottom - support, 0.0)
     return gaps_mm

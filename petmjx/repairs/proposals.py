@@ -12,6 +12,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Collection, Iterator, Sequence
+from operator import sub
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -24,6 +25,9 @@ from petmjx.repairs.drafts import TOLERANCE_MM, BoolArray, Draft, IntArray
 from petmjx.repairs.repair_options import RepairOptions
 
 Proposal = tuple[Change, ...]
+
+Spot = tuple[bool, tuple[float, float, float]]
+"""A place for a box: whether the box is turned there by 90°, and the box's front-left-bottom corner, mm."""
 
 MOST_TARGETS: Final = 4
 """Largest number of causes of a failure for which changes are proposed."""
@@ -289,7 +293,7 @@ def _pushed(draft: Draft, box: int, dx_mm: float, dy_mm: float, *, alone: bool) 
     The boxes on these boxes move as well, unless the box is moved ``alone``."""
     axis, way_mm = (0, dx_mm) if dx_mm else (1, dy_mm)
     low, high = draft.corner_mm[:, axis], draft.high_mm[:, axis]
-    in_line = draft.shares[1 - axis] & draft.shares[2] & np.isfinite(draft.rank)
+    in_line = draft.in_line[axis]
     moved = np.arange(len(low)) == box
     front = moved if alone else moved | draft.bears[box]
     moved = front
@@ -421,11 +425,10 @@ def _places(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposa
         if not is_bare and (is_fixed or not others):
             continue
         below = draft if is_bare else draft.in_order(tuple(others))
-        for turn, corner in resting_corners(below, rules, box):
-            if is_bare and not turn and np.abs(draft.corner_mm[box] - corner).max() <= TOLERANCE_MM:
+        planned = draft.corner_mm[box].tolist()
+        for turn, corner in resting_corners(below, rules, box, turns=(False, True) if is_bare else (False,)):
+            if is_bare and not turn and max(map(abs, map(sub, planned, corner))) <= TOLERANCE_MM:
                 continue  # to place the box at its own place at another time is a change of order, not of place
-            if turn and not is_bare:
-                continue
             turned = bool(draft.turned[box]) != turn
             for last in (None, *others[-1:]):
                 places.append(Place(box, corner, turned, last, differs=turn, others=tuple(sorted(pile[1:]))))
@@ -459,13 +462,13 @@ def _places_of(draft: Draft, places: Sequence[Place]) -> Places:
 
 
 def resting_corners(
-    draft: Draft, rules: Rules, box: int, below: int | None = None
-) -> Iterator[tuple[bool, tuple[float, float, float]]]:
-    """Yield (whether the box is turned, the box's corner) for each place at which a box can rest on the carrier or on
-    other boxes.
+    draft: Draft, rules: Rules, box: int, below: int | None = None, turns: Sequence[bool] = (False, True)
+) -> Iterator[Spot]:
+    """The places at which a box can rest on the carrier or on other boxes.
 
     Args:
         below: number of the box below which the place must be; None if no box may be above the place.
+        turns: whether the box is turned, for each orientation to be tried.
     """
     other_boxes = np.array([number for number in draft.order if number not in (box, below)], int)
     low, high = draft.corner_mm[other_boxes], draft.high_mm[other_boxes]
@@ -482,25 +485,23 @@ def resting_corners(
 
     if not fits(np.append(high[:, 2], 0.0)).any():
         return
-    for turn in (False, True):
+    for turn in turns:
         size = _size(draft, box, turn)
         if turn and size[0] == size[1]:
             continue
+        base, least, most = size[:2], rules.low_mm[:2], rules.high_mm[:2]
+        corners = [[least, most - base, draft.corner_mm[box, :2]], high[:, :2], low[:, :2] - base, low[:, :2]]
+        if below is not None:
+            edge, length = draft.corner_mm[below, :2], draft.size_mm[below, :2]
+            corners.append([edge, edge + length - base, edge + (length - base) / 2])
+        values = np.concatenate(corners)
+        inside = (values >= least - TOLERANCE_MM) & (values + base <= most + TOLERANCE_MM)
         axes = []
-        for axis in (0, 1):
-            ends = [rules.low_mm[axis], rules.high_mm[axis] - size[axis]]
-            values = np.concatenate([ends, high[:, axis], low[:, axis] - size[axis], low[:, axis]])
-            values = np.append(values, draft.corner_mm[box, axis])
-            if below is not None:
-                edge, length = draft.corner_mm[below, axis], draft.size_mm[below, axis]
-                values = np.append(values, [edge, edge + length - size[axis], edge + (length - size[axis]) / 2])
-            inside = (values >= rules.low_mm[axis] - TOLERANCE_MM) & (
-                values + size[axis] <= rules.high_mm[axis] + TOLERANCE_MM
-            )
-            values = np.sort(values[inside].round(1))
-            is_new = np.ones(len(values), bool)
-            np.not_equal(values[1:], values[:-1], out=is_new[1:])
-            axes.append(values[is_new])  # as ``numpy.unique`` does, in half of the time
+        for along, is_inside in zip(values.round(1).T, inside.T, strict=True):
+            along = np.sort(along[is_inside])
+            is_new = np.ones(len(along), bool)
+            np.not_equal(along[1:], along[:-1], out=is_new[1:])
+            axes.append(along[is_new])  # as ``numpy.unique`` does, in half of the time
         spots: set[tuple[float, float, float]] = set()
         for x, y, z in _rests(axes[0], axes[1], size, low, high, fits):
             is_below = below is None or _shared_mm2(x, y, size, draft.corner_mm[below], draft.size_mm[below]) > 0

@@ -18,8 +18,8 @@ from petmjx.options.simulation import Simulation
 from petmjx.repairs.balance import Balance, balances, balances_with_last
 from petmjx.repairs.changes import Change, LeaveOut, Place
 from petmjx.repairs.draft_rules import Rules
-from petmjx.repairs.drafts import TOLERANCE_MM, Draft, key_of
-from petmjx.repairs.proposals import Proposal, Target, resting_corners
+from petmjx.repairs.drafts import TOLERANCE_MM, Draft, keys_of
+from petmjx.repairs.proposals import Proposal, Spot, Target, resting_corners
 
 MOST_CAUSES: Final = 2
 """Largest number of causes of a failure for which a plan is built anew."""
@@ -139,7 +139,7 @@ def _side_by_side(parts: Sequence[Judging[Result]], rules: Rules, sim: Simulatio
 def _judged(requests: Sequence[PileRequest], rules: Rules, sim: Simulation) -> list[JudgedPile]:
     """The judged pile of each request; each request has one pile. Equal piles are judged only once. Statics judges the
     piles of all requests, or of none (``PileRequest.by_statics``)."""
-    keys = [key_of(pile) for (pile,), *_ in requests]
+    keys = keys_of([pile for (pile,), *_ in requests])
     different = dict(zip(keys, requests, strict=True))
     piles = {key: pile for key, ((pile,), *_) in different.items()}
     allowed = rules.allow([*piles.values()], [pile.order[-1:] for pile in piles.values()])
@@ -218,33 +218,37 @@ class _Pile:
         obstruct equally many boxes, the lowest is tried first. When a place adds no trouble, no further places are
         tried."""
         planned = self._draft.corner_mm[box]
-        places = [
-            Place(box, corner, bool(self._draft.turned[box]) != turn, differs=turn)
+        was_turned = bool(self._draft.turned[box])
+        spots = [
+            (turn, corner)
             for turn, corner in resting_corners(self._pile, self._rules, box)
             if turn or box not in self._distrusted or np.abs(planned - corner).max() > TOLERANCE_MM
         ]
         waiting = self._pile.in_order((*self._pile.order, box))
-        in_the_way = self._in_the_way(places, later)
-        queue = sorted(range(len(places)), key=lambda k: (in_the_way[k], places[k].corner_mm[2]))
+        in_the_way = self._in_the_way(box, spots, later)
+        queue = sorted(range(len(spots)), key=lambda k: (in_the_way[k], spots[k][1][2]))
         best: tuple[float, ...] | None = None
+        best_place: Place | None = None
         best_pile, best_balance = self._pile, self._balance
         before = yield from self._known()
         for begin in range(0, len(queue), TRIED_AT_ONCE):
             numbers = queue[begin : begin + TRIED_AT_ONCE]
-            piles = {k: pile for k in numbers if (pile := places[k].applied(waiting)) is not None}
-            judged = yield PileRequest([*piles.values()], True, before)
-            for (k, pile), (_, balance) in zip(piles.items(), judged, strict=True):
+            places = [
+                Place(box, corner, was_turned != turn, differs=turn) for turn, corner in map(spots.__getitem__, numbers)
+            ]
+            piles = [pile for place in places if (pile := place.applied(waiting)) is not None]
+            judged = yield PileRequest(piles, True, before)
+            for k, place, pile, (_, balance) in zip(numbers, places, piles, judged, strict=True):
                 if balance is None:
                     continue
-                rank = balance.trouble, in_the_way[k], balance.weakness, places[k].corner_mm[2], k
+                rank = balance.trouble, in_the_way[k], balance.weakness, place.corner_mm[2], k
                 if best is None or rank < best:
-                    best, best_pile, best_balance = rank, pile, balance
+                    best, best_place, best_pile, best_balance = rank, place, pile, balance
             if best is not None and best[0] <= _trouble(before) + SAME_TROUBLE:
                 break  # no place can be better: a further box never lessens the trouble of the boxes below
-        if best is None:
-            return None
-        self._pile, self._balance = best_pile, best_balance
-        return places[int(best[-1])]
+        if best_place is not None:
+            self._pile, self._balance = best_pile, best_balance
+        return best_place
 
     def _known(self) -> Judging[Balance | None]:
         """The balance of the pile; None without boxes."""
@@ -252,16 +256,16 @@ class _Pile:
             ((_, self._balance),) = yield PileRequest([self._pile], True)
         return self._balance
 
-    def _in_the_way(self, places: Sequence[Place], later: Collection[int]) -> list[int]:
-        """For each place of a box, how many later boxes cannot keep their places because the box would overlap or cover
+    def _in_the_way(self, box: int, spots: Sequence[Spot], later: Collection[int]) -> list[int]:
+        """For each spot of a box, how many later boxes cannot keep their places because the box would overlap or cover
         them from above."""
-        if not places:
-            return []
         rows = [number for number in later if number not in self._distrusted]
-        low, high = self._draft.corner_mm[rows], (self._draft.corner_mm + self._draft.size_mm)[rows]
-        size = self._draft.size_mm[places[0].box]
-        bottom = np.array([place.corner_mm for place in places])
-        top = bottom + [size[[1, 0, 2]] if place.differs else size for place in places]
+        if not (spots and rows):
+            return [0] * len(spots)
+        low, high = self._draft.corner_mm[rows], self._draft.high_mm[rows]
+        size = self._draft.size_mm[box]
+        bottom = np.array([corner for _, corner in spots])
+        top = bottom + np.where([[turn] for turn, _ in spots], size[[1, 0, 2]], size)
         shared = np.minimum(high, top[:, None]) - np.maximum(low, bottom[:, None])
         is_in_the_way = (shared[..., :2] > TOLERANCE_MM).all(axis=2) & (low[:, 2] < top[:, None, 2] - TOLERANCE_MM)
         in_the_way: list[int] = is_in_the_way.sum(axis=1).tolist()

@@ -225,6 +225,20 @@ class Bearing:
             owner: (k,) index in ``boxes`` of the box above each contact. Contacts are sorted by ``owner``.
             low, high: (k, 2) lowest and highest corner (x, y) of each contact's rectangle, m.
         """
+        first, number = _different(load, owner, low, high)
+        if len(first) == len(load):
+            return self._pushed(load, boxes, owner, low, high)
+        counts = np.bincount(owner, minlength=len(load))
+        begins, count = (np.cumsum(counts) - counts)[first], counts[first]
+        rows = ranges(begins, count)
+        owner = np.repeat(np.arange(len(first)), count)
+        force = self._pushed(load[first], boxes[first], owner, low.take(rows, axis=0), high.take(rows, axis=0))
+        return force.take(ranges((np.cumsum(count) - count)[number], counts), axis=0)
+
+    def _pushed(
+        self, load: FloatArray, boxes: IntArray, owner: IntArray, low: FloatArray, high: FloatArray
+    ) -> FloatArray:
+        """The result of ``pushed``, computed for each load."""
         force, hull = np.zeros((len(owner), 3)), self.number_of_hull[boxes]
         within = self.hulls.inside_m(hull, load[:, 1:] / load[:, :1]) > ON_EDGE_M
         for chosen in (within, ~within):
@@ -440,6 +454,22 @@ class Bearing:
         inverse = np.linalg.inv(total_moments).take(box, axis=0)
         share: FloatArray = to_global @ (moments @ inverse) @ np.linalg.inv(to_global)
         return share
+
+
+def _different(load: FloatArray, owner: IntArray, low: FloatArray, high: FloatArray) -> tuple[IntArray, IntArray]:
+    """(d,) the first of all equal loads on equal contacts, and (p,) for each load, its number among these d loads.
+    Plans that differ only in a few boxes have many equal loads. Arguments: as for ``Bearing.pushed``."""
+    ends = np.cumsum(np.bincount(owner, minlength=len(load)))
+    loads, areas = load.tobytes(), np.concatenate([low, high], axis=1).tobytes()
+    of_load, of_area = load.itemsize * load.shape[1], low.itemsize * 4
+    numbers: dict[bytes, int] = {}
+    each, begin = [], 0
+    for k, end in enumerate((of_area * ends).tolist()):
+        key = loads[of_load * k : of_load * (k + 1)] + areas[begin:end]
+        each.append(numbers.setdefault(key, len(numbers)))
+        begin = end
+    number = np.array(each, np.intp)
+    return np.flatnonzero(np.diff(np.maximum.accumulate(number), prepend=-1)), number
 
 
 def add_rows(sums: FloatArray, row: IntArray, values: FloatArray) -> None:

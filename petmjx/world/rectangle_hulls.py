@@ -75,26 +75,26 @@ def hull_table(low: FloatArray, high: FloatArray, count: IntArray) -> HullTable:
 def _stacked_hulls(low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(s, e, 2) normals and (s, e) offsets, as in ``HullTable``, of the hulls of s sets of k rectangles."""
     along = np.stack([low[..., 0].min(1), -high[..., 0].max(1), low[..., 1].min(1), -high[..., 1].max(1)], axis=1)
-    normals = [np.broadcast_to(np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]), (len(low), 4, 2))]
-    offsets = [along]
+    axes = np.broadcast_to(np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]), (len(low), 4, 2))
     one, other = np.triu_indices(low.shape[1], 1)
     # if a component of an edge's normal is positive, the low end of each rectangle is nearest to the edge; if it is
     # negative, the high end is nearest
-    for sign_x, sign_y in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
-        x, y = (low if sign_x > 0 else high)[..., 0], (low if sign_y > 0 else high)[..., 1]
-        step_x, step_y = x[:, other] - x[:, one], y[:, other] - y[:, one]
-        length = np.hypot(step_x, step_y)
-        # edges run anticlockwise, with the hull on the left
-        slanted = (step_x * step_y * sign_x * sign_y < 0) & (length > LEAST_EDGE_M)
-        turn = np.where(step_x * sign_y > 0, 1.0, -1.0)
-        length = np.where(slanted, length, 1.0) * turn
-        normal_x, normal_y = -step_y / length, step_x / length
-        begin_x, begin_y = np.where(turn > 0, x[:, one], x[:, other]), np.where(turn > 0, y[:, one], y[:, other])
-        offset = normal_x * begin_x + normal_y * begin_y
-        least = (normal_x[..., None] * x[:, None] + normal_y[..., None] * y[:, None]).min(axis=-1, initial=np.inf)
-        slanted &= least >= offset - _STRAIGHT_M
-        normals.append(np.where(slanted[..., None], np.stack([normal_x, normal_y], axis=-1), 0.0))
-        offsets.append(np.where(slanted, offset, -np.inf))
-    normal, offset = np.concatenate(normals, axis=1), np.concatenate(offsets, axis=1)
+    x = np.stack([low[..., 0], low[..., 0], high[..., 0], high[..., 0]], axis=1)
+    y = np.stack([low[..., 1], high[..., 1], low[..., 1], high[..., 1]], axis=1)
+    sign_x, sign_y = np.array([1, 1, -1, -1])[:, None], np.array([1, -1, 1, -1])[:, None]
+    step_x, step_y = x[..., other] - x[..., one], y[..., other] - y[..., one]
+    length = np.hypot(step_x, step_y)
+    # edges run anticlockwise, with the hull on the left
+    slanted = (step_x * step_y * sign_x * sign_y < 0) & (length > LEAST_EDGE_M)
+    turn = np.where(step_x * sign_y > 0, 1.0, -1.0)
+    length = np.where(slanted, length, 1.0) * turn
+    normal_x, normal_y = -step_y / length, step_x / length
+    begin_x, begin_y = np.where(turn > 0, x[..., one], x[..., other]), np.where(turn > 0, y[..., one], y[..., other])
+    offset = normal_x * begin_x + normal_y * begin_y
+    least = normal_x[..., None] * x[:, :, None] + normal_y[..., None] * y[:, :, None]
+    slanted &= least.min(axis=-1, initial=np.inf) >= offset - _STRAIGHT_M
+    normal = np.where(slanted[..., None], np.stack([normal_x, normal_y], axis=-1), 0.0)
+    normal = np.concatenate([axes, normal.reshape(len(low), -1, 2)], axis=1)
+    offset = np.concatenate([along, np.where(slanted, offset, -np.inf).reshape(len(low), -1)], axis=1)
     order = np.argsort(np.isinf(offset), axis=1, kind="stable")[:, : int(np.isfinite(offset).sum(axis=1).max())]
     return np.take_along_axis(normal, order[..., None], axis=1), np.take_along_axis(offset, order, axis=1)
