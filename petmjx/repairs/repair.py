@@ -41,8 +41,10 @@ OF_READING: Final = (*READING, "articles", "limit", "strict")
 """Fields of ``RunOptions`` about the reading of plans."""
 
 AT_ONCE: Final = 256
-"""Largest number of plans that are repaired at the same time. The trials of plans that are repaired at the same time
-share runs of the engine, so that a GPU has enough worlds to be busy."""
+GPU_AT_ONCE: Final = 512
+"""Largest number of plans that are repaired at the same time, on CPU threads and on a GPU. The trials of plans that
+are repaired at the same time share runs of the engine, so that a GPU has enough worlds to be busy. The next plans wait
+for the last search: seven of 263 plans waited for more than a minute, when this number was 256 on a GPU, too."""
 
 SHOWN: Final = (
     ShownColumn("plan_id", "plan"),
@@ -363,7 +365,7 @@ def _repaired(plans: Iterable[Plan], question: Question, options: RepairOptions,
     """The repair of each plan. The searches of several plans share runs of the engine."""
     limit = TimeLimit(math.inf if options.seconds is None else options.seconds)
     waiting = iter(plans)
-    while group := list(islice(waiting, AT_ONCE)):
+    while group := list(islice(waiting, GPU_AT_ONCE if question.is_wide else AT_ONCE)):
         searches = [Search(plan, question.sim, options, question.film_turns, question.is_wide) for plan in group]
         try:
             most = most_processes(question.threads, is_wide=question.is_wide)
