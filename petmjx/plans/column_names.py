@@ -161,7 +161,8 @@ _WORDS: Final[dict[Kind, frozenset[str]]] = {
         "rotazione rotacja orientacion orientazione orientacja tourne girado ruotato obrot angle winkel yaw "
         "turned ori theta gedraaid gekanteld rotacionado virado girato volteado otoceno obrocony gedr verdreht "
         "giro sens rotatie rotasjon rotering rotace rotacija rotacao rotasyon draaiing vridning drejning kierto "
-        "forgatas elforgatas pootoceni otoceni rotire donus"
+        "forgatas elforgatas pootoceni otoceni rotire donus girada ruotata rodado rodada rotacionada virada girata "
+        "volteada swapped quarterturn quarterturns"
     ),
     "quantity": word_set(
         "quantity qty quantities amount count copies menge anzahl stuck stueck stk quantite qte nombre cantidad "

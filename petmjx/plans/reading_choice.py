@@ -65,7 +65,8 @@ WEAK: Final = 5.0
 overlap, or if a quarter of them float."""
 _POOR: Final = 0.8 * WEAK
 """If the layouts of all readings cost more than this, readings are tried in which coordinates have another unit than
-sizes. A reading with x upwards whose layout costs more than this is not considered."""
+sizes. A reading with x upwards, or with rotations in a column of unknown name, whose layout costs more than this is not
+considered."""
 WEAK_LEAD: Final = 3.0
 """A weak reading (see ``WEAK``) wins only if its cost is lower than the cost of every other reading by at least this
 value. If a plan really has odd boxes, even more boxes are odd in wrong readings."""
@@ -289,8 +290,10 @@ def choose_reading(
 
     Raises:
         AmbiguousFile: two readings are almost equally plausible, or no reading is plausible.
-        InputError: no row is usable.
+        InputError: no row is usable, or sizes are said to be those before turning, and no column has rotations.
     """
+    if wishes.sizes == "item" and columns.turns is None and all(one.turn is None for one in columns.geometries):
+        raise InputError("--sizes item: no column of rotations is known; say which with --columns rotation=NAME")
     sample = _sample_of(columns, plans, damaged)
     if not sample:
         raise InputError("no row can be used")
@@ -440,13 +443,13 @@ because a number is damaged."""
 
 
 def _is_impossible(best: _Judged, columns: BoxColumns, wishes: Wishes) -> bool:
-    """Whether the most plausible reading must be refused, because more than half of the boxes overlap in it, or because
+    """Whether the most plausible reading must be refused, because more than a fifth of the boxes overlap in it, or because
     it is unusual (``_LARGEST_PRIOR``). The result is False if the caller gives the anchor or a written reading, or if
     the form gives the anchor and the vertical axis."""
     n_overlapping = best.evidence.n_overlapping
     form = columns.source.form
     is_said = bool(wishes.anchor or wishes.exact or (form.anchor and form.up))
-    overlaps = n_overlapping >= _LEAST_OVERLAPPING and 2 * n_overlapping > best.evidence.n_boxes
+    overlaps = n_overlapping >= _LEAST_OVERLAPPING and best.evidence.is_piled
     is_unusual = best.candidate.up not in ("z", "y") and best.candidate.prior >= _LARGEST_PRIOR
     return not is_said and (overlaps or is_unusual)
 
@@ -459,8 +462,10 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
     for candidate in ranked:
         if judged and candidate.prior + _LOWEST_UNIT_COST > lowest + WEAK_LEAD:
             break
-        judged.append(_judge(columns, wishes, candidate, sample))
-        lowest = min(lowest, judged[-1].cost)
+        other = _judge(columns, wishes, candidate, sample)
+        if other.layout_cost <= _POOR or not _has_guessed_turns(columns, candidate):
+            judged.append(other)
+            lowest = min(lowest, other.cost)
     for further in (candidates_on_side, candidates_of_corners, candidates_downwards):
         if further is not candidates_of_corners or _is_doubtful(min(judged, key=lambda one: one.cost)):
             for candidate in sorted(further(columns, wishes), key=lambda one: one.prior):
@@ -479,6 +484,11 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
                     judged.append(other)
     # of equally plausible readings, the more usual one comes first; they may differ only in a shift
     return sorted(judged, key=lambda one: (round(one.cost, 9), one.candidate.prior))
+
+
+def _has_guessed_turns(columns: BoxColumns, candidate: Candidate) -> bool:
+    """Whether boxes are turned by a column whose name is unknown."""
+    return candidate.rule != "none" and columns.turns is not None and columns.turns.guess_cost > 0
 
 
 def _within_reach(judged: _Judged) -> bool:
@@ -598,9 +608,12 @@ def _reading(judged: _Judged, columns: BoxColumns, wishes: Wishes, units: _Units
     units are used."""
     candidate = judged.candidate
     units = units or judged.units[0]
+    names = {**candidate.geometry.columns, **columns.columns}
+    if columns.turns is not None and columns.turns.guess_cost and candidate.rule == "none":
+        del names["rotation"]
     return Reading(
         form=columns.source.form.name,
-        columns={**candidate.geometry.columns, **columns.columns},
+        columns=names,
         units=_unit_text(judged, units.length),
         masses=units.mass,
         anchor=candidate.anchor,

@@ -270,6 +270,10 @@ TABLES = {
         f"name,x,y,z,{SIZES},mass,dönük,fragile",
         lambda k, box: [NAMES[k], *box[:3], *before_turn(k, box), box[6], "yes" if TURNED[k] else "no", k],
     ),
+    "two words under an unknown name": table(
+        f"name,x,y,z,{SIZES},mass,facing",
+        lambda k, box: [NAMES[k], *box[:3], *before_turn(k, box), box[6], "NE"[TURNED[k]]],
+    ),
     "initials of yes and no": table(
         f"name,x,y,z,{SIZES},peso,girado",
         lambda k, box: [NAMES[k], *box[:3], *(before_turn(k, box) if k == 6 else box[3:6]), box[6], "NS"[k == 6]],
@@ -1636,6 +1640,13 @@ def test_what_is_not_read_is_noted(tmp_path: Path) -> None:
          "has sizes of boxes, but no places (x, y, z): name their columns with --columns x=NAME,y=NAME,z=NAME, or"),
         (DOCUMENTS["data classes"].replace("z=300", "z=3OO", 1),
          'line 5 (e): position.z must be a number, got "3OO"'),
+        *((table(f"name,x,y,z,{SIZES},mass,{name}",
+                 lambda k, box, cells=(no, yes), odd=odd: [NAMES[k], *box[:3], *before_turn(k, box), box[6],
+                                                           odd if k == 4 else cells[TURNED[k]]]),
+           f"row 6 (e): {name} {fault}")
+          for name, no, yes, odd, fault in (("dönük", "no", "yes", "?", 'must be 0 or 1, got "?"'),
+                                            ("rotated", 0, 1, 2, 'must be 0 or 1, got "2"'),
+                                            ("rotated", "no", "yes", "", "is missing"))),
         (json.dumps(DOCUMENTS["zeros are not written"]).replace('"y": 400', '"y": 0', 1), "[0] (a): at.x is missing"),
         (json.dumps(by_columns(hole="4")), "plan pile, [4]: z is missing"),
         (json.dumps(three_js()).replace("-0.6, 0.2, -0.4, 1]", '-0.6, "O.2", -0.4, 1]', 1),
