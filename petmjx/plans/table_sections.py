@@ -69,11 +69,27 @@ def tables_of_rows(
         tables += below
     tables[0] = replace(tables[0], lost=(*lost, *tables[0].lost))
     if len(heads) > 1:
-        tables = [
-            replace(table, part=table.part or (table.above[-1] if table.above else f"{number}"))
-            for number, table in enumerate(tables, start=1)
-        ]
+        parts: list[str] = []
+        for number, table in enumerate(tables, start=1):
+            of_report = tables[0].above[:-1]  # these lines may stand on each page
+            titles = [line for line in table.above if line not in of_report]
+            continued = parts[-1] if parts and tables[0].above else f"{number}"
+            parts.append(table.part or (_without_continued(titles[-1]) if titles else continued))
+        tables = [replace(table, part=part) for table, part in zip(tables, parts, strict=True)]
     return [table for table in tables if table.rows or table.lost] or tables[:1]
+
+
+_CONTINUED: Final = re.compile(
+    r"\s*(?:[(\[]\s*{0}\s*[)\]]|[-–—,:]\s*{0})\s*$".format(
+        r"(?:continued|continuation|cont(?:['’]?d)?\.?|fortsetzung|forts\.|suite|continuaci[oó]n|segue|seguito|vervolg)"
+    ),
+    re.IGNORECASE,
+)
+"""The end of a title on a further page: "Pallet 2 (continued)"."""
+
+
+def _without_continued(title: str) -> str:
+    return _CONTINUED.sub("", title) or title
 
 
 def _cleaned(cell: Any) -> Any:
@@ -204,7 +220,7 @@ def _sections(
             lost.append((place, f"has {count_text(len(row), 'field')} instead of {width}"))
             continue
         if trailing:
-            title, where = trailing[-1]
+            title, where = _without_continued(trailing[-1][0]), trailing[-1][1]
             first_title = next((name for name, body in sections if body), None)
             if first_title is None or title in short_titles or begins_section(title, first_title, above):
                 sections.append((title, []))

@@ -19,8 +19,8 @@ from petmjx.options.run_options import READING, RunOptions
 from petmjx.options.simulation import Simulation
 from petmjx.options.sorted_options import sorted_options
 from petmjx.plans.plan import Plan
-from petmjx.plans.plan_sources import PathArgument, PlanSource, usable_plans, without_built_plans
 from petmjx.plans.plan_set import PlanSet
+from petmjx.plans.plan_sources import PathArgument, PlanSource, usable_plans, without_built_plans
 from petmjx.plans.plan_writer import save_plans
 from petmjx.repairs.candidates import State
 from petmjx.repairs.changes import Change, Kind, applied, cost_of, with_turns_told

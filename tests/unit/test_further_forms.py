@@ -103,6 +103,15 @@ def printed_frame(index: bool) -> str:
     return "\n".join([line, shown[0], line, *shown[1:], line, ""])
 
 
+def report(title: str) -> str:
+    """A report of two pages, with units below some names. ``title``: the title on the second page."""
+    boxes = [[NAMES[number], *map(str, box[:6]), str(1000 * box[6])] for number, box in enumerate(PILE)]
+    rows = [["box", *FIELDS], ["", *["[mm]"] * 6, "[g]"], *boxes]
+    lines = ["  ".join(cell.rjust(7) for cell in row) for row in rows]
+    pages = ["LOADS", "", "Pallet A", *lines[:7], "\fLOADS", title, *lines[:2], *lines[7:], ""]
+    return "\n".join(pages)
+
+
 def transposed() -> str:
     rows = [["Box", *NAMES], *([name, *values] for name, values in zip(FIELDS, zip(*PILE, strict=True), strict=True))]
     return "\n".join(";".join(map(str, row)) for row in rows)
@@ -270,6 +279,8 @@ TABLES = {
         f"name,x,y,z,{SIZES},mass,dönük,fragile",
         lambda k, box: [NAMES[k], *box[:3], *before_turn(k, box), box[6], "yes" if TURNED[k] else "no", k],
     ),
+    "a report of two pages": report(""),
+    "a report with repeated titles": report("Pallet A (continued)"),
     "two words under an unknown name": table(
         f"name,x,y,z,{SIZES},mass,facing",
         lambda k, box: [NAMES[k], *box[:3], *before_turn(k, box), box[6], "NE"[TURNED[k]]],
