@@ -181,7 +181,7 @@ _WORDS: Final[dict[Kind, frozenset[str]]] = {
         "article articles artikel artikelnr artikelnummer sku skus product products produkt produkte produit articulo "
         "articolo artykul producto prodotto material materialnr ref reference referencia riferimento type typ tipo "
         "cargo goods kind name names bezeichnung description beschreibung partno article_id codice codigo code kod "
-        "item urun vare varenr varenummer tuote zbozi polozka artikl towar artigo"
+        "item gtin urun vare varenr varenummer tuote zbozi polozka artikl towar artigo"
     ),
     "item_id": word_set(
         "id ids uid uuid itemid boxid caseid box boxes case cases carton cartons karton packstuck packstueck colis "
@@ -813,6 +813,7 @@ def _kind_of(tail: list[str], path: list[str]) -> Kind | None:
         "product",
         "produkt",
         "produit",
+        "gtin",
         "urun",
     }:
         return "article"

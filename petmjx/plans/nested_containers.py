@@ -18,12 +18,11 @@ LAYERS: Final = word_set("layer layers level levels tier tiers lage lagen schich
 STACKS: Final = word_set("stack stacks tower towers column columns pile piles block blocks")
 """Words for parts of a plan that stand beside each other."""
 _NAMES: Final = (
-    "plan_id", "planId", "order_id", "orderId", "pallet_id", "palletId", "container_id", "containerId", "bin_id",
-    "binId", "load_id", "loadId", "plan",
-    "id", "ID", "name", "partno", "bin", "pallet", "container", "index", "number", "no",
+    "planid", "orderid", "palletid", "containerid", "binid", "loadid", "plan",
+    "id", "name", "sscc", "partno", "bin", "pallet", "container", "index", "number", "no",
 )  # fmt: skip
-"""Fields that name a plan, most reliable first."""
-_N_OF_PLANS: Final = 13
+"""Fields that name a plan, most reliable first, in lower case and without "_"."""
+_N_OF_PLANS: Final = 7
 """Number of fields at the beginning of ``_NAMES`` that name a plan wherever they are in a file."""
 CONTAINERS: Final = word_set(
     "container containers bin bins pallet pallets truck trucks carrier carriers vehicle box_size bin_size binsize "
@@ -243,20 +242,22 @@ def _levels_of_plans(
 
 
 def repeated_ids(members: Sequence[NestedBox], articles: Collection[int]) -> list[str]:
-    """Ids that several plans have, with the names of their fields ("id 7"). Such plans are named by their numbers. The
-    list is empty if pallets are in several orders, because each order may have pallets with the same ids."""
+    """Ids or names that several plans have, with their fields ("id 7"). Such plans are named by other fields or by
+    their numbers. The list is empty if pallets are in several orders, because each order may have pallets with the same
+    ids."""
     levels = _levels_of_plans(members, articles)
     if len(levels) != 1:
         return []
     holders = list({id(holder): (step, holder) for step, holder in levels[0]}.values())
     ids: Counter[str] = Counter()
     for name, (_, holder) in zip(_names_of(holders), holders, strict=True):
-        texts = {field: _name_text(holder.get(field)) for field in _NAMES}
-        if name not in texts.values():
-            ids.update(
-                [f"{field} {text}" for field, text in texts.items() if text and field.lower().endswith("id")][:1]
-            )
+        firsts = [(field, text) for field, text in _texts_of_names(holder).items() if field.endswith(_IDS)][:1]
+        ids.update(f"{field} {text}" for field, text in firsts if text != name)
     return [text for text, count in ids.items() if count > 1]
+
+
+_IDS: Final = ("id", "name", "sscc")
+"""Ends of fields whose texts should differ between plans."""
 
 
 def _is_part(step: str) -> bool:
@@ -268,14 +269,14 @@ def _is_part(step: str) -> bool:
 def _only_name(around: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
     """The name of a file's only plan; "" if no field gives a name."""
     for _, holder in reversed(around):
-        for name in _NAMES[:_N_OF_PLANS]:
-            if (text := _name_text(holder.get(name))) != "":
-                return text
+        texts = _texts_of_names(holder)
+        if text := next((texts[name] for name in (*_NAMES[:_N_OF_PLANS], "sscc") if name in texts), ""):
+            return text
     for step, holder in reversed(around):
         if step.endswith("]") or not step or holder == {"id": step}:  # {"id": step}: the list has the name of the plan
-            for name in ("id", "ID", "name", "bin", "partno"):
-                if (text := _name_text(holder.get(name))) != "":
-                    return text
+            texts = _texts_of_names(holder)
+            if text := next((texts[name] for name in ("id", "name", "bin", "partno") if name in texts), ""):
+                return text
     return ""
 
 
@@ -293,12 +294,19 @@ def _names_of(holders: Sequence[tuple[str, Mapping[str, Any]]]) -> list[str]:
 def _names_in(holders: Sequence[Mapping[str, Any]]) -> list[str]:
     """For each object, its text in the first field of ``_NAMES`` in which no other object has the same text; "" if
     there is no such field."""
-    texts = {name: [_name_text(holder.get(name)) for holder in holders] for name in _NAMES}
+    of_holders = [_texts_of_names(holder) for holder in holders]
+    texts = {name: [named.get(name, "") for named in of_holders] for name in _NAMES}
     counts = {name: Counter(values) for name, values in texts.items()}
     return [
         next((own[number] for name, own in texts.items() if own[number] and counts[name][own[number]] == 1), "")
         for number in range(len(holders))
     ]
+
+
+def _texts_of_names(holder: Mapping[str, Any]) -> dict[str, str]:
+    """Field (as in ``_NAMES``) → its text, for the fields that may name a plan, most reliable first."""
+    texts = {str(name).lower().replace("_", ""): _name_text(value) for name, value in holder.items()}
+    return {name: texts[name] for name in _NAMES if texts.get(name)}
 
 
 def _name_text(value: Any) -> str:

@@ -444,8 +444,8 @@ because a number is damaged."""
 
 def _is_impossible(best: _Judged, columns: BoxColumns, wishes: Wishes) -> bool:
     """Whether the most plausible reading must be refused, because more than a fifth of the boxes overlap in it, or
-    because it is unusual (``_LARGEST_PRIOR``). The result is False if the caller gives the anchor or a written reading, or if
-    the form gives the anchor and the vertical axis."""
+    because it is unusual (``_LARGEST_PRIOR``). The result is False if the caller gives the anchor or a written reading,
+    or if the form gives the anchor and the vertical axis."""
     n_overlapping = best.evidence.n_overlapping
     form = columns.source.form
     is_said = bool(wishes.anchor or wishes.exact or (form.anchor and form.up))

@@ -191,6 +191,9 @@ def _sections(
         if row[0] is not None and len(filled) == 1 and _are_none_unplaced(cell_text(row[0])):
             notes += _remark_notes([(_line(row), place)])
             continue
+        if len(filled) == 1 and _has_other_separator(filled[0], width):
+            lost.append((place, f"has 1 field instead of {width}: another separator?"))
+            continue
         is_remark = _is_remark(row, geometric)
         if len(filled) == 1 and width > 2 and isinstance(filled[0], str) and not (_mostly_numbers(row) or is_remark):
             trailing.append((filled[0], place))
@@ -239,6 +242,12 @@ def _sections(
     if len(set(short_titles.values())) == len(short_titles):
         sections = [(short_titles.get(name, name), body) for name, body in sections]
     return [section for section in sections if section[1]], tuple(lost), [line for line, _ in trailing]
+
+
+def _has_other_separator(cell: Any, width: int) -> bool:
+    """Whether a cell has all fields of a row, between other separators than those of the table."""
+    rows = [cell.split(mark) for mark in ",;\t|"] if isinstance(cell, str) and width > 2 else []
+    return any(len(fields) >= width and 2 * sum(map(is_number, fields)) > width for fields in rows)
 
 
 _PART_WORDS: Final = TITLE_WORDS | LAYERS | STACKS

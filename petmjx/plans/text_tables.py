@@ -16,6 +16,7 @@ from typing import Final
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
+from petmjx.plans.cell_numbers import is_number
 from petmjx.plans.embedded_tables import rows_of_sql, text_of_latex
 from petmjx.plans.file_formats import NoBoxes, wide_encoding
 from petmjx.plans.header_and_total_rows import LEAST_KNOWN, SEARCHED_ROWS, count_known_names, is_unit_cell
@@ -107,15 +108,22 @@ def tables_of_text(data: bytes | bytearray) -> list[RawTable]:
     if len(rows) > MOST_ROWS:
         raise InputError(f"has more than {MOST_ROWS:,} rows")
     if len(rows) > 1 and not text.endswith("\n") and len(rows[-1]) < len(rows[-2]):
-        words = " ".join(rows[-1]).split()
-        if len(words) == 1:  # one word may be the beginning of a row; a remark has more words
-            lost.append((f"row {len(rows) - 1 + begin}", f"is no box: {printable_name(words[0])}; truncated?"))
+        words, words_above = (" ".join(row).split() for row in rows[:-3:-1])
+        if _may_begin(words, words_above):
+            lost.append((f"row {len(rows) - 1 + begin}", f"is no box: {printable_name(' '.join(words))}; truncated?"))
             del rows[-1]
     tables = tables_of_rows(rows, begin, lost=lost)
     comma = any(table.decimal == "," for table in tables)
     if comma:
         notes.append("decimal commas")
     return [replace(table, notes=(*notes, *table.notes)) for table in tables]
+
+
+def _may_begin(words: Sequence[str], words_above: Sequence[str]) -> bool:
+    """Whether the words of a line may be the beginning of a row like the row above. This is so if it is a single word,
+    or if its numbers stand where the row above has numbers, and its other words where that row has words."""
+    are_numbers = [*map(is_number, words)]
+    return len(words) == 1 or (any(are_numbers) and are_numbers == [*map(is_number, words_above)][: len(words)])
 
 
 _PAGE: Final = re.compile(
@@ -127,7 +135,8 @@ _PAGE: Final = re.compile(
 
 def _without_page_heads(text: str) -> str:
     """The text of a printed report in which the heads of all pages but the first are replaced by empty lines. The head
-    of a page has the number of the page, and the same lines as the head of the first page, which may lack its number."""
+    of a page has the number of the page, and the same lines as the head of the first page, which may lack the
+    number."""
     if _PAGE.search(text[:_LONGEST_HEAD]) is None:
         return text
     lines = text.split("\n")

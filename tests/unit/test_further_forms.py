@@ -1605,6 +1605,10 @@ def test_what_is_not_read_is_noted(tmp_path: Path) -> None:
     line = notes_of(load(tmp_path, "load.xlsx", sheets(A=BOX_ROWS, B=other, C=twice)))
     assert "8 boxes in B not read, because the columns differ" in line
     assert "sheet C not read: column box occurs twice" in line
+    hidden = openpyxl.load_workbook(io.BytesIO(sheets(A=BOX_ROWS, B=BOX_ROWS)))
+    hidden["B"].sheet_state = "hidden"
+    hidden.save(content := io.BytesIO())
+    assert "sheet B not read: it is hidden" in notes_of(load(tmp_path, "load.xlsx", content.getvalue()))
     quantities = table(f"box,x,y,z,{SIZES},weight,qty", lambda k, box: [*named(k, box), 2 if k == 3 else 1])
     assert "qty is above 1 in some rows, but each row is read as one box" in notes_of(
         load(tmp_path, "a.csv", quantities)
@@ -1651,6 +1655,9 @@ def test_what_is_not_read_is_noted(tmp_path: Path) -> None:
          "has sizes of boxes, but no places (x, y, z): name their columns with --columns x=NAME,y=NAME,z=NAME, or"),
         (DOCUMENTS["data classes"].replace("z=300", "z=3OO", 1),
          'line 5 (e): position.z must be a number, got "3OO"'),
+        (table(f"box,x,y,z,{SIZES},kg", named, ";").replace("e;0.0;0.0;300.0;", "e,0.0,0.0,300.0,").replace(
+            "400.0;300.0;250.0;6.5", "400.0,300.0,250.0,6.5", 1), "row 6: has 1 field instead of 8: another separator"),
+        (f"{report('')[:-1]}\n      i     0", "is no box: i 0; truncated?"),
         *((table(f"name,x,y,z,{SIZES},mass,{name}",
                  lambda k, box, cells=(no, yes), odd=odd: [NAMES[k], *box[:3], *before_turn(k, box), box[6],
                                                            odd if k == 4 else cells[TURNED[k]]]),
