@@ -56,13 +56,60 @@ def fields_of_part(member: NestedBox) -> dict[str, Any]:
     given = {(meaning.kind, meaning.axis) for meaning in known_meanings(flattened(member.value)).values()}
     if ("positions", "") in given or ("sizes", "") in given or not any(kind == "position" for kind, _ in given):
         return {}
-    fields = {name: value for name, value in holder.items() if cell_number(value) is not None}
+    fields = _numbers_in(holder)
     lacking = {*(("position", axis) for axis in "xyz"), ("size", "height")} - given
     return {
         name: fields[name]
         for name, meaning in known_meanings(fields).items()
-        if (meaning.kind, meaning.axis) in lacking
+        if (meaning.kind, meaning.axis) in lacking and not _BOTTOMS.intersection(words_of(name))
     }
+
+
+def _numbers_in(holder: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields of an object that are numbers, also in objects within it, but not in lists."""
+    flat = flattened({name: value for name, value in holder.items() if not isinstance(value, list | tuple)})
+    return {name: value for name, value in flat.items() if cell_number(value) is not None}
+
+
+def add_bottoms(members: Sequence[NestedBox], rows: Sequence[dict[str, Any]]) -> list[str]:
+    """Add z to boxes that have x and y, and no z, if the layers around the boxes have the heights of their bottoms: one
+    field of numbers with a word of ``_BOTTOMS`` in its name, which does not count the layers. Without such a field, the
+    boxes get all numbers of the layers, so that the user can name one as z. Returns a note about the field.
+
+    Args:
+        rows: the fields of each member, which are changed.
+    """
+    known = {(meaning.kind, meaning.axis) for row in rows for meaning in known_meanings(row).values()}
+    if ("position", "x") not in known or known & {("position", "z"), ("positions", "")}:
+        return []
+    around = [member.around[-1] if member.around else ("", {}) for member in members]
+    if not all(LAYERS.intersection(words_of(step)) for step, _ in around):
+        return []
+    layers = {id(holder): _numbers_in(holder) for _, holder in around}
+    names = dict.fromkeys(name for numbers in layers.values() for name in numbers)
+    bottoms = [
+        name
+        for name in names
+        if _BOTTOMS.intersection(words_of(name))
+        and not _are_counted([numbers.get(name) for numbers in layers.values()])
+    ]
+    for row, (_, holder) in zip(rows, around, strict=True):
+        numbers = layers[id(holder)]
+        if len(bottoms) == 1:
+            row["z"] = numbers.get(bottoms[0])
+        else:
+            row.update({name: value for name, value in numbers.items() if name not in row})
+    return [f"z from {bottoms[0]} of layers"] if len(bottoms) == 1 else []
+
+
+_BOTTOMS: Final = word_set("base bottom elevation level deck unten unterkante onderkant")
+"""Words in names of the heights at which layers begin."""
+
+
+def _are_counted(cells: Sequence[Any]) -> bool:
+    """Whether the numbers of several layers count them, from 0 or 1."""
+    values = {number.value for cell in cells if (number := cell_number(cell)) is not None}
+    return len(values) > 1 and values in ({*range(len(values))}, {*range(1, len(values) + 1)})
 
 
 def articles_around(members: Sequence[NestedBox]) -> frozenset[int]:

@@ -26,6 +26,7 @@ from petmjx.plans.nested_containers import (
     LAYERS,
     STACKS,
     NestedBox,
+    add_bottoms,
     articles_around,
     container_around,
     fields_of_article,
@@ -354,7 +355,7 @@ def _box_list(path: str, members: Sequence[NestedBox]) -> BoxList | None:
         fields, source = fields_of_article(member, articles)
         row.update(fields)
         sources.append(source)
-    notes = list(filter(None, dict.fromkeys(sources)))
+    notes = [*filter(None, dict.fromkeys(sources)), *add_bottoms(members, flat)]
     for others_in in (_static_objects, _other_kinds, _floors):
         others, note = others_in(flat)
         if 0 < len(others) < len(flat):

@@ -544,7 +544,7 @@ def test_a_plan_without_its_bottom_layer_floats_beside_others(tmp_path: Path) ->
             "Box,X,Y,Z,Length,Width,Height,Weight\na,0,0,,400,300,200,6\nb,0,0,,400,300,200,6\n",
             "row 2 (a): Z is missing",
         ),
-        ("Box,X,Y,Length,Width,Height,Weight\na,0,0,400,300,200,6\n", "lacks one of the sizes or coordinates"),
+        ("Box,X,Y,Length,Width,Height,Weight\na,0,0,400,300,200,6\n", "lacks the coordinate z of boxes"),
         ("Order,Length,Width,Height,Weight\nA,400,300,200,6\nA,400,300,200,x\n", "order A, row 3: Weight must be"),
     ],
 )

@@ -892,6 +892,9 @@ DOCUMENTS = {
     "poses of four numbers": boxes_by(lambda box: {"pose": [*centre(box), 0.0], **sized(box)}),
     "boxes in stacks": {"stacks": [{"boxes": [box]} for box in boxes_by(plain)]},
     "layers with z": layers(),
+    "layers with heights": json.loads(
+        json.dumps(layers()).replace('"z": 0', '"level": 1, "baseHeight": {"value": "0", "uom": "MMT"}')
+        .replace('"z": 300', '"level": 2, "baseHeight": {"value": "30", "uom": "CMT"}')),
     "layers by keys": {"tool": "a", "layer_1": boxes_by(plain)[:4], "layer_2": boxes_by(plain)[4:]},
     "flags as numbers": {
         "boxes": [*({**box, "placed": 1} for box in boxes_by(plain)), {**boxes_by(plain)[0], "x": None, "placed": 0}]
