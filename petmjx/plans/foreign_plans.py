@@ -132,13 +132,19 @@ def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path |
     )
     sized = some_sizes and n_sizes != 1  # a column for only one of the three sizes is probably not the size of a box
     places_named = bool(boxes.kinds & {"position", "positions", "low", "matrix"}) or columns.source.form == POSES
+    names = f"there are {', '.join(map(printable_name, boxes.table.header[:20]))}"
+    if not columns.n_boxes and boxes.table.lost:
+        place, fault = boxes.table.lost[0]
+        advice = (
+            "; has a name in the header a blank in it?" if "fields between white space" in boxes.table.notes else ""
+        )
+        return NoGeometry(f"holds no box: {place} {fault}{advice}; {names}")
     if not columns.n_boxes:
         return NoGeometry("holds no box")
     items_of_packingsolver = {name.upper() for name in boxes.table.header} >= {"X", "Y", "Z", "COPIES"}
     if quantities and (items_of_packingsolver or (some_sizes and not places_named)):
         content = "quantities and layers" if "layers" in kinds else "quantities"
         return NoGeometry(f"has types of boxes with {content}, and no places: {PACK.format(file=file)}")
-    names = f"there are {', '.join(map(printable_name, boxes.table.header[:20]))}"
     if places_named and not sized:
         return NoGeometry(f"has places of boxes, but no sizes: name a file that has them with --items FILE; {names}")
     if sized and not places_named:

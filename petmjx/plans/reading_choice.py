@@ -235,7 +235,8 @@ def _units(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[_Units]
     form, geometry = columns.source.form, judged.candidate.geometry
     size = np.concatenate([layout.size for layout in judged.layouts])
     side = float(np.exp(np.log(size).mean(axis=1)).mean())
-    unit = wishes.length_units[1] or geometry.place_unit or geometry.size_unit or form.units
+    of_places = _unit_of_places(judged.candidate) if _has_unnamed_places(judged.candidate) else geometry.place_unit
+    unit = wishes.length_units[1] or of_places or geometry.size_unit or form.units
     lengths = {unit: 0.0} if unit else dict(_UNIT_PRIOR)
     if not unit and not columns.source.boxes.table.has_header:
         lengths["dm"] = 0.3
@@ -473,12 +474,15 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
                     break
                 other = _judge(columns, wishes, candidate, sample)
                 judged += [other] if other.layout_cost <= _POOR else []
-    no_sizes_unit = not wishes.units and not any(geometry.size_unit for geometry in columns.geometries)
-    if no_sizes_unit and judged and min(one.layout_cost for one in judged) > _POOR:
+    are_of_objects = any("." in name for name in columns.unit_columns)  # "dimensions.uom" is no unit of coordinates
+    lacks_unit = not any(one.size_unit and (one.place_unit or not are_of_objects) for one in columns.geometries)
+    if lacks_unit and not wishes.units and judged and min(one.layout_cost for one in judged) > _POOR:
         base = sorted(judged, key=lambda one: one.candidate.prior)[:8]
         for factor in (10.0, 0.1, 1000.0, 0.001, 25.4, 100.0, 0.01):
             for one in base:
                 scaled = replace(one.candidate, scale=factor, prior=one.candidate.prior + 2.0)
+                if _has_unnamed_places(scaled) and not _unit_of_places(scaled):
+                    continue
                 other = _judge(columns, wishes, scaled, sample)
                 if _unit_of_sizes(other, other.units[0].length) is not None and _within_reach(other):
                     judged.append(other)
@@ -589,6 +593,17 @@ def _other_mass(best: _Judged) -> str | None:
         if choice.length == first.length and (choice.cost < first.cost + TIE or _is_likely(choice))
     )
     return next(rivals, None)
+
+
+def _has_unnamed_places(candidate: Candidate) -> bool:
+    """Whether only the sizes have a named unit, and coordinates are read in another one."""
+    return candidate.scale != 1.0 and bool(candidate.geometry.size_unit) and not candidate.geometry.place_unit
+
+
+def _unit_of_places(candidate: Candidate) -> str:
+    """The unit of coordinates, from the named unit of sizes; "" if it would be unknown, such as 0.1 mm."""
+    mm = LENGTH_UNITS[candidate.geometry.size_unit] / candidate.scale
+    return next((name for name in _TRIED if math.isclose(LENGTH_UNITS[name], mm)), "")
 
 
 def _unit_text(best: _Judged, places: str) -> str:

@@ -391,6 +391,9 @@ def test_what_is_missing_is_named(tmp_path: Path) -> None:
     rows = "\n".join(f"{400 * number},0,0,400,300,200,5" for number in range(3))
     message = refusal(load(tmp_path, "load.csv", f"foo,bar,baz,qux,height,corge,weight\n{rows}"))
     assert "lacks some of the sizes, and places" in message
+    rows = "\n".join(f"{number} {400 * number} 0 0 400 300 200 5" for number in range(1, 4))
+    message = refusal(load(tmp_path, "load.txt", f"Nr Mid X Mid Y Z Length Width Height Weight\n{rows}\n"))
+    assert "holds no box: row 2 has 8 fields instead of 10; has a name in the header a blank in it?" in message
     np.savez(tmp_path / "poses.npz", poses=np.tile(np.eye(4), (3, 1, 1)))
     message = refusal(petmjx.load_plans(tmp_path / "poses.npz"))
     assert "has places of boxes, but no sizes: name a file that has them with --items FILE" in message

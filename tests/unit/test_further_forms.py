@@ -892,6 +892,9 @@ DOCUMENTS = {
     "poses of four numbers": boxes_by(lambda box: {"pose": [*centre(box), 0.0], **sized(box)}),
     "boxes in stacks": {"stacks": [{"boxes": [box]} for box in boxes_by(plain)]},
     "layers with z": layers(),
+    "a unit of sizes alone": {"boxes": boxes_by(lambda box: {
+        **dict(zip("xyz", box, strict=False)), "kg": box[6],
+        "dims": {**dict(zip("lwh", (side / 10 for side in box[3:6]), strict=True)), "uom": "CMT"}})},
     "layers with heights": json.loads(
         json.dumps(layers()).replace('"z": 0', '"level": 1, "baseHeight": {"value": "0", "uom": "MMT"}')
         .replace('"z": 300', '"level": 2, "baseHeight": {"value": "30", "uom": "CMT"}')),
