@@ -622,13 +622,15 @@ def _meaning(name: str) -> ColumnMeaning | None:
     by_unit = kind in (None, "weight") and _quotient(name) and density_unit(name)  # "Raumgewicht [kg/m³]"
     if kind == "density" or by_unit:
         return ColumnMeaning("density", unit=density_unit(name))
-    if kind is None or (kind == "quantity" and is_content(name)):
+    if kind is None or (kind == "quantity" and is_content(name)) or (kind == "article" and _SHAPES.intersection(path)):
         return None
     if kind == "weight" or (kind in ("article", "item_id") and unit in MASS_UNITS and len(unit) > 1):  # "item.kg"
         return ColumnMeaning("weight", unit=unit if unit in MASS_UNITS else "", of_container=contained)
     return ColumnMeaning(kind, unit=unit, axis=index, of_container=contained and kind in ("quantity", "volume"))
 
 
+_SHAPES: Final = word_set("primitive primitives shape shapes geometry geometries geom geoms collision collisions")
+"""Words for objects whose type or name is that of a shape, not of an article."""
 _ANGLE_UNITS: Final = word_set("deg degree degrees grad rad radian radians")
 
 

@@ -1677,6 +1677,10 @@ def test_what_is_not_read_is_noted(tmp_path: Path) -> None:
          "object.children[2]: matrix must be 16 numbers, got O.2 as number 13"),
         (json.dumps(gltf()).replace("0.7071067811865476", "null", 1),
          "nodes[0] (a): rotation must be 4 numbers, got None as number 1"),
+        (json.dumps(boxes_by(lambda box: {"position": centre(box), "size": box[3:6], "mass": box[6],
+                                          "orientation": {"x": 0, "y": 0, "z": 0, "w": 1}})
+                    ).replace('"w": 1', '"w": 0', 1),
+         "[0] (a): orientation.w must not be 0 in all four components of a quaternion"),
         (json.dumps(boxes_by(by_matrices)).replace("-1", "-7", 1),
          "[0] (a): matrix scales the box by 7, unlike the matrices of other rows"),
     ],
