@@ -36,7 +36,7 @@ from petmjx.plans.size_and_place_columns import (
     with_half_extents,
     with_last_cells,
 )
-from petmjx.plans.turn_columns import Turns, may_be_turns, turns_of
+from petmjx.plans.turn_columns import Turns, are_two_values, may_be_turns, turns_of
 
 GROSS: Final = word_set("gross brutto bruttogewicht bruttogew bruto brut lordo")
 """Words for gross weights, which are preferred to net weights."""
@@ -256,23 +256,32 @@ def counting_columns(extraction: ColumnExtraction, used: Collection[str]) -> dic
 
 def rotations_in(extraction: ColumnExtraction) -> Turns | None:
     """The column of rotations. If no column is known to have rotations, a column of unknown meaning may have them: the
-    only column whose cells are all yes or no, or quarter turns in degrees."""
+    only column whose cells are yes or no, or quarter turns in degrees; or else the only column with two values."""
     index = extraction.first("rotation", "rotation")
     if index is not None:
         return _rotations_of(extraction, index)
-    answers = [
+    unknown = [
         index
-        for index, meaning in enumerate(extraction.meanings)
-        if meaning is None and may_be_turns(extraction.cells(index)) and index not in extraction.fixed.values()
+        for index, (name, meaning) in enumerate(zip(extraction.table.header, extraction.meanings, strict=True))
+        if meaning is None and index not in extraction.fixed.values() and name not in extraction.unit_columns
     ]
-    turns = _rotations_of(extraction, answers[0]) if len(answers) == 1 else None
-    return None if turns is None else replace(turns, is_guess=True)
+    for may_have_turns, cost in ((may_be_turns, _GUESSED_TURNS), (are_two_values, _GUESSED_VALUES)):
+        answers = [index for index in unknown if may_have_turns(extraction.cells(index))]
+        if len(answers) == 1:
+            return _rotations_of(extraction, answers[0], cost)
+    return None
 
 
-def _rotations_of(extraction: ColumnExtraction, index: int) -> Turns | None:
+_GUESSED_TURNS, _GUESSED_VALUES = 2.0, 3.5
+"""Costs of a reading in which a column of unknown meaning has rotations: if its cells are yes and no, or quarter turns
+in degrees; and if they are two other values."""
+
+
+def _rotations_of(extraction: ColumnExtraction, index: int, guess_cost: float = 0.0) -> Turns | None:
     return turns_of(
         extraction.table.header[index],
         extraction.cells(index),
         extraction.table.decimal,
         lambda row, text: extraction.bad(row, index, text),
+        guess_cost,
     )

@@ -40,6 +40,7 @@ from petmjx.plans.column_names import (
     word_set,
     words_of,
 )
+from petmjx.plans.header_and_total_rows import geometric_columns
 from petmjx.plans.known_forms import BED_BPP, PACKINGSOLVER, BoxSource
 from petmjx.plans.plan_fields import joined_names
 from petmjx.plans.turn_columns import letters_of
@@ -126,6 +127,9 @@ class ColumnExtraction:
                     None if meaning is not None and _role_of(meaning) == role else meaning for meaning in self.meanings
                 ]
                 continue
+            without_units = [split_unit(column)[0].strip() for column in self.table.header]
+            if name not in self.table.header and without_units.count(name) == 1:
+                name = self.table.header[without_units.index(name)]
             if name not in self.table.header:
                 names = ", ".join(map(printable_name, self.table.header[:20]))
                 raise InputError(f"has no column {printable_name(name)} ({role}); there are {names}")
@@ -140,6 +144,7 @@ class ColumnExtraction:
         cells have a unit of mass. It has rotations if its cells are angles such as 90°, or letters such as "WLH", which
         tell the size that lies along each axis."""
         self.row_units: dict[bool, list[str]] = {}
+        self.object_units: dict[str, list[str]] = {}  # path of an object → unit of the lengths in it, in each row
         self.unit_columns: list[str] = []
         self.axis_columns: dict[str, int] = {}  # "x" or "y" → column with the directions of the boxes' x or y axes
         if not self.table.has_header:
@@ -194,14 +199,19 @@ class ColumnExtraction:
 
     def _has_units(self, index: int, cells: Sequence[Any]) -> bool:
         """Whether the cells of a column are names of units; ``cells`` are its first cells. If the cells are units, they
-        apply to the numbers in the same rows, or, if all units are equal, to the whole list."""
+        apply to the numbers in the same rows, or, if all units are equal, to the whole list. A unit of lengths in an
+        object ("Dimensions.uom") applies only to the lengths in this object, if there are any."""
         for units in (LENGTH_UNITS, MASS_UNITS):
             sure = units.keys() if _UNIT_WORDS.intersection(words_of(self.table.header[index])) else _SURE_UNITS
             if not all(isinstance(cell, str) and _as_unit(cell) in units.keys() & sure for cell in cells):
                 continue
             texts = [_as_unit(cell_text(cell)) for cell in self.cells(index)]
             form, is_mass = self.source.form, units is MASS_UNITS
-            if len(set(texts)) > 1:
+            path = _path_of(self.table.header[index])
+            of_lengths = {_path_of(self.table.header[other]) for other in geometric_columns(self.table.header)}
+            if not is_mass and path in of_lengths:
+                self.object_units[path] = texts
+            elif len(set(texts)) > 1:
                 self.row_units.setdefault(is_mass, texts)
             elif is_mass:
                 self.source = replace(self.source, form=replace(form, masses=form.masses or texts[0]))
@@ -306,13 +316,16 @@ class ColumnExtraction:
         """
         values = np.full((len(rows), width), np.nan)
         is_mass = "kg" in units
-        if is_mass in self.row_units and units in (LENGTH_UNITS, MASS_UNITS):
+        of_rows = self.row_units.get(is_mass) if units in (LENGTH_UNITS, MASS_UNITS) else None
+        of_object = self.object_units.get(_path_of(self.table.header[index])) if units is LENGTH_UNITS else None
+        if (of_rows := of_object if of_object and len({*of_object}) > 1 else of_rows) is not None:
             rows = [
                 [number if number.unit else number._replace(unit=unit) for number in numbers]
-                for numbers, unit in zip(rows, self.row_units[is_mass], strict=True)
+                for numbers, unit in zip(rows, of_rows, strict=True)
             ]
         meaning, form = self.meanings[index], self.source.form
         of_name = meaning.unit if meaning is not None and meaning.unit in units else ""
+        of_name = of_name or (of_object[0] if of_object else "")
         wish = self.masses if is_mass else self.units
         wish = wish if wish in units else ""
         written = {number.unit for numbers in rows for number in numbers if number.unit in units} - {""}
@@ -446,6 +459,11 @@ def _role_of(meaning: ColumnMeaning) -> str:
     if meaning.kind == "size":
         return role_of(meaning.axis)
     return meaning.axis if meaning.kind == "position" else {"positions": "position"}.get(meaning.kind, meaning.kind)
+
+
+def _path_of(name: str) -> str:
+    """The path of the object that has a field: "item.size.x" → "item.size"."""
+    return name.rpartition(".")[0]
 
 
 def _as_unit(text: str) -> str:

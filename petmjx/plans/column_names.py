@@ -161,7 +161,8 @@ _WORDS: Final[dict[Kind, frozenset[str]]] = {
         "rotazione rotacja orientacion orientazione orientacja tourne girado ruotato obrot angle winkel yaw "
         "turned ori theta gedraaid gekanteld rotacionado virado girato volteado otoceno obrocony gedr verdreht "
         "giro sens rotatie rotasjon rotering rotace rotacija rotacao rotasyon draaiing vridning drejning kierto "
-        "forgatas elforgatas pootoceni otoceni rotire donus"
+        "forgatas elforgatas pootoceni otoceni rotire donus girada ruotata rodado rodada rotacionada virada girata "
+        "volteada swapped quarterturn quarterturns"
     ),
     "quantity": word_set(
         "quantity qty quantities amount count copies menge anzahl stuck stueck stk quantite qte nombre cantidad "
@@ -180,7 +181,7 @@ _WORDS: Final[dict[Kind, frozenset[str]]] = {
         "article articles artikel artikelnr artikelnummer sku skus product products produkt produkte produit articulo "
         "articolo artykul producto prodotto material materialnr ref reference referencia riferimento type typ tipo "
         "cargo goods kind name names bezeichnung description beschreibung partno article_id codice codigo code kod "
-        "item urun vare varenr varenummer tuote zbozi polozka artikl towar artigo"
+        "item gtin urun vare varenr varenummer tuote zbozi polozka artikl towar artigo"
     ),
     "item_id": word_set(
         "id ids uid uuid itemid boxid caseid box boxes case cases carton cartons karton packstuck packstueck colis "
@@ -622,13 +623,15 @@ def _meaning(name: str) -> ColumnMeaning | None:
     by_unit = kind in (None, "weight") and _quotient(name) and density_unit(name)  # "Raumgewicht [kg/m³]"
     if kind == "density" or by_unit:
         return ColumnMeaning("density", unit=density_unit(name))
-    if kind is None or (kind == "quantity" and is_content(name)):
+    if kind is None or (kind == "quantity" and is_content(name)) or (kind == "article" and _SHAPES.intersection(path)):
         return None
     if kind == "weight" or (kind in ("article", "item_id") and unit in MASS_UNITS and len(unit) > 1):  # "item.kg"
         return ColumnMeaning("weight", unit=unit if unit in MASS_UNITS else "", of_container=contained)
     return ColumnMeaning(kind, unit=unit, axis=index, of_container=contained and kind in ("quantity", "volume"))
 
 
+_SHAPES: Final = word_set("primitive primitives shape shapes geometry geometries geom geoms collision collisions")
+"""Words for objects whose type or name is that of a shape, not of an article."""
 _ANGLE_UNITS: Final = word_set("deg degree degrees grad rad radian radians")
 
 
@@ -814,6 +817,7 @@ def _kind_of(tail: list[str], path: list[str]) -> Kind | None:
         "product",
         "produkt",
         "produit",
+        "gtin",
         "urun",
     }:
         return "article"

@@ -166,7 +166,7 @@ def _sheet_of_deli(data: bytes | bytearray) -> BoxSource | None:
     if bytes(data[:2]) != b"PK":
         return None
     try:
-        rows = next(iter(sheets_of_xlsx(data).values()), [])
+        rows = next(iter(sheets_of_xlsx(data)[0].values()), [])
     except InputError:
         return None  # the error of ``sources_of_bytes`` is reported instead
     head = next((number for number, row in enumerate(rows[:60]) if set(_DELI) <= set(row)), None)

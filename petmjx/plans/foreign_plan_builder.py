@@ -114,8 +114,10 @@ class PlanBuilder:
             )
             counters |= {counter} - {""}
         order_source = self._order_note(orders)
-        if self.columns.unread and self.boxes.table.has_header and not self.columns.source.form.anchor:
-            self.notes.append(f"columns not read: {first_names(self.columns.unread, 4)}")
+        guess = [self.columns.columns["rotation"]] if self.columns.turns and "rotation" not in reading.columns else []
+        unread = (*guess, *self.columns.unread)
+        if unread and self.boxes.table.has_header and not self.columns.source.form.anchor:
+            self.notes.append(f"columns not read: {first_names(unread, 4)}")
         if set(orders.values()) == {"sequence"} and len(counters) == 1:
             reading = replace(reading, columns={**reading.columns, "sequence": counters.pop()})
         reading = replace(
@@ -212,7 +214,7 @@ class PlanBuilder:
             InputError: nothing shows the meaning of the words.
         """
         turns = self.columns.turns
-        if turns is None or not turns.words:
+        if turns is None or not turns.words or (turns.guess_cost and reading.rule == "none"):
             return
         if turns.rules:
             zero, one = (printable_name(word or "blank") for word in turns.words)

@@ -13,6 +13,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable, printable_name
 from petmjx.plans.box_columns import BoxColumns, box_columns
 from petmjx.plans.cell_numbers import GROUPED, cell_number
+from petmjx.plans.column_extraction import XYZ
 from petmjx.plans.column_names import known_meanings
 from petmjx.plans.file_formats import NoBoxes, NoGeometry
 from petmjx.plans.foreign_plan_builder import ForeignPlans, PlanBuilder
@@ -20,10 +21,12 @@ from petmjx.plans.header_and_total_rows import are_numbers
 from petmjx.plans.item_joins import with_items
 from petmjx.plans.known_forms import POSES, BoxSource, rows_of
 from petmjx.plans.placed_boxes import named_decks
+from petmjx.plans.plan_fields import joined_names
 from petmjx.plans.plan_rows import plan_names
 from petmjx.plans.raw_tables import rows_by_name
 from petmjx.plans.reading_choice import TIE
 from petmjx.plans.readings import Wishes
+from petmjx.plans.size_and_place_columns import AXIS_OF_WORD
 
 _NUMBERS_OF_A_BOX: Final = 6
 """Smallest number of numbers in the row of a box: three sizes and three coordinates."""
@@ -130,13 +133,19 @@ def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path |
     )
     sized = some_sizes and n_sizes != 1  # a column for only one of the three sizes is probably not the size of a box
     places_named = bool(boxes.kinds & {"position", "positions", "low", "matrix"}) or columns.source.form == POSES
+    names = f"there are {', '.join(map(printable_name, boxes.table.header[:20]))}"
+    if not columns.n_boxes and boxes.table.lost:
+        place, fault = boxes.table.lost[0]
+        advice = (
+            "; has a name in the header a blank in it?" if "fields between white space" in boxes.table.notes else ""
+        )
+        return NoGeometry(f"holds no box: {place} {fault}{advice}; {names}")
     if not columns.n_boxes:
         return NoGeometry("holds no box")
     items_of_packingsolver = {name.upper() for name in boxes.table.header} >= {"X", "Y", "Z", "COPIES"}
     if quantities and (items_of_packingsolver or (some_sizes and not places_named)):
         content = "quantities and layers" if "layers" in kinds else "quantities"
         return NoGeometry(f"has types of boxes with {content}, and no places: {PACK.format(file=file)}")
-    names = f"there are {', '.join(map(printable_name, boxes.table.header[:20]))}"
     if places_named and not sized:
         return NoGeometry(f"has places of boxes, but no sizes: name a file that has them with --items FILE; {names}")
     if sized and not places_named:
@@ -145,7 +154,10 @@ def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path |
         )
         return NoGeometry(f"has sizes of boxes, but no places (x, y, z): {advice.format(file=file)}; {names}")
     if sized:
-        return NoGeometry(f"lacks one of the sizes or coordinates; {names}; say which with --columns x=NAME,…")
+        lacking = _lacking_axes(columns)
+        what = f"the coordinate {joined_names(lacking)}" if lacking else "one of the sizes"
+        example = f"{lacking[0] if lacking else 'length'}=NAME"
+        return NoGeometry(f"lacks {what} of boxes; {names}; say which with --columns {example}")
     advice = "say which with --columns length=NAME,width=NAME,height=NAME,x=NAME,y=NAME,z=NAME"
     if some_sizes:
         return NoGeometry(f"lacks some of the sizes, and places (x, y, z) of boxes; {names}; {advice}")
@@ -153,6 +165,14 @@ def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path |
     if table.has_header and path is not None and are_numbers(table.rows, _NUMBERS_OF_A_BOX):
         return NoGeometry(f"no column is known as a size or a place of boxes; {names}; {advice}")
     return NoBoxes(f"lacks places (x, y, z) and sizes of boxes; {names}; {advice}")
+
+
+def _lacking_axes(columns: BoxColumns) -> list[str]:
+    """The axes x, y and z without a column of coordinates; empty if no column at all has coordinates of one axis."""
+    known = filter(None, columns.source.boxes.meanings)
+    axes = {one.axis for one in known if one.kind in ("position", "low", "high")}
+    named = axes | {AXIS_OF_WORD.get(axis, "") for axis in axes}
+    return [axis for axis in XYZ if axis not in named] if axes else []
 
 
 def _may_have_places(columns: BoxColumns) -> bool:

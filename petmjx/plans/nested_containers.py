@@ -18,12 +18,11 @@ LAYERS: Final = word_set("layer layers level levels tier tiers lage lagen schich
 STACKS: Final = word_set("stack stacks tower towers column columns pile piles block blocks")
 """Words for parts of a plan that stand beside each other."""
 _NAMES: Final = (
-    "plan_id", "planId", "order_id", "orderId", "pallet_id", "palletId", "container_id", "containerId", "bin_id",
-    "binId", "load_id", "loadId", "plan",
-    "id", "ID", "name", "partno", "bin", "pallet", "container", "index", "number", "no",
+    "planid", "orderid", "palletid", "containerid", "binid", "loadid", "plan",
+    "id", "name", "sscc", "partno", "bin", "pallet", "container", "index", "number", "no",
 )  # fmt: skip
-"""Fields that name a plan, most reliable first."""
-_N_OF_PLANS: Final = 13
+"""Fields that name a plan, most reliable first, in lower case and without "_"."""
+_N_OF_PLANS: Final = 7
 """Number of fields at the beginning of ``_NAMES`` that name a plan wherever they are in a file."""
 CONTAINERS: Final = word_set(
     "container containers bin bins pallet pallets truck trucks carrier carriers vehicle box_size bin_size binsize "
@@ -57,13 +56,60 @@ def fields_of_part(member: NestedBox) -> dict[str, Any]:
     given = {(meaning.kind, meaning.axis) for meaning in known_meanings(flattened(member.value)).values()}
     if ("positions", "") in given or ("sizes", "") in given or not any(kind == "position" for kind, _ in given):
         return {}
-    fields = {name: value for name, value in holder.items() if cell_number(value) is not None}
+    fields = _numbers_in(holder)
     lacking = {*(("position", axis) for axis in "xyz"), ("size", "height")} - given
     return {
         name: fields[name]
         for name, meaning in known_meanings(fields).items()
-        if (meaning.kind, meaning.axis) in lacking
+        if (meaning.kind, meaning.axis) in lacking and not _BOTTOMS.intersection(words_of(name))
     }
+
+
+def _numbers_in(holder: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields of an object that are numbers, also in objects within it, but not in lists."""
+    flat = flattened({name: value for name, value in holder.items() if not isinstance(value, list | tuple)})
+    return {name: value for name, value in flat.items() if cell_number(value) is not None}
+
+
+def add_bottoms(members: Sequence[NestedBox], rows: Sequence[dict[str, Any]]) -> list[str]:
+    """Add z to boxes that have x and y, and no z, if the layers around the boxes have the heights of their bottoms: one
+    field of numbers with a word of ``_BOTTOMS`` in its name, which does not count the layers. Without such a field, the
+    boxes get all numbers of the layers, so that the user can name one as z. Returns a note about the field.
+
+    Args:
+        rows: the fields of each member, which are changed.
+    """
+    known = {(meaning.kind, meaning.axis) for row in rows for meaning in known_meanings(row).values()}
+    if ("position", "x") not in known or known & {("position", "z"), ("positions", "")}:
+        return []
+    around = [member.around[-1] if member.around else ("", {}) for member in members]
+    if not all(LAYERS.intersection(words_of(step)) for step, _ in around):
+        return []
+    layers = {id(holder): _numbers_in(holder) for _, holder in around}
+    names = dict.fromkeys(name for numbers in layers.values() for name in numbers)
+    bottoms = [
+        name
+        for name in names
+        if _BOTTOMS.intersection(words_of(name))
+        and not _are_counted([numbers.get(name) for numbers in layers.values()])
+    ]
+    for row, (_, holder) in zip(rows, around, strict=True):
+        numbers = layers[id(holder)]
+        if len(bottoms) == 1:
+            row["z"] = numbers.get(bottoms[0])
+        else:
+            row.update({name: value for name, value in numbers.items() if name not in row})
+    return [f"z from {bottoms[0]} of layers"] if len(bottoms) == 1 else []
+
+
+_BOTTOMS: Final = word_set("base bottom elevation level deck unten unterkante onderkant")
+"""Words in names of the heights at which layers begin."""
+
+
+def _are_counted(cells: Sequence[Any]) -> bool:
+    """Whether the numbers of several layers count them, from 0 or 1."""
+    values = {number.value for cell in cells if (number := cell_number(cell)) is not None}
+    return len(values) > 1 and values in ({*range(len(values))}, {*range(1, len(values) + 1)})
 
 
 def articles_around(members: Sequence[NestedBox]) -> frozenset[int]:
@@ -243,20 +289,22 @@ def _levels_of_plans(
 
 
 def repeated_ids(members: Sequence[NestedBox], articles: Collection[int]) -> list[str]:
-    """Ids that several plans have, with the names of their fields ("id 7"). These plans are named by their numbers. The
-    list is empty if pallets are in several orders, because each order may have pallets with the same ids."""
+    """Ids or names that several plans have, with their fields ("id 7"). These plans are named by other fields or by
+    their numbers. The list is empty if pallets are in several orders, because each order may have pallets with the same
+    ids."""
     levels = _levels_of_plans(members, articles)
     if len(levels) != 1:
         return []
     holders = list({id(holder): (step, holder) for step, holder in levels[0]}.values())
     ids: Counter[str] = Counter()
     for name, (_, holder) in zip(_names_of(holders), holders, strict=True):
-        texts = {field: _name_text(holder.get(field)) for field in _NAMES}
-        if name not in texts.values():
-            ids.update(
-                [f"{field} {text}" for field, text in texts.items() if text and field.lower().endswith("id")][:1]
-            )
+        firsts = [(field, text) for field, text in _texts_of_names(holder).items() if field.endswith(_IDS)][:1]
+        ids.update(f"{field} {text}" for field, text in firsts if text != name)
     return [text for text, count in ids.items() if count > 1]
+
+
+_IDS: Final = ("id", "name", "sscc")
+"""Ends of fields whose texts should differ between plans."""
 
 
 def _is_part(step: str) -> bool:
@@ -268,15 +316,15 @@ def _is_part(step: str) -> bool:
 def _only_name(around: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
     """The name of a file's only plan; "" if no field gives a name."""
     for _, holder in reversed(around):
-        for name in _NAMES[:_N_OF_PLANS]:
-            if (text := _name_text(holder.get(name))) != "":
-                return text
+        texts = _texts_of_names(holder)
+        if text := next((texts[name] for name in (*_NAMES[:_N_OF_PLANS], "sscc") if name in texts), ""):
+            return text
     for step, holder in reversed(around):
         # {"id": step} stands for a list whose key is the name of the plan
         if step.endswith("]") or not step or holder == {"id": step}:
-            for name in ("id", "ID", "name", "bin", "partno"):
-                if (text := _name_text(holder.get(name))) != "":
-                    return text
+            texts = _texts_of_names(holder)
+            if text := next((texts[name] for name in ("id", "name", "bin", "partno") if name in texts), ""):
+                return text
     return ""
 
 
@@ -294,12 +342,19 @@ def _names_of(holders: Sequence[tuple[str, Mapping[str, Any]]]) -> list[str]:
 def _names_in(holders: Sequence[Mapping[str, Any]]) -> list[str]:
     """For each object, its text in the first field of ``_NAMES`` in which no other object has the same text; "" if
     there is no such field."""
-    texts = {name: [_name_text(holder.get(name)) for holder in holders] for name in _NAMES}
+    of_holders = [_texts_of_names(holder) for holder in holders]
+    texts = {name: [named.get(name, "") for named in of_holders] for name in _NAMES}
     counts = {name: Counter(values) for name, values in texts.items()}
     return [
-        next((own[number] for name, own in texts.items() if own[number] and counts[name][own[number]] == 1), "")
+        next((row[number] for name, row in texts.items() if row[number] and counts[name][row[number]] == 1), "")
         for number in range(len(holders))
     ]
+
+
+def _texts_of_names(holder: Mapping[str, Any]) -> dict[str, str]:
+    """Field (as in ``_NAMES``) → its text, for the fields that may name a plan, most reliable first."""
+    texts = {str(name).lower().replace("_", ""): _name_text(value) for name, value in holder.items()}
+    return {name: texts[name] for name in _NAMES if texts.get(name)}
 
 
 def _name_text(value: Any) -> str:

@@ -26,6 +26,7 @@ from petmjx.plans.nested_containers import (
     LAYERS,
     STACKS,
     NestedBox,
+    add_bottoms,
     articles_around,
     container_around,
     fields_of_article,
@@ -135,7 +136,11 @@ def box_lists(value: Any) -> list[BoxList]:
         groups.setdefault(path, []).append(member)
         if len(groups[path]) > MOST_ROWS:
             raise InputError(f"has more than {MOST_ROWS:,} boxes")
-    lists = [boxes for path, members in groups.items() if (boxes := _box_list(path, members)) is not None]
+    lists = [
+        replace(boxes, left_out=(*boxes.left_out, *_without_boxes(groups, path)))
+        for path, members in groups.items()
+        if (boxes := _box_list(path, members)) is not None
+    ]
     if isinstance(value, JsonLines):
         lists = [_by_lines(boxes, value.lines) for boxes in lists]
     unplaced = [boxes for boxes in lists if names_unplaced(boxes.path)]
@@ -143,6 +148,26 @@ def box_lists(value: Any) -> list[BoxList]:
     left = sum(len(boxes.table.rows) for boxes in unplaced)
     ranked = sorted(placed, key=lambda boxes: (boxes.has_places, boxes.has_sizes, len(boxes.table.rows)), reverse=True)
     return [replace(boxes, left_out=(*boxes.left_out, *not_placed(left))) for boxes in ranked]
+
+
+def _without_boxes(groups: Mapping[str, Sequence[NestedBox]], path: str) -> list[str]:
+    """A line about objects that hold no box of a list, unlike the other members of the lists that contain them, such as
+    pallets without boxes; empty if there are none.
+
+    Args:
+        groups: path of a list → its members.
+        path: path of the list of boxes.
+    """
+    holders = {id(holder) for member in groups[path] for _, holder in member.around}
+    empty = [
+        member.place
+        for outer, members in groups.items()
+        if path.startswith(f"{outer}.")
+        for member in members
+        if id(member.value) not in holders
+    ]
+    outermost = [place for place in empty if not any(place.startswith(f"{other}.") for other in empty)]
+    return [f"no box in {first_names(outermost)}"] if outermost else []
 
 
 _BOXES: Final = word_set(
@@ -330,7 +355,7 @@ def _box_list(path: str, members: Sequence[NestedBox]) -> BoxList | None:
         fields, source = fields_of_article(member, articles)
         row.update(fields)
         sources.append(source)
-    notes = list(filter(None, dict.fromkeys(sources)))
+    notes = [*filter(None, dict.fromkeys(sources)), *add_bottoms(members, flat)]
     for others_in in (_static_objects, _other_kinds, _floors):
         others, note = others_in(flat)
         if 0 < len(others) < len(flat):
@@ -359,7 +384,7 @@ def _box_list(path: str, members: Sequence[NestedBox]) -> BoxList | None:
     table = RawTable(header, rows, places, decimal_of(rows) or "", title=path, has_header=not numbered)
     parts = plan_names_of([members[number] for number in box_members], articles)
     if ids := repeated_ids([members[number] for number in box_members], articles):
-        notes.append(f"plans are numbered, because several have the same {first_names(ids)}")
+        notes.append(f"several plans have {first_names(ids)}: other fields or numbers name them")
     containers: dict[str, Mapping[str, float]] = {}
     for number, part in zip(box_members, parts, strict=True):
         if part not in containers:

@@ -70,7 +70,8 @@ class PalletSearch:
         of_geometries = [{*geometry.columns.values()} for geometry in columns.geometries]
         has_header = columns.source.boxes.table.has_header
         used = set.union(*of_geometries) if has_header else set.intersection(*of_geometries)
-        used |= {columns.columns.get(role, "") for role in ("weight", "density", "rotation", "sequence")}
+        used |= {columns.columns.get(role, "") for role in ("weight", "density", "sequence")}
+        used |= {columns.turns.column} if columns.turns is not None and not columns.turns.guess_cost else set()
         separating: dict[tuple[int, ...], list[str]] = {}
         for name in columns.source.boxes.table.header:
             texts = [cell_text(cell) for cell in columns.source.boxes.table.column(name)]

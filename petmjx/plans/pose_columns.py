@@ -121,6 +121,8 @@ def _quaternions(extraction: ColumnExtraction) -> list[_Rotations]:
         values = np.stack([extraction.numbers(index, LENGTH_UNITS)[0] for index in indices], axis=1)
         columns = _roles("quaternion", [header[index] for index in indices])
         columns |= {"order of quaternions": "x, y, z, w"} if number == 1 else {}
+        for row in np.flatnonzero((values == 0).all(axis=1)).tolist():
+            extraction.bad(row, indices[0], "must not be 0 in all four components of a quaternion")
         rotations.append((rotations_of_quaternions(values), columns, indices[0]))
     return rotations
 

@@ -42,8 +42,6 @@ _GRIPPER_PRIOR: Final = [
 ]
 """Words in names of coordinates that mean a robot's gripper, and the costs of anchors for such coordinates: a gripper
 holds a box at the middle of its top."""
-_GUESSED_TURNS: Final = 2.0
-"""Cost of a reading in which a column of unknown meaning has rotations."""
 _TURNED_ARRAY: Final = 0.6
 """Cost of a reading with the sizes of boxes before they are turned, for an array without column names. Arrays mostly
 come from programs that train packers, and have sizes as placed."""
@@ -393,7 +391,7 @@ def _rules(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tupl
             continue
         if rule == "py3dbp" and number and not form.rule and "type" not in columns.turns.column.lower():
             continue
-        guess = _GUESSED_TURNS * columns.turns.is_guess + _TURNED_ARRAY * (not columns.source.boxes.table.has_header)
+        guess = columns.turns.guess_cost + _TURNED_ARRAY * (not columns.source.boxes.table.has_header)
         rules.append((rule, 0.5 * bool(number) * (rule != "swap back") + guess))
     if wishes.sizes == "item":
         return rules

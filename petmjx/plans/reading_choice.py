@@ -65,7 +65,8 @@ WEAK: Final = 5.0
 overlap, or if a quarter of them float."""
 _POOR: Final = 0.8 * WEAK
 """If the layouts of all readings cost more than this, readings are tried in which coordinates have another unit than
-sizes. A reading with x upwards whose layout costs more than this is not considered."""
+sizes. A reading with x upwards, or with rotations in a column of unknown name, whose layout costs more than this is not
+considered."""
 WEAK_LEAD: Final = 3.0
 """A weak reading (see ``WEAK``) wins only if its cost is lower than the cost of every other reading by at least this
 value. If a plan really has odd boxes, even more boxes are odd in wrong readings."""
@@ -235,7 +236,8 @@ def _units(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[_Units]
     form, geometry = columns.source.form, judged.candidate.geometry
     size = np.concatenate([layout.size for layout in judged.layouts])
     side = float(np.exp(np.log(size).mean(axis=1)).mean())
-    unit = wishes.length_units[1] or geometry.place_unit or geometry.size_unit or form.units
+    of_places = _unit_of_places(judged.candidate) if _has_unnamed_places(judged.candidate) else geometry.place_unit
+    unit = wishes.length_units[1] or of_places or geometry.size_unit or form.units
     lengths = {unit: 0.0} if unit else dict(_UNIT_PRIOR)
     if not unit and not columns.source.boxes.table.has_header:
         lengths["dm"] = 0.3
@@ -290,8 +292,10 @@ def choose_reading(
 
     Raises:
         AmbiguousFile: two readings are almost equally plausible, or no reading is plausible.
-        InputError: no row is usable.
+        InputError: no row is usable, or sizes are said to be those before turning, and no column has rotations.
     """
+    if wishes.sizes == "item" and columns.turns is None and all(one.turn is None for one in columns.geometries):
+        raise InputError("--sizes item: no column of rotations is known; say which with --columns rotation=NAME")
     sample = _sample_of(columns, plans, damaged)
     if not sample:
         raise InputError("no row can be used")
@@ -443,13 +447,13 @@ because a number is damaged."""
 
 
 def _is_impossible(best: _Judged, columns: BoxColumns, wishes: Wishes) -> bool:
-    """Whether the most plausible reading must be refused, because more than half of the boxes overlap in it, or because
-    it is unusual (``_LARGEST_PRIOR``). The result is False if the caller gives the anchor or a written reading, or if
-    the form gives the anchor and the vertical axis."""
+    """Whether the most plausible reading must be refused, because more than a fifth of the boxes overlap in it, or
+    because it is unusual (``_LARGEST_PRIOR``). The result is False if the caller gives the anchor or a written reading,
+    or if the form gives the anchor and the vertical axis."""
     n_overlapping = best.evidence.n_overlapping
     form = columns.source.form
     is_said = bool(wishes.anchor or wishes.exact or (form.anchor and form.up))
-    overlaps = n_overlapping >= _LEAST_OVERLAPPING and 2 * n_overlapping > best.evidence.n_boxes
+    overlaps = n_overlapping >= _LEAST_OVERLAPPING and best.evidence.is_piled
     is_unusual = best.candidate.up not in ("z", "y") and best.candidate.prior >= _LARGEST_PRIOR
     return not is_said and (overlaps or is_unusual)
 
@@ -462,8 +466,10 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
     for candidate in ranked:
         if judged and candidate.prior + _LOWEST_UNIT_COST > lowest + WEAK_LEAD:
             break
-        judged.append(_judge(columns, wishes, candidate, sample))
-        lowest = min(lowest, judged[-1].cost)
+        other = _judge(columns, wishes, candidate, sample)
+        if other.layout_cost <= _POOR or not _has_guessed_turns(columns, candidate):
+            judged.append(other)
+            lowest = min(lowest, other.cost)
     for further in (candidates_on_side, candidates_of_corners, candidates_downwards):
         if further is not candidates_of_corners or _is_doubtful(min(judged, key=lambda one: one.cost)):
             for candidate in sorted(further(columns, wishes), key=lambda one: one.prior):
@@ -471,17 +477,25 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
                     break
                 other = _judge(columns, wishes, candidate, sample)
                 judged += [other] if other.layout_cost <= _POOR else []
-    no_sizes_unit = not wishes.units and not any(geometry.size_unit for geometry in columns.geometries)
-    if no_sizes_unit and judged and min(one.layout_cost for one in judged) > _POOR:
+    are_of_objects = any("." in name for name in columns.unit_columns)  # "dimensions.uom" is no unit of coordinates
+    lacks_unit = not any(one.size_unit and (one.place_unit or not are_of_objects) for one in columns.geometries)
+    if lacks_unit and not wishes.units and judged and min(one.layout_cost for one in judged) > _POOR:
         base = sorted(judged, key=lambda one: one.candidate.prior)[:8]
         for factor in (10.0, 0.1, 1000.0, 0.001, 25.4, 100.0, 0.01):
             for one in base:
                 scaled = replace(one.candidate, scale=factor, prior=one.candidate.prior + 2.0)
+                if _has_unnamed_places(scaled) and not _unit_of_places(scaled):
+                    continue
                 other = _judge(columns, wishes, scaled, sample)
                 if _unit_of_sizes(other, other.units[0].length) is not None and _within_reach(other):
                     judged.append(other)
     # of equally plausible readings, the more usual one comes first; they may differ only in a shift
     return sorted(judged, key=lambda one: (round(one.cost, 9), one.candidate.prior))
+
+
+def _has_guessed_turns(columns: BoxColumns, candidate: Candidate) -> bool:
+    """Whether boxes are turned by a column whose name is unknown."""
+    return candidate.rule != "none" and columns.turns is not None and columns.turns.guess_cost > 0
 
 
 def _within_reach(judged: _Judged) -> bool:
@@ -584,6 +598,17 @@ def _other_mass(best: _Judged) -> str | None:
     return next(rivals, None)
 
 
+def _has_unnamed_places(candidate: Candidate) -> bool:
+    """Whether only the sizes have a named unit, and coordinates are read in another one."""
+    return candidate.scale != 1.0 and bool(candidate.geometry.size_unit) and not candidate.geometry.place_unit
+
+
+def _unit_of_places(candidate: Candidate) -> str:
+    """The unit of coordinates, from the named unit of sizes; "" if it would be unknown, such as 0.1 mm."""
+    mm = LENGTH_UNITS[candidate.geometry.size_unit] / candidate.scale
+    return next((name for name in _TRIED if math.isclose(LENGTH_UNITS[name], mm)), "")
+
+
 def _unit_text(best: _Judged, places: str) -> str:
     """The units of sizes and coordinates, in the form that ``Reading`` uses."""
     return places if best.candidate.scale == 1.0 else f"{_unit_of_sizes(best, places) or places}/{places}"
@@ -601,9 +626,12 @@ def _reading(judged: _Judged, columns: BoxColumns, wishes: Wishes, units: _Units
     units are used."""
     candidate = judged.candidate
     units = units or judged.units[0]
+    names = {**candidate.geometry.columns, **columns.columns}
+    if columns.turns is not None and columns.turns.guess_cost and candidate.rule == "none":
+        del names["rotation"]
     return Reading(
         form=columns.source.form.name,
-        columns={**candidate.geometry.columns, **columns.columns},
+        columns=names,
         units=_unit_text(judged, units.length),
         masses=units.mass,
         anchor=candidate.anchor,

@@ -77,6 +77,11 @@ class Evidence:
         """Number of boxes that overlap, float or are outside; a box that is odd in two ways counts twice."""
         return self.n_overlapping + self.n_floating + self.n_outside
 
+    @property
+    def is_piled(self) -> bool:
+        """Whether more than a fifth of the boxes overlap."""
+        return 5 * self.n_overlapping > self.n_boxes
+
     def of_units(self) -> str:
         """The typical size and density that the boxes have in the units of the reading, in words. The user can thus
         tell whether the units are right."""
@@ -310,7 +315,7 @@ def tie_text(readings: Sequence[Reading], weak: bool) -> str:
     ways = f"{first} ({evidence[0]}), or {second} ({evidence[1]})"
     further = dict.fromkeys(other.up for other in readings[2:] if one.up != two.up and other.up not in (one.up, two.up))
     ways += "".join(f"; {up_words(up)} is possible, too" for up in further)
-    is_piled = weak and 2 * one.evidence.n_overlapping > one.evidence.n_boxes
+    is_piled = weak and one.evidence.is_piled
     advice = f"{options}, or with --as FILE.toml" if options else "--as FILE.toml"
     return f"{reason} {ways}; {f'{SEVERAL}; ' if is_piled else ''}say which with {advice}"
 
@@ -318,8 +323,9 @@ def tie_text(readings: Sequence[Reading], weak: bool) -> str:
 def implausible_text(reading: Reading) -> str:
     """The line about a file whose most plausible reading lets most boxes overlap, or contradicts column names."""
     options = f"if that is right, say --up {reading.up} --anchor {reading.anchor}"
-    if 2 * reading.evidence.n_overlapping > reading.evidence.n_boxes:
-        options = f"{SEVERAL}; if boxes really overlap, say --anchor {reading.anchor}"
+    if reading.evidence.is_piled:
+        turned = "" if "rotation" in reading.columns else "if boxes are turned, say --columns rotation=NAME; "
+        options = f"{turned}{SEVERAL}; if boxes really overlap, say --anchor {reading.anchor}"
     return (
         f"no reading is plausible; the best has coordinates of {_ANCHOR_WORDS[reading.anchor]}, {up_words(reading.up)} "
         f"({reading.evidence}); {options}"

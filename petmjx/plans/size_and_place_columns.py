@@ -26,7 +26,7 @@ from petmjx.plans.nested_fields import CORNER_NOISE
 from petmjx.plans.plausibility import density_cost, side_cost
 from petmjx.plans.turn_columns import Turns
 
-_ON_AXES: Final = {"0": "x", "1": "y", "2": "z", "length": "x", "width": "y", "height": "z", "depth": "z"}
+AXIS_OF_WORD: Final = {"0": "x", "1": "y", "2": "z", "length": "x", "width": "y", "height": "z", "depth": "z"}
 _BY_WIDTH: Final = {"width": "x", "depth": "y", "height": "z"}
 """A column of coordinates may be named by a word for a size, such as "pos_width". Word → axis of the coordinates, for
 files that have columns of coordinates for width, depth and height."""
@@ -35,10 +35,10 @@ files that have columns of coordinates for width, depth and height."""
 def _on_axes(columns: Mapping[str, list[int]]) -> dict[str, list[int]]:
     """x, y and z → the columns with coordinates along this axis. ``columns`` has the same columns, but with the words
     that names of columns use for axes (``ColumnMeaning.axis``), such as "width"."""
-    words = _BY_WIDTH if _BY_WIDTH.keys() <= columns.keys() else _ON_AXES
+    words = _BY_WIDTH if _BY_WIDTH.keys() <= columns.keys() else AXIS_OF_WORD
     by_axis: dict[str, list[int]] = {}
     for axis, indices in columns.items():
-        by_axis.setdefault(words.get(axis, _ON_AXES.get(axis, axis)), []).extend(indices)
+        by_axis.setdefault(words.get(axis, AXIS_OF_WORD.get(axis, axis)), []).extend(indices)
     return by_axis
 
 

@@ -69,11 +69,27 @@ def tables_of_rows(
         tables += below
     tables[0] = replace(tables[0], lost=(*lost, *tables[0].lost))
     if len(heads) > 1:
-        tables = [
-            replace(table, part=table.part or (table.above[-1] if table.above else f"{number}"))
-            for number, table in enumerate(tables, start=1)
-        ]
+        parts: list[str] = []
+        for number, table in enumerate(tables, start=1):
+            of_report = tables[0].above[:-1]  # these lines may stand on each page
+            titles = [line for line in table.above if line not in of_report]
+            continued = parts[-1] if parts and tables[0].above else f"{number}"
+            parts.append(table.part or (_without_continued(titles[-1]) if titles else continued))
+        tables = [replace(table, part=part) for table, part in zip(tables, parts, strict=True)]
     return [table for table in tables if table.rows or table.lost] or tables[:1]
+
+
+_CONTINUED: Final = re.compile(
+    r"\s*(?:[(\[]\s*{0}\s*[)\]]|[-–—,:]\s*{0})\s*$".format(
+        r"(?:continued|continuation|cont(?:['’]?d)?\.?|fortsetzung|forts\.|suite|continuaci[oó]n|segue|seguito|vervolg)"
+    ),
+    re.IGNORECASE,
+)
+"""The end of a title on a further page: "Pallet 2 (continued)"."""
+
+
+def _without_continued(title: str) -> str:
+    return _CONTINUED.sub("", title) or title
 
 
 def _cleaned(cell: Any) -> Any:
@@ -175,6 +191,9 @@ def _sections(
         if row[0] is not None and len(filled) == 1 and _are_none_unplaced(cell_text(row[0])):
             notes += _remark_notes([(_line(row), place)])
             continue
+        if len(filled) == 1 and _has_other_separator(filled[0], width):
+            lost.append((place, f"has 1 field instead of {width}: another separator?"))
+            continue
         is_remark = _is_remark(row, geometric)
         if len(filled) == 1 and width > 2 and isinstance(filled[0], str) and not (_mostly_numbers(row) or is_remark):
             trailing.append((filled[0], place))
@@ -204,7 +223,7 @@ def _sections(
             lost.append((place, f"has {count_text(len(row), 'field')} instead of {width}"))
             continue
         if trailing:
-            title, where = trailing[-1]
+            title, where = _without_continued(trailing[-1][0]), trailing[-1][1]
             first_title = next((name for name, body in sections if body), None)
             if first_title is None or title in short_titles or begins_section(title, first_title, above):
                 sections.append((title, []))
@@ -223,6 +242,12 @@ def _sections(
     if len(set(short_titles.values())) == len(short_titles):
         sections = [(short_titles.get(name, name), body) for name, body in sections]
     return [section for section in sections if section[1]], tuple(lost), [line for line, _ in trailing]
+
+
+def _has_other_separator(cell: Any, width: int) -> bool:
+    """Whether a cell has all fields of a row, between other separators than those of the table."""
+    rows = [cell.split(mark) for mark in ",;\t|"] if isinstance(cell, str) and width > 2 else []
+    return any(len(fields) >= width and 2 * sum(map(is_number, fields)) > width for fields in rows)
 
 
 _PART_WORDS: Final = TITLE_WORDS | LAYERS | STACKS

@@ -16,9 +16,10 @@ from typing import Final
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
+from petmjx.plans.cell_numbers import is_number
 from petmjx.plans.embedded_tables import rows_of_sql, text_of_latex
 from petmjx.plans.file_formats import NoBoxes, wide_encoding
-from petmjx.plans.header_and_total_rows import LEAST_KNOWN, SEARCHED_ROWS, count_known_names
+from petmjx.plans.header_and_total_rows import LEAST_KNOWN, SEARCHED_ROWS, count_known_names, is_unit_cell
 from petmjx.plans.raw_tables import MOST_ROWS, RawTable
 from petmjx.plans.table_sections import tables_of_rows
 
@@ -107,15 +108,22 @@ def tables_of_text(data: bytes | bytearray) -> list[RawTable]:
     if len(rows) > MOST_ROWS:
         raise InputError(f"has more than {MOST_ROWS:,} rows")
     if len(rows) > 1 and not text.endswith("\n") and len(rows[-1]) < len(rows[-2]):
-        words = " ".join(rows[-1]).split()
-        if len(words) == 1:  # one word may be the beginning of a row; a remark has more words
-            lost.append((f"row {len(rows) - 1 + begin}", f"is no box: {printable_name(words[0])}; truncated?"))
+        words, words_above = (" ".join(row).split() for row in rows[:-3:-1])
+        if _may_begin(words, words_above):
+            lost.append((f"row {len(rows) - 1 + begin}", f"is no box: {printable_name(' '.join(words))}; truncated?"))
             del rows[-1]
     tables = tables_of_rows(rows, begin, lost=lost)
     comma = any(table.decimal == "," for table in tables)
     if comma:
         notes.append("decimal commas")
     return [replace(table, notes=(*notes, *table.notes)) for table in tables]
+
+
+def _may_begin(words: Sequence[str], words_above: Sequence[str]) -> bool:
+    """Whether the words of a line may be the beginning of a row like the row above. This is so if it is a single word,
+    or if its numbers stand where the row above has numbers, and its other words where that row has words."""
+    are_numbers = [*map(is_number, words)]
+    return len(words) == 1 or (any(are_numbers) and are_numbers == [*map(is_number, words_above)][: len(words)])
 
 
 _PAGE: Final = re.compile(
@@ -127,13 +135,14 @@ _PAGE: Final = re.compile(
 
 def _without_page_heads(text: str) -> str:
     """The text of a printed report in which the heads of all pages but the first are replaced by empty lines. The head
-    of a page has the number of the page, and the same lines as the head of the first page."""
+    of a page has the number of the page, and the same lines as the head of the first page, which may lack the
+    number."""
     if _PAGE.search(text[:_LONGEST_HEAD]) is None:
         return text
     lines = text.split("\n")
     plain = [_PAGE.sub("", line).strip() for line in lines]
     counts = Counter(plain)
-    first = next(index for index, line in enumerate(lines) if _PAGE.search(line))
+    first = plain.index(next(name for name, line in zip(plain, lines, strict=True) if _PAGE.search(line)))
     end = next((index for index in range(first, len(lines)) if counts[plain[index]] < 2), len(lines))
     head = {*plain[:end], ""}
     if end == len(lines):
@@ -244,7 +253,31 @@ def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
         and all(len(row) == len(rows[first]) + 1 for row in rows[first + 1 :] if any(row))
     ):
         rows[first] = ["", *rows[first]]  # a printed data frame: its index has no name
+    for index in range(1, len(rows)):
+        if len(rows[index]) < len(rows[index - 1]) and all(map(is_unit_cell, rows[index])):
+            rows[index] = _below_names(rows[index], lines[index], rows[index - 1], lines[index - 1])
     yield from rows
+
+
+def _below_names(units: list[str], line: str, names: Sequence[str], line_above: str) -> list[str]:
+    """One field for each name of a header: the unit that stands below the name in the file, or "". If a line of units
+    does not have each unit below another name, the units are returned unchanged."""
+    spans = _spans(names, line_above)
+    fields = [""] * len(names)
+    for unit, (begin, end) in zip(units, _spans(units, line), strict=True):
+        distances = [max(first - end, begin - last, 0) + abs(first + last - begin - end) / 100 for first, last in spans]
+        fields[distances.index(min(distances))] = unit
+    return fields if sum(map(bool, fields)) == sum(map(bool, units)) else units
+
+
+def _spans(fields: Sequence[str], line: str) -> list[tuple[int, int]]:
+    """Where each field begins and ends in its line."""
+    spans, end = [], 0
+    for field in fields:
+        begin = line.index(field, end)
+        end = begin + len(field)
+        spans.append((begin, end))
+    return spans
 
 
 _MOST_HEADER_LINES: Final = 2

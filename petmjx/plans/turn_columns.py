@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
 from petmjx.plans.cell_numbers import NO_WORDS, YES_WORDS, cell_number, cell_text
+from petmjx.plans.column_names import word_set, words_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +31,8 @@ class Turns:
             written as letters.
         words: the words for rotations 0 and 1, or all words if there is no rule; empty: the cells have numbers or words
             of known meaning.
-        is_guess: whether the name of the column is unknown, so that only the cells suggest rotations.
+        guess_cost: cost of a reading with these rotations if the name of the column is unknown, so that only the cells
+            suggest rotations; 0: the name is known.
     """
 
     column: str
@@ -37,19 +40,24 @@ class Turns:
     codes: NDArray[np.int64]
     letters: NDArray[np.int64] | None = None
     words: tuple[str, ...] = ()
-    is_guess: bool = False
+    guess_cost: float = 0.0
 
 
-def turns_of(name: str, cells: Sequence[Any], decimal: str, on_fault: Callable[[int, str], None]) -> Turns | None:
+def turns_of(
+    name: str, cells: Sequence[Any], decimal: str, on_fault: Callable[[int, str], None], guess_cost: float = 0.0
+) -> Turns | None:
     """The rotations in a column; None if the column is empty.
 
     If the cells have two words of unknown meaning, either word may stand for a turned box. If the cells have more than
-    two words of unknown meaning, no rule of rotation is possible (``Turns.rules`` is empty).
+    two words of unknown meaning, no rule of rotation is possible (``Turns.rules`` is empty), unless the further words
+    may be damaged cells (``_DAMAGED_SHARE``). A blank cell means that the box is not turned, unless another cell says
+    this with a number or a word.
 
     Args:
         name: name of the column.
         decimal: decimal sign of numbers stored as text.
         on_fault: function that is called with the row and the fault of each bad cell.
+        guess_cost: as in :class:`Turns`.
     """
     filled_cells = [cell for cell in cells if cell not in (None, "")]
     if not filled_cells:
@@ -65,15 +73,23 @@ def turns_of(name: str, cells: Sequence[Any], decimal: str, on_fault: Callable[[
                 array[row], codes[row] = order, 0
         return Turns(name, ("letters",), codes, array)
     values = _in_degrees([_turn_number(cell, decimal) for cell in cells])
+    is_blank = [cell in (None, "") for cell in cells]
+    if any(value == 0 and not blank for value, blank in zip(values, is_blank, strict=True)):
+        values = [None if blank else value for value, blank in zip(values, is_blank, strict=True)]
     integers = {value for value in values if value is not None and float(value).is_integer()}
-    in_degrees = any(value is not None and value % 90 == 0 and abs(value) > 5 for value in values)
+    n_quarters = sum(value is not None and value % 90 == 0 for value in values)
+    in_degrees = any(abs(value) > 5 and value % 90 == 0 for value in integers)
+    in_degrees &= n_quarters >= sum(value in (0, 1) for value in values)
     turns: list[int | None]
     if in_degrees or name.lower() in ("yaw", "angle", "winkel"):
         rules: tuple[str, ...] = ("degrees",)
         kind = "a multiple of 90 degrees"
         turns = [None if value is None or value % 90 else int(value // 90) % 4 for value in values]
     else:
-        if max(integers, default=0) <= 1:
+        words_of_name = set(words_of(name))
+        if words_of_name & _QUARTERS:
+            rules, kind, allowed = ("swap",), "0 to 3", range(4)
+        elif max(integers, default=0) <= 1 or words_of_name & _TURNED or guess_cost:
             rules, kind, allowed = ("swap", "py3dbp"), "0 or 1", range(2)
         elif 0 in integers or max(integers) <= 5:
             from_1 = () if 0 in integers else ("py3dbp from 1", "permutations from 1")
@@ -83,21 +99,54 @@ def turns_of(name: str, cells: Sequence[Any], decimal: str, on_fault: Callable[[
         turns = [int(value) if value is not None and value in allowed else None for value in values]
     if sum(turn is not None for turn in turns) * 2 <= len(filled_cells):
         texts = [cell_text(cell) for cell in cells]
-        words = tuple(sorted({*texts}))
+        words = _words_in(texts)
+        if len(words) == 2:
+            for row, text in enumerate(texts):
+                if text not in words:
+                    on_fault(row, _shown_turn(cells[row], " or ".join(words)))
         rules = ("swap", "swap back") if len(words) == 2 else ()
         codes = np.array([text == words[-1] for text in texts], np.int64)
-        return Turns(name, rules, codes, words=words) if len(words) > 1 else None
+        return Turns(name, rules, codes, words=words, guess_cost=guess_cost) if len(words) > 1 else None
     for row, turn in enumerate(turns):
         if turn is None:
             on_fault(row, _shown_turn(cells[row], kind))
-    return Turns(name, rules, np.array([-1 if turn is None else turn for turn in turns], np.int64))
+    codes = np.array([-1 if turn is None else turn for turn in turns], np.int64)
+    return Turns(name, rules, codes, guess_cost=guess_cost)
+
+
+_QUARTERS: Final = word_set("quarter quarters quarterturn quarterturns")
+_TURNED: Final = word_set(
+    "rotated turned swapped flipped gedreht gedr verdreht tourne girado girada ruotato ruotata obrocony gedraaid "
+    "rotacionado rotacionada virado virada rodado rodada girato girata volteado volteada otoceno otoceni elforgatas"
+)
+"""Words in names of columns of rotations whose cells are numbers of quarter turns (``_QUARTERS``), or yes and no
+(``_TURNED``)."""
+_DAMAGED_SHARE: Final = 0.05
+"""Largest share of the cells of a column that may be damaged, if the other cells are two words."""
+
+
+def _words_in(texts: Sequence[str]) -> tuple[str, ...]:
+    """The words of a column, sorted: the two most frequent ones if the others may be damaged, else all."""
+    counts = Counter(texts).most_common()
+    n_others = sum(count for _, count in counts[2:])
+    return tuple(sorted(word for word, _ in (counts[:2] if n_others <= _DAMAGED_SHARE * len(texts) else counts)))
 
 
 def are_yes_or_no(cells: Sequence[Any]) -> bool:
-    """Whether cells are yes or no, and some of them are yes."""
-    texts = {cell_text(cell).lower() for cell in cells}
-    words = texts - {"", "-", "0", "1", "x", "none", "original"}
-    return bool(words) and words <= _YES | _NO and texts <= _YES | _NO and bool(texts & _YES) and bool(texts & _NO)
+    """Whether cells are yes or no, and some of them are yes. One cell may have any other text, since it may be
+    damaged."""
+    texts = Counter(cell_text(cell).lower() for cell in cells)
+    n_yes, n_no = (sum(texts[word] for word in words) for words in (_YES, _NO))
+    has_words = any(text in _YES | _NO and text not in ("", "-", "0", "1", "x", "none", "original") for text in texts)
+    return has_words and min(n_yes, n_no) > 0 and n_yes + n_no >= max(2, len(cells) - 1)
+
+
+def are_two_values(cells: Sequence[Any]) -> bool:
+    """Whether cells are 0 and 1, or two words, each of them several times. A few cells may be damaged."""
+    texts = [cell_text(cell) for cell in cells]
+    words = _words_in(texts)
+    are_words = not any(cell_number(word) for word in words) and "" not in words
+    return len(words) == 2 and (words == ("0", "1") or are_words) and min(map(texts.count, words)) > 1
 
 
 def may_be_turns(cells: Sequence[Any]) -> bool:

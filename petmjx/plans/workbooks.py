@@ -29,12 +29,15 @@ def tables_of_xlsx(data: bytes | bytearray) -> list[RawTable]:
     Raises:
         InputError: the file is damaged or too large, or contains no table. The error does not name the file.
     """
-    return _tables_of_sheets(sheets_of_xlsx(data))
+    sheets, hidden = sheets_of_xlsx(data)
+    first, *others = _tables_of_sheets(sheets)
+    notes = [f"sheet {printable_name(title)} not read: it is hidden" for title in hidden]
+    return [replace(first, notes=(*first.notes, *notes)), *others]
 
 
-def sheets_of_xlsx(data: bytes | bytearray) -> dict[str, list[list[Any]]]:
-    """Name → rows of each visible sheet of a workbook (.xlsx). In place of a formula, its result is returned, as the
-    file stores it.
+def sheets_of_xlsx(data: bytes | bytearray) -> tuple[dict[str, list[list[Any]]], list[str]]:
+    """Name → rows of each visible sheet of a workbook (.xlsx); and the names of the hidden sheets. In place of a
+    formula, its result is returned, as the file stores it.
 
     Raises:
         InputError: the file is damaged or too large. The error does not name the file.
@@ -45,12 +48,13 @@ def sheets_of_xlsx(data: bytes | bytearray) -> dict[str, list[list[Any]]]:
     try:
         book = load_workbook(io.BytesIO(data), read_only=True, data_only=True)
         sheets = {sheet.title: list(_cells(sheet)) for sheet in book.worksheets if sheet.sheet_state == "visible"}
+        hidden = [sheet.title for sheet in book.worksheets if sheet.title not in sheets]
         book.close()
     except InputError:
         raise
     except Exception as error:  # openpyxl may raise any exception for a damaged workbook
         raise InputError("is not a whole workbook (.xlsx)") from error
-    return sheets
+    return sheets, hidden
 
 
 def _cells(sheet: Any) -> Iterator[list[Any]]:

@@ -19,6 +19,7 @@ from petmjx.options.run_options import READING, RunOptions
 from petmjx.options.simulation import Simulation
 from petmjx.options.sorted_options import sorted_options
 from petmjx.plans.plan import Plan
+from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.plan_sources import PathArgument, PlanSource, usable_plans, without_built_plans
 from petmjx.plans.plan_writer import save_plans
 from petmjx.repairs.candidates import State
@@ -337,7 +338,7 @@ def repair(
     def repairs() -> Repairs:
         skipped = tuple(str(line) for line in plan_set.skipped)
         weak = _weak_note(results, repair_options.share)
-        return Repairs(tuple(results), skipped, shown, (*plan_set.notes, *about, *weak))
+        return Repairs(tuple(results), skipped, shown, (*plan_set.notes, *_odd_notes(plan_set), *about, *weak))
 
     waiting = {plan.plan_id for plan in plan_set.plans}  # plans whose search has not ended
     try:
@@ -433,6 +434,18 @@ def _with_shares(
 def _first(search: Search) -> State | None:
     """The best repair; None: no repair."""
     return search.repairs[0] if search.repairs else None
+
+
+def _odd_notes(plan_set: PlanSet) -> list[str]:
+    """Notes about plans in which boxes overlap, float or are outside the carrier: one for each of the first plans, and
+    one for all others."""
+    first, others = plan_set.warnings[:_MOST_ODD_PLANS], plan_set.warnings[_MOST_ODD_PLANS:]
+    count = count_text(len(others), "more plan")
+    return [*map(str, first), *([f"{count} with overlapping, floating or outside boxes"] if others else [])]
+
+
+_MOST_ODD_PLANS: Final = 5
+"""Largest number of plans with odd boxes that have a note of their own."""
 
 
 def _weak_note(results: Sequence[Repaired], share: float) -> list[str]:

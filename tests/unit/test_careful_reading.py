@@ -303,6 +303,7 @@ def test_a_file_whose_boxes_mostly_overlap_is_refused(tmp_path: Path) -> None:
     reading = "coordinates of corners, z upwards (8 boxes overlap; 8 boxes in all)"
     assert f"no reading is plausible; the best has {reading}" in message
     assert message.endswith("if boxes really overlap, say --anchor corner")
+    assert refusal(load(tmp_path, "load.csv", content, sizes="item")).endswith("say which with --columns rotation=NAME")
     assert len(load(tmp_path, "load.csv", content, anchor="corner").plans) == 1
 
 
@@ -390,6 +391,9 @@ def test_what_is_missing_is_named(tmp_path: Path) -> None:
     rows = "\n".join(f"{400 * number},0,0,400,300,200,5" for number in range(3))
     message = refusal(load(tmp_path, "load.csv", f"foo,bar,baz,qux,height,corge,weight\n{rows}"))
     assert "lacks some of the sizes, and places" in message
+    rows = "\n".join(f"{number} {400 * number} 0 0 400 300 200 5" for number in range(1, 4))
+    message = refusal(load(tmp_path, "load.txt", f"Nr Mid X Mid Y Z Length Width Height Weight\n{rows}\n"))
+    assert "holds no box: row 2 has 8 fields instead of 10; has a name in the header a blank in it?" in message
     np.savez(tmp_path / "poses.npz", poses=np.tile(np.eye(4), (3, 1, 1)))
     message = refusal(petmjx.load_plans(tmp_path / "poses.npz"))
     assert "has places of boxes, but no sizes: name a file that has them with --items FILE" in message
@@ -543,7 +547,7 @@ def test_a_plan_without_its_bottom_layer_floats_beside_others(tmp_path: Path) ->
             "Box,X,Y,Z,Length,Width,Height,Weight\na,0,0,,400,300,200,6\nb,0,0,,400,300,200,6\n",
             "row 2 (a): Z is missing",
         ),
-        ("Box,X,Y,Length,Width,Height,Weight\na,0,0,400,300,200,6\n", "lacks one of the sizes or coordinates"),
+        ("Box,X,Y,Length,Width,Height,Weight\na,0,0,400,300,200,6\n", "lacks the coordinate z of boxes"),
         ("Order,Length,Width,Height,Weight\nA,400,300,200,6\nA,400,300,200,x\n", "order A, row 3: Weight must be"),
     ],
 )

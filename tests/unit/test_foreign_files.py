@@ -70,7 +70,7 @@ KINDS = {
     ),
     "bare.xml": (b"\n <mujoco model='x'/>", "is a MuJoCo scene in which no free body"),
     "page.csv": (b"<!DOCTYPE html><html>", "is a web page (HTML)"),
-    "words.txt": (b"hello\nworld\n", "is text of another kind: plans are JSON, or tables whose names end in .csv"),
+    "words.txt": (b"hello\nworld\n", "is text of another kind: petmjx finds neither"),
     "plans.csv": (b'{\n "a": []}', "is JSON, but is read as JSON only if its name ends in .json"),
     "x.bin": (bytes(range(256)), "is no text: plans are JSON, or tables in CSV or Parquet"),
     "x.bz2": (b"BZh91AY", "is packed with bzip2: unpack it, or pack it with gzip"),

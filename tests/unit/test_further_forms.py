@@ -103,6 +103,15 @@ def printed_frame(index: bool) -> str:
     return "\n".join([line, shown[0], line, *shown[1:], line, ""])
 
 
+def report(title: str) -> str:
+    """A report of two pages, with units below some names. ``title``: the title on the second page."""
+    boxes = [[NAMES[number], *map(str, box[:6]), str(1000 * box[6])] for number, box in enumerate(PILE)]
+    rows = [["box", *FIELDS], ["", *["[mm]"] * 6, "[g]"], *boxes]
+    lines = ["  ".join(cell.rjust(7) for cell in row) for row in rows]
+    pages = ["LOADS", "", "Pallet A", *lines[:7], "\fLOADS", title, *lines[:2], *lines[7:], ""]
+    return "\n".join(pages)
+
+
 def transposed() -> str:
     rows = [["Box", *NAMES], *([name, *values] for name, values in zip(FIELDS, zip(*PILE, strict=True), strict=True))]
     return "\n".join(";".join(map(str, row)) for row in rows)
@@ -269,6 +278,12 @@ TABLES = {
     "answers under an unknown name": table(
         f"name,x,y,z,{SIZES},mass,dönük,fragile",
         lambda k, box: [NAMES[k], *box[:3], *before_turn(k, box), box[6], "yes" if TURNED[k] else "no", k],
+    ),
+    "a report of two pages": report(""),
+    "a report with repeated titles": report("Pallet A (continued)"),
+    "two words under an unknown name": table(
+        f"name,x,y,z,{SIZES},mass,facing",
+        lambda k, box: [NAMES[k], *box[:3], *before_turn(k, box), box[6], "NE"[TURNED[k]]],
     ),
     "initials of yes and no": table(
         f"name,x,y,z,{SIZES},peso,girado",
@@ -877,6 +892,12 @@ DOCUMENTS = {
     "poses of four numbers": boxes_by(lambda box: {"pose": [*centre(box), 0.0], **sized(box)}),
     "boxes in stacks": {"stacks": [{"boxes": [box]} for box in boxes_by(plain)]},
     "layers with z": layers(),
+    "a unit of sizes alone": {"boxes": boxes_by(lambda box: {
+        **dict(zip("xyz", box, strict=False)), "kg": box[6],
+        "dims": {**dict(zip("lwh", (side / 10 for side in box[3:6]), strict=True)), "uom": "CMT"}})},
+    "layers with heights": json.loads(
+        json.dumps(layers()).replace('"z": 0', '"level": 1, "baseHeight": {"value": "0", "uom": "MMT"}')
+        .replace('"z": 300', '"level": 2, "baseHeight": {"value": "30", "uom": "CMT"}')),
     "layers by keys": {"tool": "a", "layer_1": boxes_by(plain)[:4], "layer_2": boxes_by(plain)[4:]},
     "flags as numbers": {
         "boxes": [*({**box, "placed": 1} for box in boxes_by(plain)), {**boxes_by(plain)[0], "x": None, "placed": 0}]
@@ -1590,6 +1611,10 @@ def test_what_is_not_read_is_noted(tmp_path: Path) -> None:
     line = notes_of(load(tmp_path, "load.xlsx", sheets(A=BOX_ROWS, B=other, C=twice)))
     assert "not read: 8 boxes in B, because the columns differ" in line
     assert "sheet C not read: column box occurs twice" in line
+    hidden = openpyxl.load_workbook(io.BytesIO(sheets(A=BOX_ROWS, B=BOX_ROWS)))
+    hidden["B"].sheet_state = "hidden"
+    hidden.save(content := io.BytesIO())
+    assert "sheet B not read: it is hidden" in notes_of(load(tmp_path, "load.xlsx", content.getvalue()))
     quantities = table(f"box,x,y,z,{SIZES},weight,qty", lambda k, box: [*named(k, box), 2 if k == 3 else 1])
     assert "qty is above 1 in some rows, but each row is read as one box" in notes_of(
         load(tmp_path, "a.csv", quantities)
@@ -1636,12 +1661,26 @@ def test_what_is_not_read_is_noted(tmp_path: Path) -> None:
          "has sizes of boxes, but no places (x, y, z): name their columns with --columns x=NAME,y=NAME,z=NAME, or"),
         (DOCUMENTS["data classes"].replace("z=300", "z=3OO", 1),
          'line 5 (e): position.z must be a number, got "3OO"'),
+        (table(f"box,x,y,z,{SIZES},kg", named, ";").replace("e;0.0;0.0;300.0;", "e,0.0,0.0,300.0,").replace(
+            "400.0;300.0;250.0;6.5", "400.0,300.0,250.0,6.5", 1), "row 6: has 1 field instead of 8: another separator"),
+        (f"{report('')[:-1]}\n      i     0", "is no box: i 0; truncated?"),
+        *((table(f"name,x,y,z,{SIZES},mass,{name}",
+                 lambda k, box, cells=(no, yes), odd=odd: [NAMES[k], *box[:3], *before_turn(k, box), box[6],
+                                                           odd if k == 4 else cells[TURNED[k]]]),
+           f"row 6 (e): {name} {fault}")
+          for name, no, yes, odd, fault in (("dönük", "no", "yes", "?", 'must be 0 or 1, got "?"'),
+                                            ("rotated", 0, 1, 2, 'must be 0 or 1, got "2"'),
+                                            ("rotated", "no", "yes", "", "is missing"))),
         (json.dumps(DOCUMENTS["zeros are not written"]).replace('"y": 400', '"y": 0', 1), "[0] (a): at.x is missing"),
         (json.dumps(by_columns(hole="4")), "plan pile, [4]: z is missing"),
         (json.dumps(three_js()).replace("-0.6, 0.2, -0.4, 1]", '-0.6, "O.2", -0.4, 1]', 1),
          "object.children[2]: matrix must be 16 numbers, got O.2 as number 13"),
         (json.dumps(gltf()).replace("0.7071067811865476", "null", 1),
          "nodes[0] (a): rotation must be 4 numbers, got None as number 1"),
+        (json.dumps(boxes_by(lambda box: {"position": centre(box), "size": box[3:6], "mass": box[6],
+                                          "orientation": {"x": 0, "y": 0, "z": 0, "w": 1}})
+                    ).replace('"w": 1', '"w": 0', 1),
+         "[0] (a): orientation.w must not be 0 in all four components of a quaternion"),
         (json.dumps(boxes_by(by_matrices)).replace("-1", "-7", 1),
          "[0] (a): matrix scales the box by 7, unlike the matrices of other rows"),
     ],

@@ -337,9 +337,12 @@ def test_a_repeated_key_of_plans_is_named(tmp_path: Path) -> None:
 
 def test_a_repeated_id_of_plans_is_noted(tmp_path: Path) -> None:
     box = dict(zip(("x", "y", "z", "length", "width", "height", "kg"), PILE[0], strict=True))
-    content = json.dumps([{"id": "p", "boxes": [box]}, {"id": "p", "boxes": [box, {**box, "z": 300}]}])
-    reading = load(tmp_path, "a.json", content, units="mm", up="z").readings[str(tmp_path / "a.json")]
-    assert "plans are numbered, because several have the same id p" in reading.notes
+    pallets = [{"id": "p", "boxes": [box]}, {"id": "p", "boxes": [box, {**box, "z": 300}]}, {"id": "q", "boxes": []}]
+    reading = load(tmp_path, "a.json", json.dumps(pallets), units="mm", up="z").readings[str(tmp_path / "a.json")]
+    assert {"several plans have id p: other fields or numbers name them", "no box in [2]"} <= {*reading.notes}
+    named = [{**pallet, "SSCC": f"34012345000000120{number}"} for number, pallet in enumerate(pallets)]
+    plans = load(tmp_path, "a.json", json.dumps(named), units="mm", up="z").plans
+    assert [plan.plan_id for plan in plans] == ["340123450000001200", "340123450000001201"]
     rows = [(name, *PILE[0]) for name in "ABA"]
     content = table("plan,x,y,z,length,width,height,kg", rows)
     reading = load(tmp_path, "a.csv", content, units="mm", up="z").readings[str(tmp_path / "a.csv")]
