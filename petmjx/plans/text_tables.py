@@ -274,7 +274,7 @@ def _spans(fields: Sequence[str], line: str) -> list[tuple[int, int]]:
     """Where each field begins and ends in its line."""
     spans, end = [], 0
     for field in fields:
-        begin = line.index(field, end)
+        begin = max(line.find(field, end), end)
         end = begin + len(field)
         spans.append((begin, end))
     return spans

@@ -150,7 +150,7 @@ def test_nothing_of_the_user_is_touched(
                 code = main([*arguments, *overwrite])
                 line = only_line(capsys.readouterr().err)
                 assert code == 2, (name, kind.__name__, line)
-                assert f"out/{name}" in line or "out: h" in line, (name, kind.__name__, line)
+                assert f"out/{name}" in line or "out: already contains" in line, (name, kind.__name__, line)
                 assert everything(work / "out") | everything(outside) == before, (name, kind.__name__, line)
             shutil.rmtree(work / "out")
     assert everything(work) == inputs_before
@@ -175,7 +175,7 @@ def test_folders_within_are_neither_links_nor_files(
         with pytest.raises(InputError, match=rf"{table}: is (a link|not a folder)"):
             petmjx.score(inputs / "p.json", **options)
     else:
-        with pytest.raises(InputError, match=f"has {table} in it"):
+        with pytest.raises(InputError, match=f"already contains {table}"):
             petmjx.leaderboard([inputs / "p.json", inputs / "q.json"], **options)
     assert everything(tmp_path) == before
 

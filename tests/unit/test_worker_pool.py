@@ -155,7 +155,7 @@ def wait_for_two(pool: WorkerPool) -> None:
     pytest.fail("no second worker got ready")
 
 
-@pytest.mark.filterwarnings("ignore:.*not between 2 and 5,000 kg")
+@pytest.mark.filterwarnings("ignore:.*kg/m³")
 @pytest.mark.usefixtures("free_cluster")
 def test_workers_with_kernels_give_the_tables_of_one_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Drives (motions of the carrier) start from settled states, which may come from the other worker. Piles whose
