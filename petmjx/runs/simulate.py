@@ -256,10 +256,9 @@ class _Run:
         for note in (*self.plan_set.conventions, *self.plan_set.notes, *self.study.notes):
             writer.warn(note)
         if len(writer.recorded) and (missing := self.recording.missing(writer.parts)):
-            of = count_text(missing, "world")
             writer.warn(
-                f"{of} of an earlier run have no history and are not simulated again; to record them, name another "
-                "folder"
+                f"histories of {count_text(missing, 'world')} of an earlier run are missing, because the run does not "
+                "simulate worlds again; to record them, name another folder"
             )
 
     def _start(self, recorded: int) -> RunStart:

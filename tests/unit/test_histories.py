@@ -298,9 +298,9 @@ def test_worlds_of_before_are_not_simulated_again_to_be_recorded(tmp_path: Path)
     run = recorded(tmp_path / "run", record="failed", resume=True)
     assert run.histories.empty
     (line,) = run.info["warnings"]
-    assert (
-        line
-        == "2 worlds of an earlier run have no history and are not simulated again; to record them, name another folder"
+    assert line == (
+        "histories of 2 worlds of an earlier run are missing, because the run does not simulate worlds again; to record "
+        "them, name another folder"
     )
 
 
