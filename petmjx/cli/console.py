@@ -98,7 +98,9 @@ def as_notes() -> Iterator[None]:
                 otherwise(message, category, filename, lineno, *more, **named)
 
         warnings.showwarning = show
-        token = PRINTED_NOTES.set(seen)
+        # notes on a terminal do not reach a file to which the results are redirected
+        are_together = sys.stdout is not None and sys.stdout.isatty() and sys.stderr.isatty()
+        token = PRINTED_NOTES.set(seen if are_together else ())
         try:
             yield
         finally:

@@ -221,14 +221,16 @@ def distinct_names_in(extraction: ColumnExtraction) -> tuple[list[str] | None, s
     for index, meaning in enumerate(extraction.meanings):
         cells = extraction.cells(index)
         texts = {cell for cell in cells if isinstance(cell, str) and cell_number(cell) is None}
-        texts = {text for text in texts if not _MOMENT.match(text)}
+        texts = {text for text in texts if not _MOMENT.fullmatch(text)}
         if meaning is None and len(cells) > 1 and len(texts) == len(cells):
             return [cell_text(cell) for cell in cells], extraction.table.header[index]
     return None, ""
 
 
-_MOMENT: Final = re.compile(r"\s*((19|20)\d\d[-./]?[01]\d[-./]?[0-3]\d|\d\d?[./]\d\d?[./]\d\d(\d\d)?|\d\d?:\d\d)(?!\d)")
-"""The beginning of a date or a time: "2025-03-14", "20250314", "14.03.25", "3/14/2025", "8:02"."""
+_DATE: Final = r"(?:(?:19|20)\d\d[-./]?[01]\d[-./]?[0-3]\d|\d\d?[./]\d\d?[./]\d\d(?:\d\d)?)"
+_TIME: Final = r"\d\d?:\d\d(?::\d\d(?:[.,]\d+)?)?(?:\s*[AaPp][Mm])?(?:Z|\s*[+-]\d\d:?\d\d)?"
+_MOMENT: Final = re.compile(rf"\s*(?:{_DATE}(?:[T\s]+{_TIME})?|{_TIME})\s*")
+"""A date, a time, or both: "2025-03-14", "20250314", "14.03.25 8:02", "3/14/2025", "2025-03-14T08:02:11Z"."""
 
 
 def weight_column(extraction: ColumnExtraction) -> int | None:
@@ -278,10 +280,11 @@ in degrees; and if they are two other values."""
 
 
 def _rotations_of(extraction: ColumnExtraction, index: int, guess_cost: float = 0.0) -> Turns | None:
-    return turns_of(
-        extraction.table.header[index],
-        extraction.cells(index),
-        extraction.table.decimal,
-        lambda row, text: extraction.bad(row, index, text),
-        guess_cost,
-    )
+    faults: dict[int, str] = {}
+    name, cells, decimal = extraction.table.header[index], extraction.cells(index), extraction.table.decimal
+    turns = turns_of(name, cells, decimal, faults.__setitem__, guess_cost)
+    if guess_cost:
+        return None if turns is None else replace(turns, faults=faults)
+    for row, text in faults.items():
+        extraction.bad(row, index, text)
+    return turns

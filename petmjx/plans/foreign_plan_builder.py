@@ -74,6 +74,8 @@ class PlanBuilder:
         names, lost, reading, candidate = self._choice()
         plans, refused = self._plans_of_size(names)
         self.faults = {row: f"{column} {text}" for row, (column, text) in self.columns.faults.items()}
+        if (turns := self.columns.turns) is not None and not turns.may_be_ignored(reading.rule):
+            self.faults = {row: f"{turns.column} {text}" for row, text in turns.faults.items()} | self.faults
         self._check_words(reading, candidate)
         if HALF_EXTENTS in reading.columns:
             self.notes.append(f"{printable_name(reading.columns[HALF_EXTENTS])} and columns like it hold half sizes")

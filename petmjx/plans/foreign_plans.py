@@ -170,7 +170,7 @@ def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path |
 def _lacking_axes(columns: BoxColumns) -> list[str]:
     """The axes x, y and z without a column of coordinates; empty if no column at all has coordinates of one axis."""
     known = filter(None, columns.source.boxes.meanings)
-    axes = {one.axis for one in known if one.kind in ("position", "low", "high")}
+    axes = {one.axis for one in known if one.kind in ("position", "low")}
     named = axes | {AXIS_OF_WORD.get(axis, "") for axis in axes}
     return [axis for axis in XYZ if axis not in named] if axes else []
 

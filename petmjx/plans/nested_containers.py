@@ -10,7 +10,15 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from petmjx.plans.cell_numbers import cell_number, cell_text
-from petmjx.plans.column_names import CONTAINER_WORDS, LENGTH_UNITS, known_meanings, names_deck, word_set, words_of
+from petmjx.plans.column_names import (
+    CONTAINER_WORDS,
+    LENGTH_UNITS,
+    ColumnMeaning,
+    known_meanings,
+    names_deck,
+    word_set,
+    words_of,
+)
 from petmjx.plans.nested_fields import flattened
 
 LAYERS: Final = word_set("layer layers level levels tier tiers lage lagen schicht schichten row rows couches")
@@ -48,19 +56,28 @@ class NestedBox:
     around: tuple[tuple[str, Mapping[str, Any]], ...]
 
 
-def fields_of_part(member: NestedBox) -> dict[str, Any]:
-    """The coordinates and the height that a box lacks, from the layer or stack that contains it."""
+def fields_of_part(
+    member: NestedBox, of_parts: dict[int, tuple[dict[str, Any], dict[str, ColumnMeaning]]]
+) -> dict[str, Any]:
+    """The coordinates and the height that a box lacks, from the layer or stack that contains it.
+
+    Args:
+        of_parts: id of a layer or stack → its numbers, and the meanings of their fields. This function adds entries.
+    """
     step, holder = member.around[-1] if member.around else ("", {})
     if not (LAYERS | STACKS).intersection(words_of(step)):
         return {}
     given = {(meaning.kind, meaning.axis) for meaning in known_meanings(flattened(member.value)).values()}
     if ("positions", "") in given or ("sizes", "") in given or not any(kind == "position" for kind, _ in given):
         return {}
-    fields = _numbers_in(holder)
+    if id(holder) not in of_parts:
+        numbers = _numbers_in(holder)
+        of_parts[id(holder)] = numbers, known_meanings(numbers)
+    fields, meanings = of_parts[id(holder)]
     lacking = {*(("position", axis) for axis in "xyz"), ("size", "height")} - given
     return {
         name: fields[name]
-        for name, meaning in known_meanings(fields).items()
+        for name, meaning in meanings.items()
         if (meaning.kind, meaning.axis) in lacking and not _BOTTOMS.intersection(words_of(name))
     }
 
@@ -353,8 +370,11 @@ def _names_in(holders: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def _texts_of_names(holder: Mapping[str, Any]) -> dict[str, str]:
     """Field (as in ``_NAMES``) → its text, for the fields that may name a plan, most reliable first."""
-    texts = {str(name).lower().replace("_", ""): _name_text(value) for name, value in holder.items()}
-    return {name: texts[name] for name in _NAMES if texts.get(name)}
+    texts: dict[str, str] = {}
+    for name, value in holder.items():
+        if text := _name_text(value):
+            texts.setdefault(str(name).lower().replace("_", ""), text)
+    return {name: texts[name] for name in _NAMES if name in texts}
 
 
 def _name_text(value: Any) -> str:

@@ -18,7 +18,7 @@ import numpy as np
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable_name
 from petmjx.plans.cell_numbers import cell_number, decimal_of
-from petmjx.plans.column_names import known_meanings, names_unplaced, word_set, words_of
+from petmjx.plans.column_names import ColumnMeaning, known_meanings, names_unplaced, word_set, words_of
 from petmjx.plans.header_and_total_rows import geometric_columns, geometric_names
 from petmjx.plans.json_reader import DuplicateFieldObject, any_integer, json_fault, json_object
 from petmjx.plans.nested_containers import (
@@ -166,7 +166,11 @@ def _without_boxes(groups: Mapping[str, Sequence[NestedBox]], path: str) -> list
         for member in members
         if id(member.value) not in holders
     ]
-    outermost = [place for place in empty if not any(place.startswith(f"{other}.") for other in empty)]
+    known, outermost = {*empty}, []
+    for place in empty:
+        steps = place.split(".")
+        if not any(".".join(steps[:n]) in known for n in range(1, len(steps))):
+            outermost.append(place)
     return [f"no box in {first_names(outermost)}"] if outermost else []
 
 
@@ -350,8 +354,9 @@ def _box_list(path: str, members: Sequence[NestedBox]) -> BoxList | None:
     """Turn a list of objects into a table; None if the objects are not boxes."""
     flat = [_fields_of(member) for member in members]
     articles, sources = articles_around(members), list[str]()
+    of_parts: dict[int, tuple[dict[str, Any], dict[str, ColumnMeaning]]] = {}
     for row, member in zip(flat, members, strict=True):
-        row.update(fields_of_part(member))
+        row.update(fields_of_part(member, of_parts))
         fields, source = fields_of_article(member, articles)
         row.update(fields)
         sources.append(source)

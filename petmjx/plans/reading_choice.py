@@ -149,7 +149,7 @@ def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], dama
         damaged: names of plans that lack rows.
     """
     is_good = np.ones(columns.n_boxes, bool)
-    is_good[list(columns.faults)] = False
+    is_good[[*columns.faults, *(columns.turns.faults if columns.turns is not None else ())]] = False
     is_good &= np.any([_are_positive(geometry) for geometry in columns.geometries], axis=0)
     sample: _Sample = []
     taken = 0

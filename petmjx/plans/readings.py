@@ -30,7 +30,7 @@ from petmjx.plans.input_conventions import ANCHORS
 
 ROTATION_RULES: Final = {
     "none": "sizes are as placed",
-    "swap": "the value 1 swaps the two level sizes",
+    "swap": "odd values swap the two level sizes",
     "swap back": "the value 0 swaps the two level sizes",
     "degrees": "90 and 270 degrees swap the two level sizes",
     "letters": "letters tell which size lies along x, y and z",

@@ -127,7 +127,7 @@ def _may_begin(words: Sequence[str], words_above: Sequence[str]) -> bool:
 
 
 _PAGE: Final = re.compile(
-    r"\b(?:page|pag|pagina|página|pág|seite|blatt|strona|str)\b[.:]?\s*\d+(?:\s*(?:of|/|von|de|di|z|sur)\s*\d+)?",
+    r"\b(?:page|pag|pagina|página|pág|seite|blatt|strona|str)\b[.:]?[^\S\n]*\d+(?:\s*(?:of|/|von|de|di|z|sur)\s*\d+)?",
     re.IGNORECASE,
 )
 """The number of a page in a printed report: "Page 2 of 3"."""

@@ -6,8 +6,8 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -33,6 +33,8 @@ class Turns:
             of known meaning.
         guess_cost: cost of a reading with these rotations if the name of the column is unknown, so that only the cells
             suggest rotations; 0: the name is known.
+        faults: row → fault of its cell, if the name of the column is unknown. The faults count only if the cells are
+            rotations (``may_be_ignored``).
     """
 
     column: str
@@ -41,6 +43,12 @@ class Turns:
     letters: NDArray[np.int64] | None = None
     words: tuple[str, ...] = ()
     guess_cost: float = 0.0
+    faults: Mapping[int, str] = field(default_factory=dict)
+
+    def may_be_ignored(self, rule: str) -> bool:
+        """Whether a reading with this rule shows that the cells are no rotations: the rule turns no box, although
+        cells say that boxes are turned."""
+        return rule == "none" and bool((np.maximum(self.codes, 0) % 2 == 1).any())
 
 
 def turns_of(

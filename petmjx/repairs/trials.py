@@ -250,6 +250,8 @@ class Question:
             number: _trial(worlds.loc[str(number)], fallen.get(str(number), ()), drafts[number].order)
             for number in numbers
         }
+        if self._options.profile is not None:  # then only the user limits iterations
+            return trials
         # If a further attempt reaches the iteration limit, its world keeps the reason of an earlier attempt. So the
         # reasons of all attempts are examined.
         simulations = pd.concat([results.worlds[["plan_id", "reason"]], results.attempts[["plan_id", "reason"]]])

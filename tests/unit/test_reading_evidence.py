@@ -269,6 +269,19 @@ def test_a_column_of_quarter_turns_has_rotations(tmp_path: Path, name: str) -> N
     assert f"row 7: {name} must be" in skipped.message
 
 
+def test_other_columns_do_not_make_a_plan_unusable(tmp_path: Path) -> None:
+    """A column of yes and no with an odd cell has no rotations if boxes lie well as they are. The name of the last
+    column, and the first number of the next line, are no number of a page."""
+    rows = [(*box, "maybe" if number == 2 else ("yes", "no")[number % 2], number) for number, box in enumerate(PILE)]
+    check(load(tmp_path, "a.csv", table(f"{NAMES},fragile,page", rows), units="mm", up="z", anchor="corner"))
+
+
+def test_an_empty_field_does_not_hide_the_name_of_a_plan(tmp_path: Path) -> None:
+    box = dict(zip(("x", "y", "z", "length", "width", "height", "kg"), PILE[0], strict=True))
+    content = json.dumps([{"id": name, "ID": "", "boxes": [box]} for name in "AB"])
+    assert [plan.plan_id for plan in load(tmp_path, "a.json", content, units="mm", up="z").plans] == ["A", "B"]
+
+
 def test_an_angle_about_an_axis_turns_items(tmp_path: Path) -> None:
     """Sizes as placed would lie as well. Five turned boxes of one kind are no evidence that turned boxes are wider than
     long. A gripper holds the middle of the top."""
@@ -370,6 +383,8 @@ def test_times_are_no_ids(tmp_path: Path, moment: str) -> None:
     plan_set = load(tmp_path, "a.csv", table(f"scan,{NAMES}", rows), units="mm", up="z")
     check(plan_set)
     assert not any(plan_set.plans[0].item_ids)
+    lots = table(f"lot,{NAMES}", [(f"20250314-000{number}", *box) for number, box in enumerate(PILE)])
+    assert all(load(tmp_path, "b.csv", lots, units="mm", up="z").plans[0].item_ids)
 
 
 def test_numbers_of_sap_are_a_packing_order(tmp_path: Path) -> None:
