@@ -257,10 +257,7 @@ class Question:
         simulations = pd.concat([results.worlds[["plan_id", "reason"]], results.attempts[["plan_id", "reason"]]])
         spent = {*simulations.plan_id[simulations.reason == Reason.ITERATION_LIMIT.value]} & changed
         for number in map(int, spent):
-            limit = limit_of(len(drafts[number].order), SCORED_ITERATIONS)
-            if self.sim.iteration_limit is None or limit < self.sim.iteration_limit:
-                # The search has set this limit, not the user. So the trial is valid: the draft counts as one that
-                # falls.
+            if self._is_own_limit(limit_of(len(drafts[number].order), SCORED_ITERATIONS)):
                 trials[number] = trials[number]._replace(verdict=Verdict.UNSTABLE.value)
         return trials
 
@@ -315,11 +312,7 @@ class Question:
             sim: the options with which the draft was judged.
         """
         trial = _trial_of(outcome, one.draft.order, sim)
-        if (
-            trial.reason == Reason.ITERATION_LIMIT.value
-            and job.most_iterations(sim.iteration_limit) != sim.iteration_limit
-        ):
-            # The search has set this limit, not the user. So the trial is valid: the draft counts as one that falls.
+        if trial.reason == Reason.ITERATION_LIMIT.value and self._is_own_limit(job.iteration_limit):
             return trial._replace(verdict=Verdict.UNSTABLE.value)
         if one.as_score:
             (outcome,) = outcome_checks([outcome], [job], self.sim, verdicts_only=True)
@@ -331,6 +324,11 @@ class Question:
         (margin,) = margins_of([outcome], self.sim.thresholds)
         is_score = outcome.verdict is Verdict.STABLE and not may_go_on(outcome, self.sim)
         return trial._replace(margin=margin, is_score=is_score)
+
+    def _is_own_limit(self, limit: int | None) -> bool:
+        """Whether the search has set the limit of iterations that a draft has reached, not the user. The trial of such
+        a draft is valid: the draft counts as one that falls."""
+        return limit is not None and limit < (self.sim.iteration_limit or math.inf)
 
     def close(self) -> None:
         """Free the engine's resources."""

@@ -462,14 +462,15 @@ def _different(load: FloatArray, owner: IntArray, low: FloatArray, high: FloatAr
     ends = np.cumsum(np.bincount(owner, minlength=len(load)))
     loads, areas = load.tobytes(), np.concatenate([low, high], axis=1).tobytes()
     of_load, of_area = load.itemsize * load.shape[1], low.itemsize * 4
-    numbers: dict[bytes, int] = {}
-    each, begin = [], 0
+    known: dict[bytes, int] = {}
+    first, numbers, begin = list[int](), list[int](), 0
     for k, end in enumerate((of_area * ends).tolist()):
-        key = loads[of_load * k : of_load * (k + 1)] + areas[begin:end]
-        each.append(numbers.setdefault(key, len(numbers)))
+        number = known.setdefault(loads[of_load * k : of_load * (k + 1)] + areas[begin:end], len(first))
+        if number == len(first):
+            first.append(k)
+        numbers.append(number)
         begin = end
-    number = np.array(each, np.intp)
-    return np.flatnonzero(np.diff(np.maximum.accumulate(number), prepend=-1)), number
+    return np.array(first, np.intp), np.array(numbers, np.intp)
 
 
 def add_rows(sums: FloatArray, row: IntArray, values: FloatArray) -> None:
