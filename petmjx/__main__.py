@@ -48,7 +48,7 @@ def command() -> NoReturn:
         code = main()
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
-        with suppress(OSError, ValueError, AttributeError):  # the stream has no reader, is closed, or is None
+        with suppress(OSError, ValueError, AttributeError):  # the stream is closed, missing, or without a reader
             stream.flush()
     os._exit(code)
 

@@ -94,7 +94,7 @@ def _stands_on(plan: Plan, low: FloatArray, high: FloatArray) -> tuple[NDArray[n
     sheets = plan.sheets
     on, carried = touches.copy(), low[:, 2] <= MOST_GAP_MM
     through = touches & sheets[None, :]
-    for _ in range(int(sheets.sum())):  # each pass of the loop follows one more sheet in a stack of sheets
+    for _ in range(int(sheets.sum())):  # each pass looks through one more sheet of a stack of sheets
         further = on | ((through.astype(np.int64) @ on.astype(np.int64)) > 0) & beside
         carried = carried | (through & carried[None, :]).any(axis=1)
         if (further == on).all():

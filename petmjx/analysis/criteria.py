@@ -295,8 +295,7 @@ def load_points(contacts: PlanContacts) -> dict[str, float]:
         ]
     )
     middle = edges.mean(axis=0) if on_carrier.any() else np.full(2, np.inf)
-    # (n, 2) along x and along y: the share of each box's base whose coordinates are smaller than those of the
-    # footprint's middle
+    # (n, 2) along x and along y, the share of each box's side that lies before the middle of the load's footprint
     left = np.clip((middle - low[:, :2]) / contacts.size_mm[:, :2], 0.0, 1.0)
     quadrants = [contacts.mass_kg @ (x * y) for x in (left[:, 0], 1 - left[:, 0]) for y in (left[:, 1], 1 - left[:, 1])]
     above = ~np.isin(np.arange(contacts.n_boxes), contacts.upper[on_carrier])
@@ -490,7 +489,7 @@ CRITERIA: Final = (
         ),
         number="tolerable acceleration, g",
         threshold=LEAST_TOLERABLE_G,
-        usual=False,  # evaluated only on request, since this criterion is about transport
+        usual=False,  # evaluated only on request, since this criterion is about transport, not about the load at rest
     ),
     Criterion(
         "load_points",

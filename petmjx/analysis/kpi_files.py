@@ -117,7 +117,7 @@ def _is_our_workbook(file: Path) -> bool:
     try:
         with zipfile.ZipFile(file) as parts, parts.open("docProps/core.xml") as properties:
             return f">{_CREATOR}<".encode() in properties.read(_MOST_PROPERTIES)
-    # petmjx did not write the file if one of these errors is raised: the file is not a zip file, is encrypted, or uses
-    # an unknown compression.
+    # Each of these errors shows that petmjx did not write the file: it is not a zip file, is encrypted, or uses an
+    # unknown compression.
     except (OSError, ValueError, KeyError, zipfile.BadZipFile, NotImplementedError, RuntimeError):
         return False

@@ -274,7 +274,7 @@ def _flags_of(signature: inspect.Signature) -> dict[str, str]:
     for name, parameter in signature.parameters.items():
         for entry in getattr(parameter.annotation, "__metadata__", ()):
             if isinstance(entry, OptionInfo):
-                # typer may store a flag as the default, so the default is examined, too
+                # typer may store the first flag, such as "--out", as ``default``, so ``default`` is examined, too
                 words = (entry.default, *(entry.param_decls or ()))
                 names = [word.partition("/")[0] for word in words if isinstance(word, str) and word.startswith("-")]
                 usual = f"--{name.replace('_', '-')}"

@@ -98,7 +98,7 @@ def as_notes() -> Iterator[None]:
                 otherwise(message, category, filename, lineno, *more, **named)
 
         warnings.showwarning = show
-        # notes on a terminal do not reach a file to which the results are redirected
+        # if only the results are redirected to a file, the file must have the notes, too, so they are printed again
         are_together = sys.stdout is not None and sys.stdout.isatty() and sys.stderr.isatty()
         token = PRINTED_NOTES.set(seen if are_together else ())
         try:

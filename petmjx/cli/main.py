@@ -98,7 +98,7 @@ class SectionedCommand(TyperCommand):
             name, text = row
             heading = getattr(parameter, "rich_help_panel", None) or "Options"
             if parameter.param_type_name == "argument":
-                name, heading = name.partition(" <")[0], "Arguments"  # the Python type is cut off
+                name, heading = name.partition(" <")[0], "Arguments"  # "PLANS <list[Path]>" becomes "PLANS"
             sections.setdefault(heading, []).append((name, text))
         for heading in sorted(sections, key=lambda name: name == "Options"):
             with formatter.section(heading):

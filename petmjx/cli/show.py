@@ -159,7 +159,8 @@ def _draw(story: Story, files: list[Path], look: dict[str, Any]) -> None:
     for note in notes_in_words(story):
         print(printable(f"note: {note}"))
     for file in files:
-        with progress_when_called("frame") as count:  # ``draw`` calls ``count`` only for films
+        # ``draw`` calls ``count`` only for films, so only films get a progress bar
+        with progress_when_called("frame") as count:
             draw(story, file, progress=count, **look)
         print(printable(f"{file}  {_size(file.stat().st_size)}"))
 

@@ -111,8 +111,8 @@ def read_within(
                 raise ValueError(f"the column {printable_name(name)} holds lists or tables, which are not supported")
         texts = [name for name in names if _is_text(schema.field(name).type)]
         by_prefix = set(_columns_by_prefix(metadata))
-        # Texts are read as dictionary codes, and are decoded when their lengths are known. If a file stores only the
-        # rest of a text after a shared prefix, Arrow cannot read the text as a code.
+        # Texts are read as dictionary codes, so that their lengths can be checked before they are decoded. Arrow cannot
+        # read a column as codes if the file stores only the end of each text, after a prefix shared with another text.
         codes = [name for name in texts if name not in by_prefix]
         coded = pq.ParquetFile(stream, metadata=metadata, read_dictionary=codes)
         few = not by_prefix.isdisjoint(names)

@@ -55,7 +55,8 @@ def atomic_write(file: Path) -> Iterator[Path]:
     if "\0" in str(file):
         raise InputError(f"{printable(str(file))}: cannot be written: no file can have this name")
     target = file.resolve() if file.is_symlink() else file
-    direct = file.exists() and not file.is_file()  # such as /dev/stdout, which no file can replace
+    # no file can replace a path such as /dev/stdout, so it is written to directly
+    direct = file.exists() and not file.is_file()
     temporary = file if direct else target.with_name(f".{secrets.token_hex(8)}.{target.name}")
     try:
         with write_errors(file):

@@ -55,7 +55,7 @@ def machine_code(name: str) -> ModuleType | None:
             module = importlib.import_module(name)
             set_up_warp()
             for kernel in module.KERNELS:
-                warp.load_module(kernel.module, device="cpu")  # several threads may launch only loaded kernels
+                warp.load_module(kernel.module, device="cpu")  # must happen before several threads launch the kernel
             return module
     return None
 

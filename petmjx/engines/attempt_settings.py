@@ -117,7 +117,7 @@ class AttemptRecipe:
             return sim.attempts is Attempts.SOFT and (invalid or sinks)
         if self.stiff is not None or sinks:
             few = self.most_boxes is None or outcome.n_boxes <= self.most_boxes
-            # attempt 6 does not set ``Flag.SINKING`` if it becomes numerically unstable
+            # if attempt 6 becomes numerically unstable, it cannot set ``Flag.SINKING``, so the world counts as sinking
             sinks = sinks or (outcome.attempt == STIFF_ATTEMPT and outcome.reason in UNSTABLE_NUMERICALLY)
             return self.stiff is not None and sinks and (few or outcome.verdict is Verdict.INVALID)
         return outcome.verdict is Verdict.INVALID and outcome.reason is not Reason.TIMEOUT

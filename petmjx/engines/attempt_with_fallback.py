@@ -159,7 +159,8 @@ class AttemptRunner(Generic[AnyWorld]):
                     raise
                 refused = isinstance(error, PetmjxError) or self.engines.fallback is None
                 if self.attempt.number == 1 and refused:
-                    raise  # only the user can help: by other worlds, or, without a fallback engine, by another engine
+                    # Only the user can help: with other worlds or, if there is no fallback engine, with another engine.
+                    raise
                 if not stream.taken:
                     # The engine would refuse the same jobs again, so all of them go to the fallback engine.
                     stream.take(sys.maxsize, least=1)

@@ -301,7 +301,8 @@ class Costs:
         """(n,) for each job, the number of steps above which its world counts as long (``LONG_PLACEMENT``,
         ``LONG_DRIVE``). The number depends neither on the machine nor on the other jobs."""
         steps = np.full(len(jobs), float(seconds_to_steps(sim.rest_window_s, sim.physics.timestep_s)))
-        for settles in (False, True):  # a call of _expected_work gets only jobs that settle, or none that settle
+        # ``_expected_work`` counts a drive for every job if any job settles, so jobs that settle get a separate call
+        for settles in (False, True):
             rows = [row for row, job in enumerate(jobs) if job.settles is settles]
             some = [jobs[row] for row in rows]
             work, drive_steps = _expected_work(some, sim)

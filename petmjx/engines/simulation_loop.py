@@ -110,7 +110,7 @@ def score_worlds(
     engines = Engines(engine, progress)
     if sim.has_soft and not engines.has_fallback and Capability.SOFT not in engine.capabilities:
         raise InputError(f"soft boxes need the engine mujoco, got {engine.name}")
-    # Attempts in stiffer contacts run together with first attempts only if states of placements are kept. In other
+    # Attempts with stiffer contacts run together with first attempts only if states of placements are kept. In other
     # runs, CPU threads make most of these attempts. States can be kept only if all attempts have the run's timestep,
     # because a state counts time in steps.
     keeps = following is not None and all(recipe.timestep_divisor == 1 for recipe in attempts)
@@ -191,8 +191,8 @@ class _AttemptRun(Generic[AnyWorld]):
             elif not self.retry_queue and self.attempt_tasks.unanswered:
                 n_unanswered = self.attempt_tasks.unanswered
                 self.engines.progress.message = f"simulating {count_text(n_unanswered, 'world')} again on CPU threads"
-                # If further worlds may follow before the attempts on CPU threads end, such as the packings of the next
-                # order, the loop does not wait for these attempts.
+                # The loop does not wait for the attempts on CPU threads if further worlds may follow before these
+                # attempts end, for example the packings of the next order.
                 yield from self._task_results(wait=self.following is None)
                 if self.following is not None:
                     time.sleep(ATTEMPT_WAIT_S)
@@ -200,7 +200,7 @@ class _AttemptRun(Generic[AnyWorld]):
                 source.raise_error()
                 return
             if len(self.retry_queue) >= self.most_pending or not n_ready:
-                yield from self._retried_results()  # further worlds may follow from these results
+                yield from self._retried_results()  # further worlds may follow from these results, so the loop goes on
 
     def _has_room(self) -> bool:
         return len(self.retry_queue) + len(self.for_fallback) < self.most_pending

@@ -167,7 +167,7 @@ def check_same_set(folder: Path, before: Mapping[str, Any], now: Mapping[str, An
     if isinstance(orders, Mapping) and orders_now["sha256"] and orders.get("sha256") == orders_now["sha256"]:
         before = {**before, "orders": {**orders, "source": orders_now["source"]}}
     for name, earlier, later in differing_settings(before, now):
-        if earlier != later:  # equal if one is null and the other missing
+        if earlier != later:  # both are None if one setting is null and the other is missing
             different = f"{name} was {json.dumps(earlier)}, is {json.dumps(later)}"
             raise InputError(f"{folder}: cannot be resumed, because its labels were made in another way ({different})")
 

@@ -138,8 +138,8 @@ def _neighbour_features(
         extent: (2,) length and width of the target, mm.
     """
     size = end - start
-    # ``before``, ``after`` and ``shared`` have the shape (3, c, n), for axes, candidates and boxes. They are the gap if
-    # the box is before the candidate, the gap if the box is after the candidate, and the overlap.
+    # Three arrays (3, c, n), for axes, candidates and boxes. ``before``: the gap if the box is before the candidate.
+    # ``after``: the gap if the box is after the candidate. ``shared``: the overlap.
     starts, ends, lows, highs = start.T[:, :, None], end.T[:, :, None], low.T[:, None, :], high.T[:, None, :]
     before, after = starts - highs, lows - ends
     shared = -np.maximum(np.maximum(before, after), np.maximum(lows - highs, starts - ends))

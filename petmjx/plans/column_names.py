@@ -787,7 +787,7 @@ def _kind_of(tail: list[str], path: list[str]) -> Kind | None:
     for kind in _FIRST:
         if words & _WORDS[kind] or joined in _WORDS[kind] or (kind == "quantity" and _AMOUNT.match(joined)):
             if kind == "sequence" and words & {"id", "no", "nr", "nummer", "number"} and "order" in words:
-                return "plan"  # order_id is the customer's order
+                return "plan"  # "order_id" names a customer's order, not a place in the packing order
             if kind == "quantity" and words & {"id", "nr", "no", "name"}:
                 break
             if kind == "volume" and words & {"id", "nr", "no", "number"}:

@@ -239,8 +239,8 @@ class _Search:
             self._add(unit[0], plan, unit[1])
             if unit[0].read is not None:
                 corner, size = unit[0].read(plan.corner_mm, plan.size_mm)
-                # The kinds of boxes are left out, because boxes that are pallets have fixed sizes, so a plan with
-                # converted sizes would be refused.
+                # ``kinds`` is left out: a box that is a pallet must have a standard size, so a plan with converted
+                # sizes would be refused.
                 plan = replace(plan, corner_mm=corner, size_mm=size, kinds=())
                 odd = check_layout(plan.plan_id, plan.source, corner, size, self.extent_mm)
         if odd is None:
@@ -345,7 +345,7 @@ def _explains(way: Convention, plan: Plan, n_odd: int) -> bool:
     if way.least_share and not _is_mostly_odd(plan, way.least_share):
         return False
     corner, size = way.layout_of(plan)
-    if abs(corner[:, 2].min()) > DEFAULT_TOLERANCE_MM:  # in the right convention, a box stands on the carrier
+    if abs(corner[:, 2].min()) > DEFAULT_TOLERANCE_MM:  # in the right convention, the lowest box stands on the carrier
         return False
     bounds = (corner + size).max(axis=0) - corner.min(axis=0)
     if size.prod(axis=1).sum() < _LEAST_FILLED * bounds.prod():

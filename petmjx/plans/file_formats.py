@@ -155,7 +155,7 @@ def wide_encoding(data: bytes | bytearray) -> str | None:
     for all other bytes."""
     head = bytes(data[:4])
     marked = next((name for mark, name in _MARKS if head.startswith(mark)), None)
-    if marked == "utf-16":  # zero bytes must follow the mark, since the mark is two letters in Windows-1252
+    if marked == "utf-16":  # zero bytes must follow, since the two bytes of this mark are letters in Windows-1252
         return marked if b"\0" in data[2 : 1 << 12] or len(data) == 2 else None
     if marked is not None:
         return marked

@@ -124,7 +124,8 @@ def with_groups(names: list[str], group: Sequence[Any]) -> list[str]:
         with_unit = f"{name} [{unit}]" if unit and not names_unit(name) else name
         is_known = meaning is not None or column_meanings([long])[0] is None
         with_units.append(with_unit if is_known else long)
-    return max(with_units, joined, names, key=_n_distinct)  # if several are equal, max returns the first
+    # of lists with equally many different meanings, ``max`` returns the first
+    return max(with_units, joined, names, key=_n_distinct)
 
 
 def _n_distinct(names: Sequence[str]) -> int:

@@ -501,7 +501,7 @@ def _with_zeros(flat: list[dict[str, Any]]) -> list[str]:
     numbers = [[cell_number(row.get(name)) for row in flat] for name in columns]
     is_zero = any(number is not None and number.value == 0 for column in numbers for number in column)
     n_lacking = [sum(name not in row for name in columns) for row in flat]
-    # a box that lacks all three coordinates may have no place, so there must also be a box that lacks one or two
+    # a box must lack only one or two coordinates, since a box that lacks all three may not have been placed
     in_part = any(0 < count < 3 for count in n_lacking)
     if len(columns) < 3 or is_zero or not in_part or not all(any(name not in row for row in flat) for name in columns):
         return []

@@ -405,7 +405,7 @@ class _TableReader:
         for name, (low, high, _) in self._limits.items():
             numbers, usable = self.table.columns[name].numbers()
             unit = given.mass_kg if name == "weight_kg" else given.place_mm if name in _CORNER else given.length_mm
-            # comparisons with NaN are false
+            # comparisons with NaN are false, so NaN stays NaN
             columns[name] = np.where(usable & (numbers >= low) & (numbers <= high), numbers * unit, np.nan)
         return columns
 

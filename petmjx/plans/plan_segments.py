@@ -130,8 +130,8 @@ def joined(contents: Sequence[SegmentContent], extent_mm: tuple[float, float] | 
         return None
     whole.notes.extend(unread.notes())
     # ``conventions`` has a line for each convention that plans appear to follow instead of petmjx's, such as metres.
-    # Only plans that are odd, for example because boxes float or overlap or are too heavy, lead to such a line. If no
-    # segment has a warning about an odd plan, or a line about a convention, the whole file has no such line either.
+    # Only plans that are odd, for example because boxes float or overlap or are too heavy, lead to such a line. So
+    # the lines are made only if a segment has a warning about an odd plan, or a line about a convention.
     if any(chain.from_iterable((plan_set.warnings, plan_set.conventions) for plan_set, _ in contents)):
         whole.conventions.extend(find_conventions(whole.plans, whole.warnings, extent_mm))
         whole.conventions.extend(odd_boxes(whole.plans))

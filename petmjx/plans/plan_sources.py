@@ -210,7 +210,8 @@ def _distinct_plan_ids(plan_set: PlanSet, options: RunOptions) -> PlanSet:
         verb = "repeats an id and is" if len(renamed) == 1 else "repeat ids and are"
         notes.append(f"{count_text(len(renamed), 'plan')} {verb} called {first_names(renamed)}")
     numbers = {plan.plan_id: number for number, plan in enumerate(plans)}
-    skipped = [replace(skip, number=None) for skip in plan_set.skipped]  # skipped plans get no numbers here
+    # ``numbers`` counts only plans that are not skipped, so old numbers of skipped plans would be misleading
+    skipped = [replace(skip, number=None) for skip in plan_set.skipped]
     return replace(plan_set, plans=plans, skipped=skipped, notes=notes, numbers=numbers)
 
 

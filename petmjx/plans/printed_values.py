@@ -50,7 +50,7 @@ _SPACE: Final = re.compile(r"\s*")
 _QUOTED: Final = re.compile(r"""\\?(?:"((?:\\.|[^"\\])*)"|'((?:\\.|[^'\\])*)'|`([^`]*)`)""")
 _NAME: Final = re.compile(
     r""":([A-Za-z][\w.?!/-]*)(?=\s)"""  # EDN
-    r"""|\[\s*+['"]?([^\]\[\n'"]{1,200}+)['"]?\s*+\]\s*+=>?"""  # PHP, Lua; possessive, to avoid slow backtracking
+    r"""|\[\s*+['"]?([^\]\[\n'"]{1,200}+)['"]?\s*+\]\s*+=>?"""  # PHP, Lua; possessive quantifiers save backtracking
     r"""|:?['"]?([A-Za-z_$][\w$.-]*)['"]?\s*(?:=>|=(?!=)|:(?!:))"""
 )
 _EMPTY: Final = re.compile(r"[ \t]+(?=[A-Za-z_]\w{0,99}[:=](?:[^\s,;]++(?!\s*[,;])|[ \t]{1,9}[A-Za-z_]\w{0,99}[:=]))")

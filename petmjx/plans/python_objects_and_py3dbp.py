@@ -164,7 +164,7 @@ def source_of_printed(text: str) -> BoxSource | None:
     end_fields()
     if not rows and not lost:
         return None
-    if len(set(parts)) == 1:  # all boxes are in one bin; other bins may be empty
+    if len(set(parts)) == 1:  # all boxes are in one bin, so there is one plan; other bins may be empty
         containers = {"": containers[parts[0]]} if parts[0] in containers else {}
         parts = [""] * len(parts)
     table = RawTable(PY3DBP_COLUMNS, rows, places, ".", lost=tuple(lost))

@@ -128,7 +128,8 @@ class _CsvReader:
 
     def _parse(self, data: bytearray) -> pa.Table:
         kinds = {str(index): pa.string() for index in range(len(self._names))}
-        # without quotation marks, no value has a line break; with threads, Arrow would not number the rows
+        # ``use_threads``: with threads, Arrow would not number the rows. ``newlines_in_values``: only a value in
+        # quotation marks can have a line break.
         return pa_csv.read_csv(
             pa.BufferReader(pa.py_buffer(data)),
             read_options=pa_csv.ReadOptions(

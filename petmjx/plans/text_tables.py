@@ -245,7 +245,7 @@ def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
         counts = Counter(len(row) for row in rows if len(row) > 1)
         return max(counts.values(), default=0)
 
-    rows = max(ways, key=alike)  # if several are equal, max returns the first
+    rows = max(ways, key=alike)  # if both have equally many rows of one length, ``max`` returns the first
     first = next((index for index, line in enumerate(lines) if line.strip()), 0)
     if (
         lines

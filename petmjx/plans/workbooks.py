@@ -278,7 +278,7 @@ def _tables_of_sheets(sheets: dict[str, list[list[Any]]]) -> list[RawTable]:
     notes = tuple(
         f"sheet {printable_name(title)} not read: {fault}"
         for title, fault in faults.items()
-        if not isinstance(fault, NoBoxes)  # workbooks often have sheets that contain only text
+        if not isinstance(fault, NoBoxes)  # no note, since workbooks often have sheets that contain only text
     )
     return [replace(tables[0], notes=(*tables[0].notes, *notes)), *tables[1:]]
 

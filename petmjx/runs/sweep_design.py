@@ -264,7 +264,7 @@ class Design:
         return Variant(index, change, drive, replicate, parameters)
 
     def _change(self, point: Point) -> PlacementChange:
-        # A sweep never has two axes that change the same field.
+        # A sweep never has two axes that change the same field, so no value replaces another value.
         changes: dict[str, Any] = {field: value for name, value in point.items() for field in AXIS_KINDS[name].changes}
         return PlacementChange(shifts_from_release=self.sweep.shifts_from == "release", **changes)
 

@@ -41,7 +41,7 @@ def file_infos(paths: Sequence[Path], options: Mapping[str, Any]) -> tuple[list[
         InputError: a path does not exist, or an option is invalid.
     """
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PlanWarning)  # the record of each file lists its warnings
+        warnings.simplefilter("ignore", PlanWarning)  # no warnings, since the record of each file lists them
         plan_set = load_plans(list(paths), **options)
     sources = dict.fromkeys(
         [*(plan.source for plan in plan_set), *(skipped.source for skipped in plan_set.skipped), *plan_set.readings]

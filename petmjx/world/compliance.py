@@ -119,8 +119,7 @@ def _spring_terms(physics: Physics, spring_n_m: Any, inverse_mass: Any) -> tuple
     numbers for one contact, three arrays (p,) for p contacts."""
     time_s, damping = physics.solref
     time_s = time_s if time_s < 0 else max(time_s, 2 * physics.timestep_s)
-    # 1/s²: at rest, this is the product of the stiffness of the contact's spring, 1 − impedance, and the sum of the
-    # inverse masses
+    # ``stiffness`` has the unit 1/s². At rest, it equals spring_n_m · inverse_mass · (1 − impedance).
     stiffness = -time_s if time_s < 0 else 1 / (time_s * damping) ** 2
     lack = stiffness / (spring_n_m * inverse_mass)
     impedance = np.clip(1 - lack, LEAST_IMPEDANCE, physics.solimp[1])

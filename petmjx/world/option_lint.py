@@ -230,8 +230,8 @@ def _over_gaps(plan: Plan, deck_mm: FloatArray) -> list[int]:
     low, high = plan.corner_mm[lying, :2], (plan.corner_mm + plan.size_mm)[lying, :2]
     begin, end = np.maximum(low[:, None], deck_mm[None, :, 0]), np.minimum(high[:, None], deck_mm[None, :, 1])
     borne = (end > begin).all(axis=2, keepdims=True)
-    # the middle is compared with the rectangle around the supports, which contains the convex hull of the supports; so
-    # every box in the result is surely beside its supports
+    # The middle of each box is compared with the rectangle around its supports, not with their convex hull. Since the
+    # rectangle contains the hull, a middle outside the rectangle is certainly outside the hull.
     least, most = np.where(borne, begin, np.inf).min(axis=1), np.where(borne, end, -np.inf).max(axis=1)
     middle = (low + high) / 2
     boxes: list[int] = lying[((middle < least) | (middle > most)).any(axis=1)].tolist()

@@ -375,7 +375,7 @@ class Rules:
         enough = self.sim.waits_for_rest | (state.step - state.waits_since >= quiet.landing_steps)
         past_deadline = ~in_drive & (state.step >= self._deadline(state, worlds, has_more, adapts))
         go = waits & (past_deadline | (still & adapts & enough))
-        # in the worlds of ``settles``, the drive begins at once, without a check whether the pallet is at rest
+        # in worlds with ``settles`` set, the drive begins at once, without a check whether the pallet is at rest
         settles = go & ~has_more & worlds.settles & (not self.driven and not self._rests_first)
         rests = go & ~has_more & ~settles
         moves = (settles | (go & has_more)) & ~failed & (state.quiet_steps < quiet.steps)

@@ -94,9 +94,10 @@ class State(NamedTuple):
     quiet_speed: Float[Array, "world box"]
     violent_since: Int[Array, " world"]
 
-    # Trembling: the number of looks since the last placement, and whether each box trembles (1) or stays (2). The other
-    # three arrays describe the path of each box since boxes were last examined for trembling and staying: the path's
-    # length, m; the box's largest distance from the beginning of the path, m; and the box's pose at this beginning.
+    # Trembling: the number of looks (checks whether the pallet is quiet) since the last placement, and whether each box
+    # trembles (1) or stays (2). The other three arrays describe the path of each box since boxes were last examined for
+    # trembling and staying: the path's length, m; the box's largest distance from the beginning of the path, m; and the
+    # box's pose at this beginning.
     tremble_looks: Int[Array, " world"]
     trembles: Int[Array, "world box"]
     tremble_path: Float[Array, "world box"]

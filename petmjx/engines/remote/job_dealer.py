@@ -143,7 +143,7 @@ class JobDealer:
     def _deal_pending(self, workers: Sequence[WorkerJobs], more_come: bool) -> dict[int, list[int]]:
         limits = self._limits_on_devices(workers, more_come) if self._least else self._limits_of_threads(workers)
         dealt: dict[int, list[int]] = {}
-        # with equal times, the worker with fewer jobs gets the job
+        # of workers with the same expected time for their jobs, the worker with the fewest jobs gets the next job
         queue = [(sum(workers[index].costs.values()), len(workers[index].costs), index) for index in limits]
         heapq.heapify(queue)
         while self._pending and queue:

@@ -47,7 +47,8 @@ def beginnings(scenes: Sequence[Scene], sim: Simulation) -> list[list[bytes]]:
         its_keys = [digest.digest()]
         for box in range(scene.n_boxes):
             digest.update(boxes[row, box])
-            for shape in range(first[row, box + 1] + 1, first[row, box + 2]):  # further shapes of a sheet or pallet
+            # ``boxes`` has only the first shape of each box, but a box that is a sheet or a pallet may have more shapes
+            for shape in range(first[row, box + 1] + 1, first[row, box + 2]):
                 digest.update(b"".join(values[row, shape].tobytes() for values in of_shapes))
             its_keys.append(digest.digest())
         keys.append(its_keys)

@@ -64,7 +64,7 @@ class KeptRollouts:
                     more, pools = pools, tuple(pool.halved() for pool in pools)
                     if pools == more:
                         if len(pools) > 1:
-                            raise  # the caller tries each size alone, since one may fit in memory
+                            raise  # the caller then simulates each block size alone, which needs less memory
                         return None
                 self.drop()  # rollouts of other sizes may hold the memory: try again without them
                 lanes = sum(pool.lanes for pool in pools)

@@ -99,7 +99,8 @@ def expected_tail(
     queued = jnp.zeros_like(running).at[jnp.where(order >= 0, order, len(running))].set(True, mode="drop")
     # the sum of the steps of thousands of worlds may exceed an int32
     mean = jnp.where(ended, steps, 0).sum(dtype=jnp.float32) / jnp.maximum(ended.sum(), 1)
-    rest = (queued & running & ~begun).sum() * mean / lanes  # expected steps of a lane until no world waits
+    # ``rest``: expected number of steps that each lane still takes until no world waits for a lane
+    rest = (queued & running & ~begun).sum() * mean / lanes
     long = running & ended.any() & (steps > LONG * mean) & (GOES_ON * steps > rest)
     most, rows = jax.lax.top_k(jnp.where(long, steps, 0), min(MOST_EXPECTED, len(steps)))
     return jnp.zeros_like(long).at[rows].set(most > 0)

@@ -107,7 +107,7 @@ class BoardFolder:
         self._folder.mkdir(parents=True, exist_ok=True)
         self.board_files |= frozenset(self._names)
         self._write({**self._before, "petmjx": __version__, UNFINISHED: True, FILES: sorted(self.board_files)})
-        self._overwrite = True  # from now on, files with these names belong to this board
+        self._overwrite = True  # from now on, files with these names belong to this board, which may replace them
 
     def finish(self, board: Mapping[str, Any], written: Collection[str]) -> None:
         """Write ``leaderboard.json``, and delete files of an earlier board that this board does not have.

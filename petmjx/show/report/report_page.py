@@ -60,7 +60,7 @@ def report(
     """
     path = path_of(out, "out")
     check_outputs([path], overwrite=overwrite, inputs=input_files(runs, plans))
-    check_writable(path)  # first, since making the report may take long
+    check_writable(path)  # checked before the report is made, since making it may take long
     sources: list[Any] = (
         [runs] if isinstance(runs, str | Path | RunResults) else list_of(runs, "runs", object, "runs or folders")
     )

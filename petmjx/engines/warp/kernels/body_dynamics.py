@@ -244,8 +244,8 @@ def begin_step(
                 start[i] = state.qacc_warmstart[world, body - 1, i]
         turn = rotation(q)
         place = frame + turn * wp.vec3(offset[0], offset[1], offset[2])
-        # Half extents of the bounding box of the geom enlarged by its skin (a margin), minus the skin: a contact begins
-        # when two enlarged geoms overlap by the thickness of both skins.
+        # ``reach``: half extents of the bounding box of the geom after its enlargement by the skin (a margin). The skin
+        # is then subtracted, since a contact begins only when two enlarged geoms overlap by both skins.
         skin = wp.where(body == 0, model.carrier_skin, model.skin)
         skinned = half + wp.vec3(skin, skin, skin)
         reach = wp.vec3(

@@ -188,7 +188,7 @@ def make_constraint(
                 put_number(work.efc, block, contact, 18 + 3 * r + i, arms_two[r, i])
         pull = -times(times(kbi[0], kbi[2]), point[3])
         slip = wp.sqrt(fused(velocity[1], velocity[1], times(velocity[2], velocity[2])))
-        if slip > STICKS:  # below ``STICKS``, the share is 1; so most contacts need no look-up of the kinetic share
+        if slip > STICKS:  # slower contacts have full friction, so most contacts need no look-up of the kinetic share
             mu = times(mu, friction_share(_kinetic_share(model, worlds, world, first, second), slip))
         excess = times(damping, slip) - model.slip_slack
         work.excess[block, contact] = wp.where(excess > 0.0, excess, -1.0)

@@ -277,9 +277,10 @@ def after_step(
         if signs:
             culprit = wp.int32(LAST_BOX - (worst & LAST_BOX))
         # Light boxes that land, and tipping boxes that hit something, reach up to 240 rad/s² for a few steps. So a
-        # violent sample is an explosion only if the samples before it were violent, too, for the time that a box needs
-        # to land. Samples right after a placement are no evidence of an explosion. But if such a sample is not violent,
-        # the series of violent samples before it has ended: one box has landed, and another may land later.
+        # violent sample (accelerations above the thresholds) is an explosion only if the samples before it were
+        # violent, too, for the time that a box needs to land. Samples right after a placement are no evidence of an
+        # explosion. But if such a sample is not violent, the series of violent samples before it has ended: one box has
+        # landed, and another may land later.
         if sample:
             if not violent or culprit >= 0:
                 violent_since = NEVER
@@ -320,7 +321,7 @@ def after_step(
         if quiet and adapts and (model.waits_for_rest != 0 or waited >= model.landing_steps):
             goes = True
     pauses = goes and not more and not driven and worlds.pauses[world]
-    # in the worlds of ``settles``, the drive begins at once, without a check whether the pallet is at rest
+    # in worlds with ``settles`` set, the drive begins at once, without a check whether the pallet is at rest
     settles = goes and not more and not pauses and not driven and worlds.settles[world] and not rests_first
     rest_from = state.rest_from[world]
     if goes and not more and not settles and not pauses:
