@@ -382,7 +382,7 @@ def friction_slack(
     possible = np.repeat(points.friction[:, None] > 0, _DIRECTIONS, axis=1)
     possible[:, 0] = True
     chosen = np.flatnonzero(possible)
-    row_of = np.append(np.cumsum(boxes) - 1, CARRIER)  # the last entry stands for the carrier, which does not move
+    row_of = np.append(np.cumsum(boxes) - 1, CARRIER)  # the last entry is for the carrier, whose number is −1
     first, second = row_of[points.first], row_of[points.second]
     centre_m = contacts.centre_mm[boxes] / MM_PER_M
     forces = _columns(

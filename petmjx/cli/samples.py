@@ -228,7 +228,7 @@ def _write_physical(
     try:
         with progress(n if orders is None else None) as bar:
             write_plans(out, plans())
-    finally:  # the lines are printed even after an error, since they explain missing plans
+    finally:  # the lines about skipped orders are printed even after an error, since they explain missing plans
         print_skipped(errors)
     _print_left_out(
         [f"{packing.left_out}: {packing.why}" for packing in packings if packing.left_out], drawn=orders is None

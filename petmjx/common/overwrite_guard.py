@@ -97,7 +97,7 @@ def _check(file: Path, overwrite: bool, inputs: Iterable[Path], is_ours: IsOurs 
             raise InputError(
                 f"{_name(file)}: exists already; name another file, or pass {option('--overwrite', 'True')}"
             )
-        return  # FIFOs and devices that the user named are written to
+        return  # existing FIFOs and devices are no obstacle: if the user names one, it is written to
     if not stat.S_ISREG(mode):
         raise InputError(f"{_name(file)}: cannot be written: is not a regular file")
     if not is_ours(file):

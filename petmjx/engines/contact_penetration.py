@@ -195,7 +195,7 @@ def _transitive_closure(over: NDArray[np.bool_]) -> NDArray[np.float32]:
     """(…, n, n) 1 where the box of the column is above the box of the row, directly or through other boxes; 0
     elsewhere. Rows and columns are sorted from the lowest to the highest box."""
     above = np.triu(over, 1).astype(np.float32)
-    while True:  # after each product, the matrix covers chains of twice as many boxes, each on top of the other
+    while True:  # each product doubles the longest chain of boxes on boxes that the matrix covers
         further = np.minimum(above + above @ above, 1.0)
         if np.array_equal(further, above):
             return above

@@ -170,7 +170,7 @@ class Palletizing:
         self._empty = empty(1, carrier=carrier, engine=engine, most_boxes=most_boxes, **options)
         sim = Simulation(**{"carrier": carrier, **options})
         extent = extent_m(sim.carrier)
-        assert extent is not None  # it is None only for a carrier as large as the plan, which ``empty`` refuses
+        assert extent is not None  # None means a carrier as large as the plan, which ``empty`` refuses
         self._extent = extent[0] * MM_PER_M, extent[1] * MM_PER_M
         gap, inside = (
             number_of(value, name, 0.0, LARGEST_GAP_MM)

@@ -39,7 +39,8 @@ class PalletWorlds:
     def __init__(self, n: int, engine: Engine, sim: Simulation, most_boxes: int) -> None:
         self._n, self._sim = n, sim
         self._decidable = decidable(sim)
-        self._bare = 1.0 if self._decidable else -1.0  # margin of an empty pallet; -1 if the bounds are not valid
+        # margin of an empty pallet; -1 if ``Bounds`` is not valid for these options
+        self._bare = 1.0 if self._decidable else -1.0
         self.boxes = BoxTable(n)
         self.bounds = Bounds(self.boxes, sim.physics.box_friction[0])
         self.dead: NDArray[np.bool_] = np.zeros(n, bool)

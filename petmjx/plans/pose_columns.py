@@ -56,7 +56,8 @@ def pose_choices(extraction: ColumnExtraction) -> list[Geometry]:
         if sizes is None and np.allclose(scale, 1.0, equal_nan=True):
             return []
         size, axes, unit, _, columns, anchor = sizes or Sizes(np.ones((n, 3)), XYZ, "", False, {})
-        if not np.allclose(size, scale, rtol=1e-3, equal_nan=True):  # else the matrices only repeat the sizes
+        # if the scales of the matrices equal the sizes, they only repeat the sizes
+        if not np.allclose(size, scale, rtol=1e-3, equal_nan=True):
             size = size * scale
             _check_scales(extraction, scale, matrix)
         geometry = Geometry(size, places, axes, unit, unit, anchor, columns={**columns, "pose": header[matrix]})

@@ -477,7 +477,8 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
                     break
                 other = _judge(columns, wishes, candidate, sample)
                 judged += [other] if other.layout_cost <= _POOR else []
-    are_of_objects = any("." in name for name in columns.unit_columns)  # "dimensions.uom" is no unit of coordinates
+    # a unit in a column such as "dimensions.uom" is not the unit of coordinates
+    are_of_objects = any("." in name for name in columns.unit_columns)
     lacks_unit = not any(one.size_unit and (one.place_unit or not are_of_objects) for one in columns.geometries)
     if lacks_unit and not wishes.units and judged and min(one.layout_cost for one in judged) > _POOR:
         base = sorted(judged, key=lambda one: one.candidate.prior)[:8]

@@ -82,7 +82,7 @@ class PaddedModel:
         template.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
         self.capacity, self.held = capacity, held
         self.pyramidal = sim.physics.cone is Cone.PYRAMIDAL
-        # if the solver is cg, runs use the engine mujoco (petmjx/engines/attempt_settings.py)
+        # runs with the solver ``cg`` use the engine ``mujoco`` (petmjx/engines/attempt_settings.py)
         assert self.pyramidal or sim.solver is Solver.NEWTON
         self.model: Any = mjx.put_model(template, impl="jax")
         self.carrier, self.bodies = template.body(CARRIER_NAME).id, template.nbody

@@ -127,7 +127,8 @@ class SlipLaw:
         for rounds in range(MOST_ROUNDS + 1):
             aref[normal] = before - friction * excess
             mujoco.mj_fwdConstraint(model, data)
-            iterations += int(data.solver_niter[0])  # without islands, the first number counts all iterations
+            # ``solver_niter`` has a number for each island; islands are disabled, so the first number is the total
+            iterations += int(data.solver_niter[0])
             if rounds == MOST_ROUNDS:
                 break
             change = excess_at(data.qacc, lag * np.hypot(force[one], force[two])) - excess

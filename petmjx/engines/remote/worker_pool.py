@@ -234,7 +234,7 @@ class WorkerPool(Engine):
             progress.message = before
         finally:
             busy = [worker for worker in self._workers if worker.reports is not None]
-            for worker in busy:  # the run has ended, so nobody needs further outcomes
+            for worker in busy:  # the run has ended, so nobody needs the outcomes of busy workers
                 self._workers.remove(worker)
                 self._kill(worker)
 

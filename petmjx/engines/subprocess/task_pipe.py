@@ -126,7 +126,7 @@ class Fork(PipedProcess):
             its_tasks, tasks, answers, its_answers = fds
             socket.send_fds(connection, [b"f"], [its_tasks, its_answers])
             pipes = os.fdopen(tasks, "wb"), os.fdopen(answers, "rb")
-            fds = [its_tasks, its_answers]  # the other two are closed together with the files of ``pipes``
+            fds = [its_tasks, its_answers]  # ``tasks`` and ``answers`` are closed together with ``pipes``
             self._begin(*pipes)
         except (OSError, RuntimeError):  # memory is short, or the other process has died
             self.answers.put(None)

@@ -51,7 +51,7 @@ def paper_style() -> Iterator[None]:
     from matplotlib import rc_context
 
     with rc_context(SETTINGS), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph", UserWarning)  # for characters that the font lacks
+        warnings.filterwarnings("ignore", "Glyph", UserWarning)  # Matplotlib warns of characters that the font lacks
         yield
 
 
