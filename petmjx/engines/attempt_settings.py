@@ -108,8 +108,8 @@ class AttemptRecipe:
         """Whether this attempt may give a different result from the previous attempt. A world that ran out of time gets
         no further attempt."""
         if self.checks:
-            # the margin of a world that ended early is that of a falling box, and does not show how near to the
-            # threshold the world was before the fall
+            # If a world ended early, its margin is that of a falling box. This margin does not show how near to the
+            # threshold the world was before the fall.
             return sim.check_timestep and abs(outcome.margin) < NEAR and not int(outcome.flags) & _EARLY_STOP
         sinks = bool(int(outcome.flags) & _SINKING) and sim.physics.cone is Cone.ELLIPTIC
         if self.soft:

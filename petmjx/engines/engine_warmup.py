@@ -41,8 +41,8 @@ def engine_warmup(options: RunOptions, plans: object, sim: Simulation) -> Iterat
     if may_use_gpu(options, plans):
         thread = threading.Thread(target=_start_if_gpu, args=(sim,), name="petmjx-start")
         thread.start()
-    # if the caller raises an error here, such as an error about plans, the code below does not run: the error is
-    # reported without a wait for the thread
+    # If the caller raises an error here, such as an error about plans, the code below is skipped. So the error is
+    # reported without a wait for the thread.
     yield None
     if thread is not None:
         thread.join()

@@ -204,9 +204,9 @@ def _corner_points(
         earlier: row i tells which boxes may be obstacles for the points of box i.
     """
     (x, y), (x_end, y_end) = start.T, end.T
-    # Points beside a box start at the box's end in x and slide towards −y until they meet an obstacle, or start at its
-    # end in y and slide towards −x. Two points on top of a box start at (x, y): one slides towards −y, the other
-    # towards −x.
+    # Four points of each box slide until they meet an obstacle. Beside the box, one point starts at (x_end, y) and
+    # slides towards −y, and one starts at (x, y_end) and slides towards −x. On top of the box, two points start at
+    # (x, y): one slides towards −y, the other towards −x.
     axes, levels = jnp.array([1, 0, 0, 1]), jnp.stack([bottom, bottom, top, top])[..., None]
     begins, across = jnp.stack([y, x, x, y])[..., None], jnp.stack([x_end, y_end, y, x])[..., None]
     lows, highs, ends = start.T[1 - axes][:, None], end.T[1 - axes][:, None], end.T[axes][:, None]

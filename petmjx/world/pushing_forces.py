@@ -145,8 +145,8 @@ def _cone_projection(point: FloatArray) -> tuple[FloatArray, FloatArray]:
     inside = _ROOT * height >= large
     face = ~inside & (_ROOT * on_face >= small)
     ridge = ~(inside | face) & (on_ridge > 0)
-    # which coordinates the projection leaves unchanged: all coordinates of a point inside the cone, and only the
-    # smaller one of z₁ and z₂ if a point is projected onto a face
+    # ``stays``: which coordinates the projection leaves unchanged. A point inside the cone keeps all coordinates. A
+    # point that is projected onto a face keeps only the smaller one of z₁ and z₂.
     stays = np.stack([inside, inside | (face & ~first_is_large), inside | (face & first_is_large)], axis=1)
     towards = np.where(point < 0, -_ROOT, _ROOT)
     towards[:, 0] = 1.0

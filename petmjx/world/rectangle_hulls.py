@@ -77,8 +77,8 @@ def _stacked_hulls(low: FloatArray, high: FloatArray) -> tuple[FloatArray, Float
     along = np.stack([low[..., 0].min(1), -high[..., 0].max(1), low[..., 1].min(1), -high[..., 1].max(1)], axis=1)
     axes = np.broadcast_to(np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]), (len(low), 4, 2))
     one, other = np.triu_indices(low.shape[1], 1)
-    # if a component of an edge's normal is positive, the low end of each rectangle is nearest to the edge; if it is
-    # negative, the high end is nearest
+    # The point of a rectangle nearest to an edge of the hull is a corner. Along x and along y, this corner is at the
+    # rectangle's low end if the edge's normal is positive there, and at the high end if the normal is negative.
     x = np.stack([low[..., 0], low[..., 0], high[..., 0], high[..., 0]], axis=1)
     y = np.stack([low[..., 1], high[..., 1], low[..., 1], high[..., 1]], axis=1)
     sign_x, sign_y = np.array([1, 1, -1, -1])[:, None], np.array([1, -1, 1, -1])[:, None]

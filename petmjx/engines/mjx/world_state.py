@@ -96,8 +96,8 @@ class State(NamedTuple):
 
     # Trembling: the number of looks (checks whether the pallet is quiet) since the last placement, and whether each box
     # trembles (1) or stays (2). The other three arrays describe the path of each box since boxes were last examined for
-    # trembling and staying: the path's length, m; the box's largest distance from the beginning of the path, m; and the
-    # box's pose at this beginning.
+    # trembling and staying. ``tremble_path``: length of the path, m. ``tremble_away``: largest distance of the box from
+    # the beginning of the path, m. ``tremble_qpos``: pose of the box at the beginning of the path.
     tremble_looks: Int[Array, " world"]
     trembles: Int[Array, "world box"]
     tremble_path: Float[Array, "world box"]

@@ -62,8 +62,8 @@ class Stepper:
             placed, self._placed = self._placed, live.n_placed
             if placed != live.n_placed or (number - 1) % self._poll_steps == 0:
                 # ``_restless`` decides which steps count for the largest forces. It is updated every ``_poll_steps``
-                # steps, not in every call: in a recorded world, each frame ends a call, but the results must be the
-                # same as without recording.
+                # steps, not in every call. Otherwise, recording a world would change its results, since each recorded
+                # frame ends a call.
                 self._restless = placed != live.n_placed or not _is_calm(live)
             last = min(end, number + self._poll_steps - (number - 1) % self._poll_steps)
             counts = metrics if self._looks and live.n_placed and (acts or self._restless) else None

@@ -300,8 +300,8 @@ def after_step(
     more = at.placed < n_boxes and not driven
     adapts = model.fixed == 0 or state.waits_since[world] > landed
     rests_first = model.fixed == 0 and model.waits_for_rest != 0
-    # The drive of a quiet pallet may end early only while two rest windows fit before the planned end of the world: the
-    # window that begins now, and the window before the planned end.
+    # A drive may end early if the pallet is quiet, but only while two rest windows fit before the world's planned end:
+    # the window that would begin now, and the window just before the planned end.
     in_drive = driven and rests_first and end != NEVER and step <= end - 2 * model.rest_steps
     goes = bool(False)
     failed = bool(False)
