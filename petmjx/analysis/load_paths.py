@@ -96,7 +96,7 @@ def load_slack(
     distance = hulls.distance(below, point)
     slack = np.full(contacts.n_boxes, np.inf)
     with np.errstate(invalid="ignore"):
-        np.minimum.at(slack, placed, distance)  # if one distance is NaN, the minimum is NaN
+        np.minimum.at(slack, placed, distance)  # without a warning, a NaN among the distances makes the minimum NaN
     return slack
 
 

@@ -223,7 +223,7 @@ def note_penetration(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simu
     scenes = [job.scene for job in jobs]
     did_not = penetration_excluded(outcomes, scenes, sim) if elliptic else [False] * len(outcomes)
     for k, (outcome, scene) in enumerate(zip(outcomes, scenes, strict=True)):
-        if outcome.verdict is Verdict.INVALID or scene.soft is not None:  # soft boxes sink by another law
+        if outcome.verdict is Verdict.INVALID or scene.soft is not None:  # the law of this module is not for soft boxes
             continue
         if not did_not[k] and has_penetrated(outcome, scene, sim):
             flags = outcome.flags | Flag.SINKING

@@ -74,7 +74,7 @@ def resolve_engine(
 
         return resolve_workers(options, work, costs or MEASURED, startup)
     threads = options.threads or cpu_threads()
-    # Measuring the speed of CPU threads takes 0.3 s. If a GPU simulates, this speed is irrelevant.
+    # For ``mjx-warp``, the speed of CPU threads is irrelevant, so it is not measured: measuring it takes 0.3 s.
     costs = costs or (with_kept_kernels(work) if requested_engine == "mjx-warp" else costs_here(work, threads))
     seconds = costs.seconds(work, threads)
     if requested_engine != AUTO:

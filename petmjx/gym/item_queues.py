@@ -56,7 +56,7 @@ class Queues:
         boxes, N; NaN if unknown."""
         first = self._first[rows]
         strength: FloatArray = self._next[rows, first + places, STRENGTH]
-        for place in range(int(places.max(initial=0)), 0, -1):  # move the boxes before the removed box by one position
+        for place in range(int(places.max(initial=0)), 0, -1):  # boxes before the removed box move one position back
             is_after = places >= place
             at = rows[is_after], first[is_after] + place
             self._next[at] = self._next[at[0], at[1] - 1]

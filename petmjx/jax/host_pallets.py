@@ -128,7 +128,7 @@ class Host:
                 pinned.add(into[-1])
             if fresh:
                 self._placed(replace(request, pallet=np.array(into)).take(np.array(fresh)), np.array(slots)[fresh])
-            # only now, so that after an error, the cache has no pallets that were not simulated
+            # the pallets enter the cache only now, so that an error leaves no pallets in it that were not simulated
             self._slots.update(world_of_key)
             write_results(columns, rows, self._pallets.results(np.array(into)))
         return columns

@@ -330,7 +330,7 @@ class ColumnExtraction:
         wish = wish if wish in units else ""
         written = {number.unit for numbers in rows for number in numbers if number.unit in units} - {""}
         usual = of_name or wish or (form.masses if is_mass else form.units)
-        target = wish or ("kg" if is_mass else "mm")  # an option sets one unit for the whole file
+        target = wish or ("kg" if is_mass else "mm")  # if an option gives a unit, it is the unit of all results
         for row, numbers in enumerate(rows):
             if not numbers:
                 continue

@@ -682,7 +682,7 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
         )
     if edge is not None and not size_word:
         return ColumnMeaning(("low", "first", "second")[int(edge[2])], edge[1])
-    if index and int(index) < 6 and (words & _BOUNDS or {"bounding", "box"} <= words):  # two corners in one list
+    if index and int(index) < 6 and (words & _BOUNDS or {"bounding", "box"} <= words):  # a list with two corners
         return ColumnMeaning("low" if int(index) < 3 else "high", str(int(index) % 3))
     if everything & {"quaternion", "quat", "quaternions", "orientation"} and (axis or last == "w" or index):
         return ColumnMeaning("quaternion", index or axis or last)

@@ -154,7 +154,7 @@ def _array_of_sizes(data: bytes | bytearray) -> BoxSource | None:
     places, parts = [], []
     for number, order in enumerate(array if array.ndim == 3 else array[None]):
         for index, row in enumerate(order.tolist()):
-            if any(row):  # arrays of fixed length are filled up with zeros
+            if any(row):  # rows of zeros only fill up arrays of fixed length
                 rows.append(tuple(row))
                 places.append(f"row {index}" if array.ndim == 2 else f"order {number}, row {index}")
                 parts.append("" if array.ndim == 2 else str(number))

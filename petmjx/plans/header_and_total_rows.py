@@ -220,7 +220,7 @@ def computed_row(table: RawTable, rows: Sequence[int]) -> str:
         if len(values) < len(rows) - 1 or not np.isfinite(values).all():
             return ""
         total, mean = float(values.sum()), float(values.mean())
-        # A row of sums may have any value in columns of packing orders and running numbers.
+        # In columns of packing orders and running numbers, a row of sums may have any value, so they are not tested.
         if kind not in ("sequence", "number"):
             sums &= _as_written(number.value, total)
             n_sums += total != 0.0

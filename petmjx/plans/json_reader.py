@@ -94,7 +94,7 @@ def _inflate_bytewise(inflate: zlib._Decompress, chunk: memoryview, plain: bytea
             return
 
 
-# JSON has fewer kinds of white space than \s.
+# White space is listed, since JSON has fewer kinds of white space than the class "\s".
 # Possessive quantifiers keep matching linear in time, even for malicious text.
 _SPACE: Final = re.compile(rb"[ \t\n\r]*+")
 _NUL_BYTES: Final = re.compile(rb"\0++")

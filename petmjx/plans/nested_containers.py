@@ -456,7 +456,8 @@ def _sizes_in(value: Mapping[str, Any], unit: str = "mm", *, is_deck: bool = Fal
         number = cell_number(flat[name])
         if meaning.kind != "size" or number is None or number.value <= 0:
             continue
-        if meaning.axis not in "012" or name.endswith("]"):  # "dimension1" does not tell an axis
+        # a name such as "dimension1" gives no axis, so its number is left out
+        if meaning.axis not in "012" or name.endswith("]"):
             own_unit = number.unit if number.unit in LENGTH_UNITS else unit_of_all
             factor = LENGTH_UNITS[own_unit] / LENGTH_UNITS[unit] if own_unit and unit else 1.0
             sizes.setdefault(meaning.axis, number.value * factor)

@@ -276,7 +276,8 @@ def _members(
         members = [name for name, inner in value.items() if isinstance(inner, Mapping)]
         alike = len(members) > 1 and len(members) == len(value) and _alike([value[name] for name in members])
         keyed = _is_plan_key(value)
-        around_it = (*around, (_last_step(place), dict[str, Any]()))  # an object whose fields are boxes is no container
+        # an object whose fields are boxes is no container, so an empty object takes its place
+        around_it = (*around, (_last_step(place), dict[str, Any]()))
         for name, inner in value.items():
             inner_place = f"{place}.{name}" if place else str(name)
             if keyed:

@@ -113,7 +113,7 @@ def mean_sink_mm(plan: Plan) -> float:
     share = borne_mm2 / np.maximum(borne_mm2.sum(axis=1, keepdims=True), 1.0)
     weight_n = STANDARD_GRAVITY * plan.mass_kg
     load_n, sink_mm = weight_n.copy(), np.zeros(plan.n_boxes)
-    for box in reversed(range(plan.n_boxes)):  # the boxes that bear a box come before it
+    for box in reversed(range(plan.n_boxes)):  # from the last box, since a box comes after the boxes that bear it
         load_n += share[box] * load_n[box]
     stiffness_n_mm = np.inf if plan.stiffness_n_mm is None else plan.stiffness_n_mm
     compression_mm = np.nan_to_num((load_n - weight_n / 2) / stiffness_n_mm)

@@ -250,7 +250,7 @@ def frame_table(frame: Any) -> Table:
         return _table([str(name) for name in frame.columns], lambda index: frame.iloc[:, index], len(frame))
     try:
         rows = pa.table(frame)
-    except (pa.ArrowException, TypeError, ValueError) as error:  # the object is a single column
+    except (pa.ArrowException, TypeError, ValueError) as error:  # for example, the object is a column
         raise TableError(f"is no table: {reason(error)}") from error
     return _table(rows.column_names, rows.column, rows.num_rows)
 

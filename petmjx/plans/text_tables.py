@@ -203,7 +203,7 @@ def _plain_fields(text: str, delimiter: str) -> Iterator[list[str]]:
     if delimiter == _SPACES:
         yield from _spaced_fields(text.splitlines())
         return
-    if delimiter == "|":  # Markdown has a line of dashes below a header
+    if delimiter == "|":  # a line of dashes, as below the header in Markdown, is removed
         text = "\n".join("" if _RULE.match(line) else line for line in text.split("\n"))
     try:
         yield from csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)
@@ -252,7 +252,7 @@ def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
         and lines[first][:1].isspace()
         and all(len(row) == len(rows[first]) + 1 for row in rows[first + 1 :] if any(row))
     ):
-        rows[first] = ["", *rows[first]]  # a printed data frame: its index has no name
+        rows[first] = ["", *rows[first]]  # in a printed data frame, the index has no name, so it gets an empty one
     for index in range(1, len(rows)):
         if len(rows[index]) < len(rows[index - 1]) and all(map(is_unit_cell, rows[index])):
             rows[index] = _below_names(rows[index], lines[index], rows[index - 1], lines[index - 1])

@@ -163,7 +163,7 @@ class _Reader:
             if not rest:
                 self.next += 1
                 values.append(self._inner(indent, depth))
-            elif _ITEM.match(rest) or _KEY.match(rest):  # the value begins behind the dash
+            elif _ITEM.match(rest) or _KEY.match(rest):  # a list or a mapping begins after the dash, on the same line
                 inner = indent + len(line.text) - len(match[1])
                 self.lines[self.next] = _Line(line.number, inner, rest)
                 values.append(self._block(inner, depth + 1))

@@ -300,7 +300,7 @@ def sweep_identity(sweep: Sweep) -> dict[str, Any]:
     settings = sweep.model_dump(mode="json", exclude=_NOT_IDENTIFYING)
     if sweep.search is not None:
         settings["search"]["levels"] = len(sweep.search_levels)
-    if not sweep.legs:  # runs of earlier versions of petmjx lack these entries
+    if not sweep.legs:  # without these entries, the settings equal those of runs by earlier versions of petmjx
         del settings["legs"], settings["remedies"]
     settings["axes"] = {name: _values(axis) for name, axis in sweep.axes.items()}
     settings["profiles"] = {name: _digest(sweep, name) for name in sweep.profiles}

@@ -171,7 +171,7 @@ class WorkerPool(Engine):
         try:
             self.dismiss()
         finally:
-            # after an interruption, the thread may still wait for Ray, and would hang when Ray ends
+            # the thread ends before Ray: after an interruption, it may still wait for Ray, and would hang when Ray ends
             self._thread.shutdown()
             self._cluster.leave()
 

@@ -28,7 +28,7 @@ class Pushes(NamedTuple):
 def pushes(contacts: Contacts) -> Pushes:
     """The total force between each pair of bodies that press on each other, in each frame."""
     strength = np.linalg.norm(contacts.force, axis=1)
-    body = contacts.body.astype(np.int64) - FLOOR  # the lowest number becomes 0
+    body = contacts.body.astype(np.int64) - FLOOR  # FLOOR is the lowest number of a body; now, numbers begin at 0
     on_later = np.where(body[:, 0] > body[:, 1], -1.0, 1.0)[:, None] * contacts.force
     pair = body.min(axis=1) * (body.max(initial=0) + 1) + body.max(axis=1)
     ranks = pair * (contacts.frame.max(initial=0) + 1) + contacts.frame
