@@ -306,7 +306,7 @@ class Candidates:
         new = {key: pair for key, pair in new.items() if key not in self._seen and not self._falls_early(key)}
         self._seen.update(new)
         ranked = []
-        balances_of_new = balances([draft for draft, _ in new.values()], self.sim)
+        balances_of_new = balances([draft for draft, _ in new.values()], self.sim, parent=state.draft)
         for (draft, proposal), after in zip(new.values(), balances_of_new, strict=True):
             changes = state.changes
             for change in proposal:
@@ -320,6 +320,7 @@ class Candidates:
             unsolved = self._unsolved(after, failing, state.trial.culprit)
             risk = self._expected_trouble(after, {box for change in proposal for box in change.boxes})
             rank = risk + PER_WEAKNESS * after.weakness + UNSOLVED * unsolved + PER_COST * cost_of(proposal)
+            rank = round(rank, 9)  # so that the order of equal ranks does not depend on rounding errors
             ranked.append(Candidate(draft, changes, proposal, rank, node, _risk(after, cost_of(changes)), unsolved))
         ranked.sort(key=lambda candidate: candidate.key)
         ranked = spread(ranked)

@@ -273,6 +273,23 @@ def keys_of(drafts: Sequence[Draft]) -> list[bytes]:
     return [draft.key for draft in drafts]
 
 
+def equal_placements(drafts: Sequence[Draft], other: Draft) -> list[int]:
+    """For each draft, the number of its first placements that are equal to those of another draft."""
+    placements, counts = _placements(key_of(other)), list[int]()
+    for key in keys_of(drafts):
+        own = _placements(key)
+        n = min(len(own), len(placements))
+        differs = (own[:n] != placements[:n]).any(axis=1)
+        counts.append(int(differs.argmax()) if differs.any() else n)
+    return counts
+
+
+def _placements(key: bytes) -> FloatArray:
+    """(n, 7) the numbers in a key: one row for each box, in packing order."""
+    placements: FloatArray = np.frombuffer(key, np.float64, offset=_FIRST_BYTES).reshape(-1, _BYTES_PER_BOX // 8)
+    return placements
+
+
 def _keys_anew(drafts: Sequence[Draft]) -> list[bytes]:
     rows = [draft.rows for draft in drafts]
     values = np.empty((sum(map(len, rows)), 7))

@@ -529,24 +529,29 @@ def _rests(
         low, high: (n, 3) corners of the boxes that may be under the placed box.
         fits: which heights are allowed.
     """
+    if not (len(x) and len(y)):
+        return
     shared = [
         np.minimum(begin[:, None] + length, high[:, axis]) - np.maximum(begin[:, None], low[:, axis])
         for axis, (begin, length) in enumerate(((x, size[0]), (y, size[1])))
     ]
     # At each point, the placed box lies as high as the highest top below it: the top of a box, or of the carrier (0).
-    from_top = np.argsort(-high[:, 2])
-    under_x, under_y = (np.ones((len(some), len(high) + 1), bool) for some in shared)
-    under_x[:, :-1], under_y[:, :-1] = (some[:, from_top] > TOLERANCE_MM for some in shared)
-    heights = np.append(high[from_top, 2], 0.0)
-    z = heights[(under_x[:, None] & under_y).argmax(axis=2)]
+    # The points at which a box is below the placed box form a rectangle.
+    under = [some > TOLERANCE_MM for some in shared]
+    (begin_x, end_x), (begin_y, end_y) = (
+        (begin.tolist(), (begin + some.sum(axis=0)).tolist()) for some in under for begin in [some.argmax(axis=0)]
+    )
+    z = np.zeros((len(x), len(y)))
+    for box in np.argsort(high[:, 2], kind="stable").tolist():
+        z[begin_x[box] : end_x[box], begin_y[box] : end_y[box]] = high[box, 2]
     for height in np.unique(z[fits(z)]).tolist():
         at_x, at_y = np.nonzero(z == height)
         share = np.ones(len(at_x))
         if height > 0:
-            shared_x, shared_y = shared[0][at_x], shared[1][at_y]
-            bears = (shared_x > TOLERANCE_MM) & (shared_y > TOLERANCE_MM)
-            bears &= np.abs(high[:, 2] - height) <= TOLERANCE_MM
-            share = np.where(bears, shared_x * shared_y, 0.0).sum(axis=1) / (size[0] * size[1])
+            bears = np.abs(high[:, 2] - height) <= TOLERANCE_MM
+            along_x, along_y = (np.where(some[:, bears] > TOLERANCE_MM, some[:, bears], 0.0) for some in shared)
+            # rounded, so that the order of places with equal shares does not depend on rounding errors
+            share = (along_x @ along_y.T / (size[0] * size[1]))[at_x, at_y].round(9)
         chosen = np.argsort(-share, kind="stable")
         chosen = chosen[: np.count_nonzero(share >= LEAST_SUPPORT)]
         yield from zip(x[at_x[chosen]].tolist(), y[at_y[chosen]].tolist(), itertools.repeat(height))

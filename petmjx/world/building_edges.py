@@ -129,50 +129,67 @@ def bearing_in_order(bearing: Bearing) -> Bearing:
     )
 
 
-def building_loads_of(bearing: Bearing, placed: Sequence[int]) -> BuildingLoads:
+def building_loads_of(bearing: Bearing, placed: Sequence[int], before: Sequence[int] | None = None) -> BuildingLoads:
     """The load of each box after every placement that changes this load.
 
     Args:
         bearing: the contacts between boxes and their supports, of one or several scenes. No box may lie on a box that
             is placed later.
         placed: number of boxes of each scene that are placed; later boxes are ignored.
+        before: number of first boxes of each scene whose placements are left out: the result has only the loads after
+            later placements. None: no placement is left out.
     """
-    box, step, part = _parts(bearing, bearing.boxes.among(placed))
-    begins = np.searchsorted(box, np.arange(len(bearing.boxes.mass) + 1))
+    n, first = len(bearing.boxes.mass), bearing.boxes.first
+    begin = np.repeat(first[:-1] + (0 if before is None else before), np.diff(first))
+    box, step, part = _parts(bearing, bearing.boxes.among(placed), begin - 1)
+    begins = np.searchsorted(box, np.arange(n + 1))
     load = _running_sums(part, begins)
     several = bearing.n_supports > 1
     if several.any():
         _without_pulls(bearing, begins, step, load)
+    if before is not None:
+        later = np.flatnonzero(step >= begin[step])
+        box, step, load = box[later], step[later], load.take(later, axis=0)
     point = load[:, 1:] / load[:, :1]
     edge = bearing.inside_m(box, point)
     edge[(edge < 0) & (edge > -ROUNDING_M)] = 0.0
     return BuildingLoads(box, step, load, edge)
 
 
-def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArray, FloatArray]:
+def _parts(bearing: Bearing, among: NDArray[np.bool_], earliest: IntArray) -> tuple[IntArray, IntArray, FloatArray]:
     """(p,) numbers of lower boxes, (p,) numbers of upper boxes, and (p, 3) the part of the upper box's weight that the
-    lower box carries, for p sorted pairs of boxes. Every box also forms a pair with itself."""
+    lower box carries, for p sorted pairs of boxes. Every box also forms a pair with itself.
+
+    Args:
+        among: (n,) the boxes that are placed.
+        earliest: (n,) for each box, the first upper box of its scene. All boxes before this one count as parts of it,
+            so its pairs have the sum of their weights.
+    """
     n, boxes = len(among), np.flatnonzero(among)
     alone = bearing.n_supports == 1
     below = np.full(n, CARRIER)
     below[alone] = bearing.lower[bearing.ends[:-1][alone]]
     # A weight is passed down undivided until it reaches the carrier or a box with several supports.
-    pairs, box, step = [(boxes[:0], boxes[:0])], boxes, boxes
+    pairs, box, upper = [(boxes[:0], boxes[:0])], boxes, boxes
     while len(box):
-        pairs.append((box, step))
+        pairs.append((box, upper))
         under = below[box]
         goes_on = np.flatnonzero(under != CARRIER)
-        box, step = under[goes_on], step[goes_on]
-    box, step = (np.concatenate(numbers) for numbers in zip(*pairs, strict=True))
+        box, upper = under[goes_on], upper[goes_on]
+    box, upper = (np.concatenate(numbers) for numbers in zip(*pairs, strict=True))
+    key = box * n + np.maximum(upper, earliest[upper])
     weights = (bearing.weights + 0.0)[:, :3].copy()  # + 0.0 turns -0.0 into 0.0
+    part: FloatArray = weights.take(upper, axis=0)
     several = bearing.n_supports[box] > 1
-    keys, parts = _shared_parts(bearing, box[several] * n + step[several], weights.take(step[several], axis=0))
-    box, step = np.concatenate([box[~several], keys // n]), np.concatenate([step[~several], keys % n])
-    order = np.argsort(box * n + step)
-    box, step, whole = box[order], step[order], order < len(order) - len(keys)
-    part = weights.take(step, axis=0)
-    part[~whole] = parts.take(order[~whole] - (len(order) - len(keys)), axis=0)
-    return box, step, part
+    shared_keys, shared_parts = _shared_parts(bearing, key[several], part[several])
+    key, part = np.concatenate([key[~several], shared_keys]), np.concatenate([part[~several], shared_parts])
+    order = np.argsort(key)
+    key, part = key[order], part.take(order, axis=0)
+    is_new = np.diff(key, prepend=-1) > 0
+    if not is_new.all():
+        begins = np.flatnonzero(is_new)
+        key, part = key[begins], np.add.reduceat(part, begins)
+    return key // n, key % n, part
 
 
 def _shared_parts(bearing: Bearing, keys: IntArray, parts: FloatArray) -> tuple[IntArray, FloatArray]:

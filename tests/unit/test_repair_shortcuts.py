@@ -214,6 +214,27 @@ def test_the_balance_with_one_more_box_follows_from_the_one_before(some_plans: l
     assert n_beyond > 10
 
 
+def test_loads_after_equal_placements_are_those_of_the_parent(
+    some_plans: list[Plan], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The balance of a changed draft is the same if its first loads are taken over from the draft before the change."""
+    monkeypatch.setattr("petmjx.repairs.balance.LARGE", 1)
+    n_beyond = 0
+    for parent in [*map(Draft.of, some_plans), *map(_shifted, some_plans)]:
+        rules, top = Rules(parent.plan, SIM, 2000.0, 0), parent.plan.n_boxes - 1
+        changed = [draft for draft, _ in proposed(parent, rules, (top, top // 2))]
+        drafts = [parent, *changed, *filter(None, map(parent.without, parent.order))]
+        taken_over = balances(drafts, SIM, with_loads=True, parent=parent)
+        for one, other in zip(taken_over, balances(drafts, SIM, with_loads=True), strict=True):
+            assert (one.box.tolist(), one.step.tolist()) == (other.box.tolist(), other.step.tolist())
+            assert one.depth_mm == pytest.approx(other.depth_mm, abs=1e-6)
+            assert one.last_mm == pytest.approx(other.last_mm, abs=1e-6)
+            assert one.weight == pytest.approx(other.weight, abs=1e-6)
+            assert one.weakness == pytest.approx(other.weakness, abs=1e-6)
+            n_beyond += len(other.box)
+    assert n_beyond > 10
+
+
 def _shifted(plan: Plan) -> Draft:
     """The plan with every third box moved by 110 mm, so that loads are beyond edges."""
     boxes = [*range(0, plan.n_boxes, 3)]
