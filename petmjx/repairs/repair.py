@@ -373,11 +373,7 @@ def _repaired(plans: Iterable[Plan], question: Question, options: RepairOptions,
             with closing(SearchProcesses(len(searches), most)) as processes:
                 stream = TrialStream(question, limit, SEARCHED if options.worlds else 1.0)
                 if question.is_wide and options.profile is None:
-                    _judge(searches, question)
-                    processes.begin([search for search in searches if not search.complete])
-                    for search in searches:
-                        if search.complete:
-                            on_end(search.plan.plan_id)
+                    _judge(searches, question, processes, on_end)
                     _score([search for search in searches if search.judged is None or search.judged.stands], question)
                     stream.scores = {one.plan.plan_id: one.before for one in searches if one.before is not None}
                 else:
@@ -391,14 +387,35 @@ def _repaired(plans: Iterable[Plan], question: Question, options: RepairOptions,
         yield from results
 
 
-def _judge(searches: Sequence[Search], question: Question) -> None:
+def _judge(searches: Sequence[Search], question: Question, processes: SearchProcesses, on_end: OnEnd) -> None:
     """Make attempt 1 of the scores of all plans. If a plan stands, and needs no further attempt, the search for its
-    repairs ends."""
+    repairs ends. All other searches begin in groups, while further plans are being judged."""
     drafts = [Asked(Draft.of(one.plan, question.film_turns), is_judged=True, as_score=True) for one in searches]
-    for search, one, trial in zip(searches, drafts, question.trials(drafts), strict=True):
+    stream = TrialStream(question)
+    for number, draft in enumerate(drafts):
+        stream.put(number, [draft])
+    group: list[Search] = []
+    size, n_left = math.ceil(len(searches) / _GROUPS), len(searches)
+    for answer in stream.answers():
+        if answer is None:
+            continue
+        search, (trial,) = searches[answer.ticket], answer.trials
         search.judged = trial
-        if question.is_known(one._replace(judged=trial)):
+        if question.is_known(drafts[answer.ticket]._replace(judged=trial)):
             search.begin(trial)
+        if search.complete:
+            on_end(search.plan.plan_id)
+        else:
+            group.append(search)
+        n_left -= 1
+        if group and (len(group) == size or not n_left):
+            processes.begin(group)
+            group = []
+
+
+_GROUPS: Final = 4
+"""Number of groups in which searches begin on a GPU while plans are being judged. The first changes of all plans take
+the CPU threads of a GPU machine some seconds, as long as the slowest plan is judged."""
 
 
 def _score(searches: Sequence[Search], question: Question) -> None:

@@ -8,6 +8,7 @@ Which worlds are simulated at the same time changes no result: the outcome of a 
 
 from __future__ import annotations
 
+import math
 import pickle
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -161,28 +162,32 @@ class SearchProcesses:
     """
 
     def __init__(self, n_searches: int, most: int) -> None:
-        self._most = most
+        self._n_searches, self._most = n_searches, most
         self._forks = Forks(__name__) if Forks.are_possible and most > 1 and n_searches >= LEAST_PLANS else None
         self._children: list[Child] = []
         self._working: list[PipedProcess] = []
-        self._parts: list[list[Search]] = [[]]
+        self._parts: list[list[Search]] = []
 
     def begin(self, searches: Sequence[Search]) -> None:
         """Let processes begin these searches. Each process goes on until its searches need trials. Plans with many
-        boxes take longest, so they are in different processes, and begin first."""
-        most = len(searches) if Forks.are_possible else len(searches) // PLANS_EACH_UNCOPIED
-        n_processes = min(self._most, most) if len(searches) >= LEAST_PLANS else 1
+        boxes take longest, so they are in different processes, and begin first. Further searches may begin later: they
+        get processes of their own, in proportion to their number."""
+        most = math.ceil(self._most * len(searches) / self._n_searches)
+        by_number = len(searches) if Forks.are_possible else len(searches) // PLANS_EACH_UNCOPIED
+        n_processes = max(min(most, by_number), 1)
         searches = sorted(searches, key=lambda search: -search.plan.n_boxes)
-        self._parts = [searches[k::n_processes] for k in range(n_processes)]
-        if n_processes > 1:
-            self._working = [self._child() for _ in range(n_processes)]
-        for child, part in zip(self._working, self._parts, strict=False):
-            child.tasks.put(pickle.dumps(part))
+        parts = [searches[k::n_processes] for k in range(n_processes)]
+        self._parts += parts
+        if self._most > 1 and self._n_searches >= LEAST_PLANS:
+            children = [self._child() for _ in parts]
+            for child, part in zip(children, parts, strict=True):
+                child.tasks.put(pickle.dumps(part))
+            self._working += children
 
     def run(self, simulator: Simulator, on_end: OnEnd = lambda plan_id: None) -> None:
         """Run the searches to their ends, or until the time is up."""
         if not self._working:
-            _run_here(self._parts[0], simulator, on_end)
+            _run_here([search for part in self._parts for search in part], simulator, on_end)
             return
         for number in _Server(self._working, self._parts, simulator, on_end).serve():
             _run_here(self._parts[number], simulator, on_end)

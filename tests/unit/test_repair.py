@@ -24,6 +24,7 @@ from petmjx.cli.main import main
 from petmjx.common.errors import InputError
 from petmjx.engines.attempt_with_fallback import outcomes_of_stream
 from petmjx.engines.subprocess.task_pipe import Forks, PipedProcess
+from petmjx.engines.verdict import Outcome
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.repairs.balance import ROOM_MM, balances
@@ -53,6 +54,7 @@ from petmjx.repairs.search import ALONE, ALONE_IF_MANY, BUILT_ANEW, MANY_FAULTS,
 from petmjx.repairs.search_processes import SearchProcesses, Tasks, most_processes
 from petmjx.repairs.trials import Question, Share, TimeLimit, TrialStream
 from petmjx.runs.simulate import RunStart
+from petmjx.world.job import Job
 
 FAST_TRIALS = {"engine": "mujoco", "threads": 1}
 FALLS = Trial("unstable", "tilt", 1, (1,), 2, 2, 0.0)
@@ -1047,16 +1049,22 @@ def test_on_a_gpu_attempt_1_of_all_plans_is_made_together(monkeypatch: pytest.Mo
         for name in names
     ]
     many = [replace(plan, plan_id=f"{plan.plan_id} {k}") for plan in few for k in range(4)]
-    calls: list[list[tuple[str, bool]]] = []
-    judge, make_jobs = Question.trials, Question.jobs
+    calls: list[list[str]] = []
+    judged: list[str] = []
+    make_trial, make_trials, make_jobs = Question.judged, Question.trials, Question.jobs
+
+    def trial_of(question: Question, outcome: Outcome, one: Asked, job: Job, sim: Simulation) -> Trial:
+        trial, plan_id = make_trial(question, outcome, one, job, sim), one.draft.plan.plan_id
+        if not one.as_score:
+            return trial
+        judged.append(plan_id[:6].strip())
+        return trial._replace(is_score=False, verdict="unstable") if plan_id[:5] == "leans" else trial
 
     def trials(question: Question, asked: Sequence[Asked], limit: TimeLimit | None = None) -> list[Trial]:
-        calls.append([(one.draft.plan.plan_id[:6].strip(), one.is_judged) for one in asked])
+        calls.append([one.draft.plan.plan_id[:6].strip() for one in asked])
         return [
-            trial._replace(is_score=False, verdict="unstable" if one.is_judged else "stable")
-            if one.draft.plan.plan_id[:5] == "leans"
-            else trial
-            for one, trial in zip(asked, judge(question, asked, limit), strict=True)
+            trial._replace(is_score=False, verdict="stable") if one.draft.plan.plan_id[:5] == "leans" else trial
+            for one, trial in zip(asked, make_trials(question, asked, limit), strict=True)
         ]
 
     def jobs(question: Question, asked: Sequence[Asked]) -> list[Any]:
@@ -1066,17 +1074,17 @@ def test_on_a_gpu_attempt_1_of_all_plans_is_made_together(monkeypatch: pytest.Mo
 
     scored: list[int] = []
     monkeypatch.setattr(Question, "is_wide", True)
+    monkeypatch.setattr(Question, "judged", trial_of)
     monkeypatch.setattr(Question, "trials", trials)
     monkeypatch.setattr(Question, "jobs", jobs)
     rows = []
     for plans in (few, many):
-        calls.clear()
-        scored.clear()
+        for some in (calls, judged, scored):
+            some.clear()
         n = len(plans) // 3
         repairs = petmjx.repair(plans, engine="mjx-warp-cpu", threads=2, worlds=0, trials=40).each
-        judged, of_scores = calls
-        assert judged == [(name, True) for name in names for _ in range(n)]
-        assert of_scores == [("leans", False)] * n
+        assert sorted(judged) == [name for name in names for _ in range(n)]
+        assert calls == [["leans"] * n]
         assert scored[-1] == n, "all plans together"
         rows.append([(r.trial_before.stands, r.words, r.stands, r.n_trials, r.complete) for r in repairs[::n]])
         falls, leans, stands = repairs[::n]
