@@ -225,16 +225,16 @@ def _rows_of_errors(measures: Mapping[str, Any], name: str, n: int, engine: str)
     yield Row(
         f"{name}: share that ends with the same face up as in the film", _CUBE, percent(1), percent(face),
         percent(1 - face), engine,
-        f"goal: {percent(_RIGHT_FACE)}; 95 % interval of petmjx's share: {percent(low)} to {percent(high)}",
+        f"the goal is {percent(_RIGHT_FACE)}; 95 % interval of petmjx's share: {percent(low)} to {percent(high)}",
         face >= _RIGHT_FACE,
     )  # fmt: skip
     yield Row(
         f"{name}: error of the place at the end", _CUBE, "filmed", "–", f"{place:.1f} mm in the median", engine,
-        f"goal: at most {_PLACE_MM:g} mm", place <= _PLACE_MM,
+        f"the goal is at most {_PLACE_MM:g} mm", place <= _PLACE_MM,
     )  # fmt: skip
     yield Row(
         f"{name}: error of place and orientation along the path", _CUBE, "filmed", "–",
-        f"{path:.1f} mm, {measures['turn_mean_deg']:.1f}° in the mean", engine, f"goal: at most {_PATH_MM:g} mm",
+        f"{path:.1f} mm, {measures['turn_mean_deg']:.1f}° in the mean", engine, f"the goal is at most {_PATH_MM:g} mm",
         path <= _PATH_MM,
     )  # fmt: skip
     for quantity, test in measures["distributions"].items():
