@@ -128,7 +128,7 @@ def _row_of_floor() -> Row:
     ours = Physics().floor_friction[0]
     miss = _outside(ours, low, high)
     return Row(
-        "static friction of a pallet on rack beams", _RACKS, f"{low} to {high} at 0.55 to 13 kN", f"{ours:g}",
+        "static friction of a pallet on rack beams", _RACKS, f"{low} to {high} (loads of 0.55 to 13 kN)", f"{ours:g}",
         f"{miss:.2f}", ALL_ENGINES,
         "petmjx's default, with which pallets do not slide on the floor; `physics.floor_friction` changes this default",
         miss == 0.0,
@@ -182,7 +182,7 @@ def _rows_of_sliding(engine: str) -> Iterator[Row]:
     worst = int(abs(error).argmax())
     yield Row(
         f"sliding distance of a pallet that starts at {SPEED_M_S:g} m/s",
-        f"Coulomb's law, with the kinetic friction of: {_SAE}",
+        f"Coulomb's law, with the kinetic friction measured for: {_SAE}",
         f"{expected[worst]:.3f} m", f"{expected[worst] * (1 + error[worst]):.3f} m", percent(abs(error[worst])), engine,
         f"of {len(kinetic)} floors, the row shows the one with the largest error",
         bool(abs(error).max() < _WAY_WITHIN),

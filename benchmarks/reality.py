@@ -223,17 +223,18 @@ def _rows_of_errors(measures: Mapping[str, Any], name: str, n: int, engine: str)
     face, place, path = measures["right_face"], measures["place_median_mm"], measures["path_mean_mm"]
     low, high = map(float, wilson_interval(round(face * n), n))
     yield Row(
-        f"{name}: share that ends with the filmed face up", _CUBE, percent(1), percent(face), percent(1 - face),
-        engine, f"goal: {percent(_RIGHT_FACE)}; 95 % interval of petmjx's share: {percent(low)} to {percent(high)}",
+        f"{name}: share that ends with the same face up as in the film", _CUBE, percent(1), percent(face),
+        percent(1 - face), engine,
+        f"the goal is {percent(_RIGHT_FACE)}; 95 % interval of petmjx's share: {percent(low)} to {percent(high)}",
         face >= _RIGHT_FACE,
     )  # fmt: skip
     yield Row(
         f"{name}: error of the place at the end", _CUBE, "filmed", "–", f"{place:.1f} mm in the median", engine,
-        f"goal: at most {_PLACE_MM:g} mm", place <= _PLACE_MM,
+        f"the goal is at most {_PLACE_MM:g} mm", place <= _PLACE_MM,
     )  # fmt: skip
     yield Row(
         f"{name}: error of place and orientation along the path", _CUBE, "filmed", "–",
-        f"{path:.1f} mm, {measures['turn_mean_deg']:.1f}° in the mean", engine, f"goal: at most {_PATH_MM:g} mm",
+        f"{path:.1f} mm, {measures['turn_mean_deg']:.1f}° in the mean", engine, f"the goal is at most {_PATH_MM:g} mm",
         path <= _PATH_MM,
     )  # fmt: skip
     for quantity, test in measures["distributions"].items():
@@ -292,8 +293,8 @@ def _rows_of_calibration(measures: Mapping[str, Any], engine: str) -> Iterator[R
     for region, share in measures["within"].items():
         level, error = float(region), measures["standard_error"][region]
         yield Row(
-            f"share of measured ends that lie in the {percent(level, 0)} region of {measures['members']} draws", _CUBE,
-            percent(share), percent(level, 0), percent(abs(share - level)), engine,
+            f"share of tosses whose measured end lies in the {percent(level, 0)} region of {measures['members']} draws",
+            _CUBE, percent(share), percent(level, 0), percent(abs(share - level)), engine,
             f"draws have friction {mu} ± {sigma} and the errors of measured starts; standard error {percent(error)}",
             abs(share - level) <= 3 * error,
         )  # fmt: skip

@@ -533,7 +533,7 @@ def eumos_levels(
         n, friction = int(answer["plan_id"]), round(answer["friction_factor"] * BOX_FRICTION, 3)
         expected = largest_level_g(RockingBlock(SIDE_MM / 1000, 0.25 * n), friction)
         quantity = f"largest level of EUMOS's test that stacks of {n} boxes with friction {friction:g} survive, g"
-        yield Row(quantity, "Coulomb, or Housner 1963, integrated", expected, answer["largest_level_g"], engine)
+        yield Row(quantity, "Coulomb's law, or Housner's block (1963)", expected, answer["largest_level_g"], engine)
 
 
 TURNS: Final = (2, 3, 4)
@@ -564,7 +564,8 @@ def wrapped_levels(engine: EngineName) -> Iterator[Row]:
         expected = slide_level_g(BOX_FRICTION + hold_n / (mass_kg * GRAVITY))
         film = f"{turns:g} turns of film of {TURN_N:g} N"
         quantity = f"largest level of EUMOS's test that a box of 10 kg survives in {film}, g"
-        yield Row(quantity, "Coulomb, with film as in Sensors 2025", expected, answer["largest_level_g"], engine)
+        source = "Coulomb's law, with tension of film as in Sensors 2025, 25(22), 6883"
+        yield Row(quantity, source, expected, answer["largest_level_g"], engine)
 
 
 if __name__ == "__main__":

@@ -279,8 +279,8 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     _largest(
         "max_top_force_n", "N", SampleAt.STEPS,
         "max F, where F is the force on the box's top (defined below); or `rest_top_force_n` if that is larger",
-        of_box="largest force on the box's top in any step, at least the force at rest",
-        of_world="largest force on the top of any box in any step, at least the force at rest", relative=True,
+        of_box="largest force on the box's top in any step; never less than `rest_top_force_n`",
+        of_world="largest force on the top of any box in any step; never less than `rest_top_force_n`", relative=True,
     ),
     _largest(
         "rest_top_force_n", "N", SampleAt.REST,
