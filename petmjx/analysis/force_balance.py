@@ -362,9 +362,9 @@ def friction_slack(
     the structure must also be in balance.
 
     The friction (fx, fy) at a point is limited by the pyramid |fx| + |fy| ≤ μ f, which is inside the friction cone. So
-    a stack that is balanced with the pyramid is also balanced with the cone. In the limit μ f, the force f is only the
-    part of the pressure that exceeds the share that the point must carry. Using only a part of the pressure does not
-    change the sign of the slack.
+    a stack that is balanced with the pyramid is also balanced with the cone. In the limit μ f, the force f is not the
+    whole pressure at the point, but only its part above the least pressure that the slack requires there (see
+    ``structure``). The sign of the slack is the same as with the whole pressure.
 
     Args:
         structure: (n,) whether each box belongs to the structure. Each contact corner under these boxes must carry at

@@ -50,7 +50,8 @@ def equilibrium_slack(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
     Other forces are considered, since the assumed bedding may be the only reason why a load acts beyond an edge. So
     after each placement with a load beyond an edge, a linear programme searches for forces that keep all loads inside
     the edges. If the programme finds such forces, the box passes. If the programme finds no such forces, the search is
-    not repeated after later placements. Placements without a search keep the slack of the even bedding.
+    not repeated after later placements. For a placement without a search, the slack comes from the bed of equal
+    springs.
     """
     bearing = bearing_of(contacts)
     built = building_loads_of(bearing, [contacts.n_boxes])

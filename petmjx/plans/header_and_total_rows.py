@@ -234,8 +234,8 @@ def computed_row(table: RawTable, rows: Sequence[int]) -> str:
 
 
 def _names_box(articles: Iterable[Any]) -> bool:
-    """Whether all cells of a column of articles have text, and the last cell has no symbol for a mean (ø, or o or x in
-    place of ø). The last cell belongs to the row in question."""
+    """Whether all cells of a column of articles have text, and the last cell is not a symbol for a mean (ø, or o or x
+    in place of ø). The last cell belongs to the row that may be a row of means instead of a box."""
     texts = [plain_text(cell).strip() if isinstance(cell, str) else "" for cell in articles]
     return all(texts) and texts[-1].lower() not in ("ø", "o", "x")
 

@@ -253,10 +253,10 @@ def _still_columns(extraction: ColumnExtraction) -> set[int]:
 
 
 _STILL: Final = 0.9
-"""Smallest share of equal cells in a column of places that do not vary. The share is below 1, since a cell may be
-damaged."""
+"""If at least this share of the cells of a column of places are equal, the places count as not varying. The share is
+below 1, since a cell may be damaged."""
 _COMPARED: Final = 3
-"""Number of first cells that are compared with the others."""
+"""Number of cells at the beginning of a column that are compared with all cells of the column."""
 
 
 def _places_of(extraction: ColumnExtraction, indices: Sequence[int], anchor: str) -> Places:

@@ -144,9 +144,8 @@ LEAST_M_S2: Final = ENOUGH_M_S2 / 10
 changes are within the solver's tolerance."""
 
 MOST_LEFT: Final = 0.6
-"""After an iteration, ``next_share`` estimates which share of the change of a slip excess still remains to be made.
-This number is the upper limit of the estimate, as a share of the change before the iteration. If a larger share
-remains, other contacts have changed the slip excess."""
+"""Upper limit of a ratio in ``next_share``: the change of a slip excess that remains after an iteration, divided by the
+change that remained before. A larger ratio is a sign that other contacts have changed the slip excess."""
 
 
 def slack_m_s2(physics: Physics) -> float:
