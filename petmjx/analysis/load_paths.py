@@ -74,8 +74,8 @@ def equilibrium_slack(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
 def load_slack(
     contacts: PlanContacts, hulls: Hulls, sharing: Sharing, pushed: BuildingLoads | None = None
 ) -> FloatArray:
-    """(n,) the smallest distance (mm) of a load from the edge of the hull of its contact areas, just after each box has
-    been placed: positive inside the hull, negative outside.
+    """(n,) for each box, the smallest distance of a load from the edge of the hull of its contact areas, just after the
+    box has been placed, mm: positive inside the hull, negative outside.
 
     A load is the resultant of a box's own weight and of the loads on the box. The distance is computed for the placed
     box and for all boxes that bear a part of its weight. The value is NaN if one of these boxes has no support or is

@@ -387,9 +387,9 @@ def _overlapping_less(plan: Plan, size: FloatArray) -> NDArray[np.bool_]:
 
 def _is_mostly_odd(plan: Plan, least_share: float) -> bool:
     """Whether enough boxes of a plan are odd. At least one box of the plan must float or overlap by more than
-    ``_SMALL_MM``. And of the boxes that do not stand directly on the carrier, at least the share ``least_share`` must
-    float or overlap. If all boxes stand directly on the carrier, at least this share of all boxes must float or
-    overlap."""
+    ``_SMALL_MM``. In addition, at least the share ``least_share`` of the boxes that do not stand directly on the
+    carrier must float or overlap. If all boxes stand directly on the carrier, at least this share of all boxes must
+    float or overlap."""
     gap, overlap = gaps_mm(plan.corner_mm, plan.size_mm), overlaps_mm(plan.corner_mm, plan.size_mm)
     above = plan.corner_mm[:, 2] > DEFAULT_TOLERANCE_MM
     above |= not above.any()

@@ -116,8 +116,8 @@ as much memory as its text."""
 _FIRST_WINDOW: Final = 1 << 15
 _SMALLEST_WINDOW: Final = 1 << 10
 _LONGEST_TOKEN: Final = 12
-"""Length in characters of the longest token, such as ``-Infinity`` or an escape, that the end of a window (the part of
-the text that is decoded at once) may cut. Strings and numbers are treated separately."""
+"""Text is decoded in parts (windows). The end of a window may cut a token, such as ``-Infinity`` or an escape. This is
+the length of the longest such token, in characters. Strings and numbers are treated separately."""
 
 
 class DuplicateFieldObject(dict[str, Any]):

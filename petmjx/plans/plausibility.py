@@ -26,8 +26,8 @@ _TOLERANCE: Final = 0.01
 """Largest gap at which boxes touch, as a share of the median of the boxes' smallest sides: 2 mm for cartons of 200 mm.
 Boxes that touch may have a gap in a file, because centres are often rounded to centimetres or half millimetres."""
 _SMALL_LOAD: Final = 160
-"""Largest number of boxes that are used to judge a plan: the lowest boxes for overlaps and supports, the first boxes in
-the list for the order of boxes."""
+"""Largest number of boxes from which a plan is judged. Overlaps and supports are judged from the lowest boxes, and the
+order of boxes from the first boxes in the list."""
 _CARTON_MM, _CARTON_SPREAD = 280.0, 0.75
 """Geometric mean of a carton's sides, and the standard deviation of its natural logarithm, from BED-BPP's boxes."""
 _CARTON_KG_M3, _DENSITY_SPREAD = 250.0, 1.1

@@ -389,9 +389,9 @@ _EXTENTS: Final = word_set("extent extents")
 
 
 def with_half_extents(geometry: Geometry) -> Geometry | None:
-    """The geometry with its sizes read as half extents. The result is None unless a name of a column of sizes has the
-    word "extent", which may mean half an extent. The result is also None if a name says "half" (the sizes are then
-    known to be half extents), or if the places are corners."""
+    """The geometry with its sizes read as half extents. This is possible if the name of a column of sizes has the word
+    "extent", which may mean half an extent. Otherwise, the result is None. It is also None if a name says "half" (the
+    sizes are then known to be half extents), or if the places are corners."""
     names = [name for role, name in geometry.columns.items() if role not in (*XYZ, "position")]
     words = {word for name in names for word in words_of(name)}
     if not words & _EXTENTS or words & HALF_WORDS or geometry.anchor == "corner":
