@@ -285,8 +285,8 @@ def _slack_alone(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
 
 
 class _VerticalSystem:
-    """The equations of balance for vertical forces at the corners of contact areas. The slack of a structure is
-    computed from the equations of its boxes.
+    """The equations of balance for vertical forces at the corners of contact areas. The slack of a structure (a group
+    of boxes connected by contacts) is computed from the equations of its boxes.
 
     The force at a corner presses the upper box upwards and the lower body downwards. Each box has three equations
     (rows): one for the vertical force, and two for the moments about the box's centre along x and y. The unit of forces
