@@ -56,8 +56,8 @@ STATIC_FALL_STEPS = 400
 has fewer steps, boxes are expected to fall in all its steps. 17 plans with loose boxes took 200 to 600 steps on
 ``mujoco``."""
 FALL_BOXES = 7
-"""Number of boxes that are placed during the ``FALL_STEPS`` steps of a fall. Measured with the same 22 plans as
-``FALL_STEPS``."""
+"""Number of boxes that are placed during the ``FALL_STEPS`` steps of a fall. The number was measured with the same 22
+plans as ``FALL_STEPS``."""
 LOST = 0.5
 """Number of steps of a fall in a placement with errors, relative to a fall in a placement without errors. The cost of
 the fall decreases by the same factor. A world with errors ends when a box has tilted too far, before the box drops."""

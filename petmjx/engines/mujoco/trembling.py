@@ -34,8 +34,8 @@ class Trembling:
 
     Attributes:
         boxes: (n,) whether each box trembles. n is the number of placed boxes at the looks since the last placement.
-        stayed: (n,) whether each box always was near its place at the beginning of the last complete period of
-            measurement, until the end of the period.
+        stayed: (n,) for the last complete period of measurement, whether each box always was near the place that it had
+            when the period began.
         looks: number of looks since the last placement.
         home: (n, 7) poses of the boxes at the beginning of the present period of measurement.
         path_m: (n,) length of each box's path since the first look of the present period, m.
