@@ -285,8 +285,8 @@ def _slack_alone(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
 
 
 class _VerticalSystem:
-    """The equations of balance for vertical forces at the corners of contact areas. The slack of a structure is
-    computed from the equations of its boxes.
+    """The equations of balance for vertical forces at the corners of contact areas. The slack of a structure (a group
+    of boxes connected by contacts) is computed from the equations of its boxes.
 
     The force at a corner presses the upper box upwards and the lower body downwards. Each box has three equations
     (rows): one for the vertical force, and two for the moments about the box's centre along x and y. The unit of forces
@@ -362,9 +362,9 @@ def friction_slack(
     the structure must also be in balance.
 
     The friction (fx, fy) at a point is limited by the pyramid |fx| + |fy| ≤ μ f, which is inside the friction cone. So
-    a stack that is balanced with the pyramid is also balanced with the cone. In the limit μ f, the force f is only the
-    part of the pressure that exceeds the share that the point must carry. Using only a part of the pressure does not
-    change the sign of the slack.
+    a stack that is balanced with the pyramid is also balanced with the cone. In the limit μ f, the force f is not the
+    whole pressure at the point, but only its part above the least pressure that the slack requires there (see
+    ``structure``). The sign of the slack is the same as with the whole pressure.
 
     Args:
         structure: (n,) whether each box belongs to the structure. Each contact corner under these boxes must carry at

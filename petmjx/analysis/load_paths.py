@@ -50,7 +50,8 @@ def equilibrium_slack(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
     Other forces are considered, since the assumed bedding may be the only reason why a load acts beyond an edge. So
     after each placement with a load beyond an edge, a linear programme searches for forces that keep all loads inside
     the edges. If the programme finds such forces, the box passes. If the programme finds no such forces, the search is
-    not repeated after later placements. Placements without a search keep the slack of the even bedding.
+    not repeated after later placements. For a placement without a search, the slack comes from the bed of equal
+    springs.
     """
     bearing = bearing_of(contacts)
     built = building_loads_of(bearing, [contacts.n_boxes])
@@ -73,8 +74,8 @@ def equilibrium_slack(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
 def load_slack(
     contacts: PlanContacts, hulls: Hulls, sharing: Sharing, pushed: BuildingLoads | None = None
 ) -> FloatArray:
-    """(n,) the smallest distance (mm) of a load from the edge of the hull of its contact areas, just after each box has
-    been placed: positive inside the hull, negative outside.
+    """(n,) for each box, the smallest distance of a load from the edge of the hull of its contact areas, just after the
+    box has been placed, mm: positive inside the hull, negative outside.
 
     A load is the resultant of a box's own weight and of the loads on the box. The distance is computed for the placed
     box and for all boxes that bear a part of its weight. The value is NaN if one of these boxes has no support or is

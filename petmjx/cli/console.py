@@ -47,7 +47,7 @@ read; with the width 0, rich prints nothing."""
 
 def prepare_streams() -> None:
     """Make printing safe. Standard output and standard error are opened if they are closed, and replace characters that
-    they cannot encode. A width of the terminal is ignored if nothing could be shown in it."""
+    they cannot encode. If the variable COLUMNS gives a width in which nothing could be shown, it is ignored."""
     width = os.environ.get("COLUMNS", "")
     if width.isdecimal() and int(width) < _LEAST_COLUMNS:
         del os.environ["COLUMNS"]

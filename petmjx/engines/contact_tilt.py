@@ -141,8 +141,9 @@ def places_with_errors(job: Job) -> FloatArray:
 
     A box with errors often overlaps a neighbour that is millimetres higher, and is released on the strip in which the
     two overlap. The box does not stay on this strip: it tips and leans on the bodies beside the strip. So loads are
-    computed at the places of release, and the higher neighbour is not the only support. If only the strip were the
-    support, 75 of 167 unstable worlds with errors would be simulated again; with this rule only a few are.
+    computed at the places of release, and the bodies beside the strip count as supports, too. If the higher neighbour
+    were the only support, 75 of 167 unstable worlds with errors would be simulated again. With this rule, only a few
+    are.
     """
     places: FloatArray = np.c_[job.scene.start_pos[:, :2], job.scene.target[:, 2]]
     return places

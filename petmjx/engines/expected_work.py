@@ -56,7 +56,8 @@ STATIC_FALL_STEPS = 400
 has fewer steps, boxes are expected to fall in all its steps. 17 plans with loose boxes took 200 to 600 steps on
 ``mujoco``."""
 FALL_BOXES = 7
-"""Number of boxes that are placed during the ``FALL_STEPS`` steps of a fall, in the plans of the two shelf packers."""
+"""Number of boxes that are placed during the ``FALL_STEPS`` steps of a fall. The number was measured with the same 22
+plans as ``FALL_STEPS``."""
 LOST = 0.5
 """Number of steps of a fall in a placement with errors, relative to a fall in a placement without errors. The cost of
 the fall decreases by the same factor. A world with errors ends when a box has tilted too far, before the box drops."""
@@ -79,9 +80,10 @@ FAILING_BOXES = 0.008
 """Probability that a box fails, and so ends the world, if it is carried to its place with errors. For 20 plans of 18 to
 71 boxes, about 26 of 80 worlds with errors failed; for two plans of 146 and 238 boxes, six of ten worlds failed."""
 DRIVEN_SWAY = 4.0
-"""Number of additional steps of a drive of compliant boxes, divided by the additional steps of one placement. The
-number is larger than 1, since a drive makes a pile sway more. Columns of 18 boxes of 50 N/mm took 470 additional steps
-in EUMOS's profile, and 30 in a placement."""
+"""With compliant boxes, a placement and a drive take more steps than with rigid boxes, since the pile sways. The value
+is the number of additional steps of a drive, divided by the number of additional steps of one placement. It is larger
+than 1, since a drive makes a pile sway more. Columns of 18 boxes of 50 N/mm took 470 additional steps in EUMOS's
+profile, and 30 in a placement."""
 FALLING_SWAY_MM = 50.0
 """A pile of compliant boxes is expected to fall when its ``Work.sway_mm`` has reached this value. While boxes are
 placed, the sway grows with the cube of the height."""
@@ -125,7 +127,7 @@ class WayOfPlacing:
     """How boxes are placed.
 
     Attributes:
-        steps: number of steps of the placement, relative to boxes that appear exactly at their places.
+        steps: number of steps of the placement, relative to a placement whose boxes appear exactly at their places.
         has_errors: whether places or sizes have errors.
         is_carried: whether a hand or tines carry the boxes.
     """

@@ -23,9 +23,10 @@ which other simulators gave another verdict, the centre of a box was nearer to a
 (docs/validation.md)."""
 
 NEAR_M: Final = 0.001
-"""If the verdict contradicts statics, a load that is nearer to an edge than this distance, m, also sets the flag. The
-verdict contradicts statics if the world stands with the load beyond the edge, or falls with the load inside it. (Small
-worlds whose boxes fall are also simulated again with stiffer contacts: petmjx.engines.contact_tilt.)"""
+"""Distance from an edge, m. If the verdict contradicts statics, a load that is nearer to an edge than ``NEAR_M`` sets
+the flag ``knife-edge``, even if it is farther away than ``KNIFE_EDGE_M``. The verdict contradicts statics if the world
+stands with the load beyond the edge, or falls with the load inside the edge. (Small worlds whose boxes fall are also
+simulated again with stiffer contacts: petmjx.engines.contact_tilt.)"""
 
 _ROUNDING_M: Final = 1e-9
 """Largest rounding error, m, of a distance near an edge that a table stores as float32."""

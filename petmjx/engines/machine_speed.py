@@ -67,7 +67,8 @@ def costs_here(work: Work, threads: int) -> Costs:
 
 def with_kept_kernels(work: Work) -> Costs:
     """The costs ``MEASURED``, with less time for starting an engine whose kernels an earlier run on this machine has
-    compiled. On a GPU, runs with film or compliant boxes need further kernels, of which there are no notes."""
+    compiled. On a GPU, runs with film or compliant boxes need further kernels. petmjx does not note which of these
+    kernels are compiled, so these runs get the full time."""
     costs = MEASURED
     if are_noted(CPU_KERNEL):
         costs = replace(costs, kernel_start_s=costs.kernel_load_s)

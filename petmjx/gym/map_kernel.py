@@ -8,7 +8,7 @@ import warp as wp
 
 @wp.func
 def _raise(cells: wp.array3d(dtype=wp.float32), on: wp.int64, span: wp.vec4i, value: wp.float32) -> None:
-    """Raise the cells of a pallet that a box covers to a value. Cells with larger values keep them."""
+    """Set those cells of the pallet ``on`` that a box covers to ``value``. Cells with larger values are not changed."""
     for x in range(wp.max(span[0], 0), wp.min(span[2], cells.shape[1])):
         for y in range(wp.max(span[1], 0), wp.min(span[3], cells.shape[2])):
             cells[on, x, y] = wp.max(cells[on, x, y], value)

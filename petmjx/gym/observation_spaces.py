@@ -18,8 +18,9 @@ BOX_KG: Final = 10.0
 PALLET_KG: Final = 300.0
 LEFT: Final = 20.0
 """Constants of the scales of observations. A scale x / (x + half) maps the value ``half`` to 0.5, and every positive
-value to a number between 0 and 1. The constants are for orders of groceries (docs/loop.md): a typical load on a box, N;
-a typical mass of a box and of a pallet, kg; and a typical number of remaining boxes."""
+value to a number between 0 and 1. The constants are for orders of groceries (docs/loop.md): ``LOAD_N`` is a typical
+load on a box, ``BOX_KG`` and ``PALLET_KG`` are typical masses of a box and of a pallet, and ``LEFT`` is a typical
+number of remaining boxes."""
 
 LARGEST_N: Final = 1e6
 """Largest force in observations, N: the weight of a pallet of 100 t. Every larger force is replaced by this value."""

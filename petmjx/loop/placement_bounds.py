@@ -269,8 +269,8 @@ def _pass_on(
 
 
 class _Turns(NamedTuple):
-    """How boxes turn about edges of their bearings. There is one row for each edge beyond which the weight of a box
-    acts.
+    """How boxes turn about edges of their bearings (the hulls of their contacts). There is one row for each edge beyond
+    which the weight of a box acts.
 
     Attributes:
         rows: (r,) index of the box.
@@ -365,9 +365,9 @@ class _Rests:
     def falls(self, request: Placements, apart: FloatArray, friction: float) -> NDArray[np.bool_]:
         """(m,) whether each new box falls beyond doubt.
 
-        A falling box turns about an edge of its bearing. When a falling box has turned by an angle, a point of its base
-        is lower by the tangent of the angle times the point's distance from the edge. A point of the box's side has
-        moved outwards by the sine of the angle times the point's height.
+        A falling box turns about an edge of its bearing (the hull of its contacts). When a falling box has turned by an
+        angle, a point of its base is lower by the tangent of the angle times the point's distance from the edge. A
+        point of the box's side has moved outwards by the sine of the angle times the point's height.
 
         Args:
             apart: (m, k) distance of the pallets' boxes from their planned places, as computed by ``boxes_apart_mm``.

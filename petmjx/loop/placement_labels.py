@@ -442,7 +442,7 @@ class _Packing:
 
 def _careful_places(places: Places, some: NDArray[np.intp]) -> NDArray[np.intp]:
     """Indices of the lowest places at which at least the share ``CAREFUL_SUPPORT`` of the base is supported: at most
-    ``LOWEST`` places. ``some`` are the indices of the places from which they are chosen."""
+    ``LOWEST`` places. ``some`` has the indices of the places that may be chosen."""
     borne = some[places.support[some] >= CAREFUL_SUPPORT]
     return borne[np.argsort(places.corner_mm[borne, 2], kind="stable")][:LOWEST]
 

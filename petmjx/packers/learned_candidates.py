@@ -139,7 +139,8 @@ class FourSidedStream(ItemStream):
         return twin
 
     def places(self, least_support: float = LEAST_SUPPORT) -> Places:
-        """All candidates with sufficient support that are not too high, for the boxes that the packer sees.
+        """The candidates for the boxes that the packer sees. A candidate is left out if it has too little support, is
+        too high, or was refused by ``keeps_balance`` before.
 
         Whether the pile keeps its balance with a candidate is checked later, by ``keeps_balance``.
 

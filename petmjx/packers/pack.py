@@ -69,9 +69,9 @@ def pack(
             ``rollcontainer``, or sizes in mm such as ``1200x1000``. If ``target`` is None, the carrier is the file's
             container if that container is a pallet, else a Euro pallet.
         options: options of the packer ``physical``: ``width``, ``branch``, ``clearances_mm``, ``worlds``,
-            ``least_share``, ``maximise`` (docs/packers.md). Options of the simulation: ``errors``, a sweep file; fields
-            of ``petmjx.Simulation``; ``engine``, ``threads``, ``lanes``. Options for reading a file of orders:
-            ``units``, ``columns``, ``density``, ``items``, ``reading`` (docs/plan-format.md#orders).
+            ``least_share``, ``maximise`` (docs/packers.md). Options of the simulation: ``errors`` (a sweep file),
+            fields of ``petmjx.Simulation``, and ``engine``, ``threads`` and ``lanes``. Options for reading a file of
+            orders: ``units``, ``columns``, ``density``, ``items``, ``reading`` (docs/plan-format.md#orders).
 
     Raises:
         InputError: the orders or the options are unusable.

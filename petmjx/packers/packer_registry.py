@@ -69,7 +69,8 @@ PACKERS: Final[Mapping[str, Packer]] = MappingProxyType(
 LEFT_OUT_REASONS: Final[Mapping[str, str]] = MappingProxyType(
     {LEARNED: "when these boxes came, they had no place below 2 m at which they would be in balance and probably stand"}
 )
-"""Name of a packer → why it leaves boxes out. Other packers leave out boxes for which there is no place below 2 m."""
+"""Name of a packer → why it leaves boxes out. Packers that are not in this table leave out boxes for which there is no
+place below 2 m."""
 
 
 def packer_named(name: str, look_ahead: int | None = None) -> Packer:

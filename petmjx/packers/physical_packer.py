@@ -34,7 +34,8 @@ def pack_physical(
     Args:
         orders: pairs of an id and an order.
         options: options of the packer.
-        how: options of ``petmjx.score`` for the simulations, with the name of an engine that is not ``auto``.
+        how: options of ``petmjx.score`` for the simulations. The option ``engine`` must name an engine; it must not be
+            ``auto``.
         workers: number of processes for the search, which does not affect the plans.
         look_ahead: if given, the packer ``learned`` makes the packing that is simulated, and sees this number of boxes
             at a time. If ``look_ahead`` is None, the search makes the packings.

@@ -60,8 +60,9 @@ class BoxColumns:
         plan, article, item_id, group: (n,) names; None: no column has them.
         sequence: (n,) packing order, NaN for plans without one; None: no column has it. A column of running numbers is
             not taken as a packing order, since boxes may be numbered in any order.
-        counters: name of a column → (n,) its numbers, for columns of whole numbers that may be a packing order, since
-            their names may mean one ("Nr", "Pick") or are unknown. NaN stands for cells that are not whole numbers.
+        counters: name of a column → (n,) its numbers, for columns of whole numbers that may be a packing order. The
+            names of these columns may mean a packing order ("Nr", "Pick"), or are unknown. NaN stands for cells that
+            are not whole numbers.
         columns: role → name of its column, for all roles except sizes and places.
         faults: row → (column, error text) of the first bad cell in the row.
         unread: names of columns that are not used.

@@ -355,12 +355,12 @@ def _explains(way: Convention, plan: Plan, n_odd: int) -> bool:
 
 
 def _overlapping_less(plan: Plan, size: FloatArray) -> NDArray[np.bool_]:
-    """(n,) whether each box is turned and overlaps fewer boxes with its size in ``size`` than with its size in the
-    plan.
+    """(n,) whether each box is turned, and overlaps fewer boxes if it gets its size in ``size`` instead of its size in
+    the plan.
 
-    Each turned box has these two sizes. In each pass over the turned boxes, a box changes to its other size if it then
-    overlaps fewer boxes. Since such a change also affects the other boxes, passes are repeated until a pass changes no
-    size, but at most ``_MOST_ROUNDS`` times.
+    A turned box can have either of these two sizes. In each pass over the turned boxes, a box changes to its other size
+    if it then overlaps fewer boxes. Since such a change also affects the other boxes, passes are repeated until a pass
+    changes no size, but at most ``_MOST_ROUNDS`` times.
 
     Args:
         size: (n, 3) sizes of the boxes in the other convention, mm.
@@ -387,9 +387,9 @@ def _overlapping_less(plan: Plan, size: FloatArray) -> NDArray[np.bool_]:
 
 def _is_mostly_odd(plan: Plan, least_share: float) -> bool:
     """Whether enough boxes of a plan are odd. At least one box of the plan must float or overlap by more than
-    ``_SMALL_MM``. And of the boxes that do not stand directly on the carrier, at least the share ``least_share`` must
-    float or overlap. If all boxes stand directly on the carrier, at least this share of all boxes must float or
-    overlap."""
+    ``_SMALL_MM``. In addition, at least the share ``least_share`` of the boxes that do not stand directly on the
+    carrier must float or overlap. If all boxes stand directly on the carrier, at least this share of all boxes must
+    float or overlap."""
     gap, overlap = gaps_mm(plan.corner_mm, plan.size_mm), overlaps_mm(plan.corner_mm, plan.size_mm)
     above = plan.corner_mm[:, 2] > DEFAULT_TOLERANCE_MM
     above |= not above.any()

@@ -35,8 +35,9 @@ def count_known_names(cells: Sequence[Any]) -> int:
 
 
 _LEAST_IN_ROWS: Final = 6
-"""In a transposed table, each row is a field and each further column is a box. A table counts as transposed if at least
-this number of cells in its first column are known column names, and no row has as many known names."""
+"""In a transposed table, each row is a field and each further column is a box. A table counts as transposed under two
+conditions. At least this number of cells in its first column are known column names, and every row has fewer known
+column names than the first column."""
 
 
 def names_in_rows(rows: Sequence[tuple[Any, ...]]) -> bool:
@@ -235,8 +236,8 @@ def computed_row(table: RawTable, rows: Sequence[int]) -> str:
 
 
 def _names_box(articles: Iterable[Any]) -> bool:
-    """Whether all cells of a column of articles have text, and the last cell has no symbol for a mean (ø, or o or x in
-    place of ø). The last cell belongs to the row in question."""
+    """Whether all cells of a column of articles have text, and the last cell is not a symbol for a mean (ø, or o or x
+    in place of ø). The last cell belongs to the row that may be a row of means instead of a box."""
     texts = [plain_text(cell).strip() if isinstance(cell, str) else "" for cell in articles]
     return all(texts) and texts[-1].lower() not in ("ø", "o", "x")
 

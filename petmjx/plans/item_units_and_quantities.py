@@ -458,5 +458,5 @@ class _OrderBuilder:
 
 _OWN_NAMES: Final = {"weight_kg", "quantity", "order_id", "plan_id", "article", "item_id"}
 _ROLES_IN_NOTES: Final = ("weight", "total weight", "density", "quantity", "per layer", "layers", "plan")
-"""The line that tells how a table of orders was read names the columns of the sizes first, and then the columns with
-these roles."""
+"""A line for the user tells how a table of orders was read. The line names the columns of the sizes first, and then the
+columns with these roles."""

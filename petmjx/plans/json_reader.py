@@ -116,8 +116,8 @@ as much memory as its text."""
 _FIRST_WINDOW: Final = 1 << 15
 _SMALLEST_WINDOW: Final = 1 << 10
 _LONGEST_TOKEN: Final = 12
-"""Length in characters of the longest token, such as ``-Infinity`` or an escape, that the end of a window (the part of
-the text that is decoded at once) may cut. Strings and numbers are treated separately."""
+"""Text is decoded in parts (windows). The end of a window may cut a token, such as ``-Infinity`` or an escape. This is
+the length of the longest such token, in characters. Strings and numbers are treated separately."""
 
 
 class DuplicateFieldObject(dict[str, Any]):
@@ -149,8 +149,8 @@ def scan_plans(data: bytes | bytearray, of: str = "plan id → placements", noun
     """Yield every entry in a file's bytes, in order.
 
     Args:
-        of: text for messages: what the file's object should contain.
-        noun: the kind of entry in messages.
+        of: what messages say that the file's object must contain.
+        noun: what messages call an entry, such as "plan".
 
     Raises:
         MalformedPlans: a part of the text is not JSON, or the file is empty or has no object. Entries before the
@@ -213,7 +213,7 @@ def _decoded_value(data: bytes | bytearray, begin: int, window: int, where: str,
         window: length of the first window, bytes. Callers pass twice the length of the previous value, so that the
             total length of all windows is linear in the length of the text.
         where: name of the entry, for errors.
-        noun: the kind of entry in messages.
+        noun: what messages call an entry, such as "plan".
     """
     while True:
         text = _text(data[begin : begin + window])

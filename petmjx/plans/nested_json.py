@@ -110,7 +110,7 @@ _TYPED_NAME: Final = re.compile(r'\{\s*"(?:\$number\w+|\$oid|[NS]|(?:integer|dou
 
 
 def _without_types(value: Any) -> Any:
-    """A value in which each object that only states a type and a value is replaced by the value."""
+    """The value ``value``, in which each object of the form {type: content} is replaced by its content."""
     if isinstance(value, list):
         return [_without_types(inner) for inner in value]
     if not isinstance(value, dict):
@@ -151,8 +151,8 @@ def box_lists(value: Any) -> list[BoxList]:
 
 
 def _without_boxes(groups: Mapping[str, Sequence[NestedBox]], path: str) -> list[str]:
-    """A line about objects that hold no box of a list, unlike the other members of the lists that contain them, such as
-    pallets without boxes; empty if there are none.
+    """A list with one line that names the objects without boxes, such as empty pallets beside pallets with boxes; empty
+    if there are none. These objects are members of lists whose other members hold the boxes of the list ``path``.
 
     Args:
         groups: path of a list → its members.

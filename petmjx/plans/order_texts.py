@@ -1,10 +1,11 @@
 """Reads orders from text files of numbers (``order_source``): test problems of packing research, and lists of box
 sizes.
 
-There are three forms. Bischoff and Ratcliff's ``thpack`` and ``wtpack`` are files of the OR-Library
-(people.brunel.ac.uk/~mastjjb/jeb, pages ``thpackinfo`` and ``conloadinfo``). Files of the generator of Martello,
-Pisinger and Vigo (2000), "The three-dimensional bin packing problem", Operations Research 48(2), 256–267, have the
-number of boxes, the bin and a line per box. Other files have three lengths per line, such as RoboBPP's ``opai.txt``.
+There are three forms. The first form is that of Bischoff and Ratcliff's files ``thpack`` and ``wtpack`` in the
+OR-Library (people.brunel.ac.uk/~mastjjb/jeb, pages ``thpackinfo`` and ``conloadinfo``). The second form has the number
+of boxes, the bin and a line per box; it comes from the generator of Martello, Pisinger and Vigo (2000, "The
+three-dimensional bin packing problem", Operations Research 48(2), 256–267). The third form has three lengths per line,
+as in RoboBPP's ``opai.txt``.
 """
 
 from __future__ import annotations

@@ -277,7 +277,7 @@ class UnreadFields(Counter[str]):
     """Fields of plans that petmjx does not read: name → number of placements that have it."""
 
     def notes(self) -> list[str]:
-        """A list with one line that names the fields; empty if there are none."""
+        """A list with one line that names the fields that petmjx does not read; empty if there are no such fields."""
         if not self:
             return []
         field_names = [

@@ -19,15 +19,15 @@ from petmjx.common.units import FloatArray
 from petmjx.plans.plan_warnings import meets, overlap, shared_length
 
 _OVERLAP, _FLOAT, _OUTSIDE, _SUPPORT, _TOUCH = 25.0, 20.0, 20.0, 4.0, 2.0
-"""Costs of five faults of a layout, each if all boxes have the fault: boxes overlap, float, are outside the carrier,
-hang over, or touch no neighbour. In the output of a packer, a box rarely overlaps or floats by mistake, whereas
-overhang and gaps are common."""
+"""Costs of five faults of a layout: boxes overlap, float, are outside the carrier, hang over, or touch no neighbour.
+Each value is the cost if all boxes have the fault. In the output of a packer, a box rarely overlaps or floats by
+mistake, whereas overhang and gaps are common."""
 _TOLERANCE: Final = 0.01
 """Largest gap at which boxes touch, as a share of the median of the boxes' smallest sides: 2 mm for cartons of 200 mm.
 Boxes that touch may have a gap in a file, because centres are often rounded to centimetres or half millimetres."""
 _SMALL_LOAD: Final = 160
-"""Largest number of boxes that are used to judge a plan: the lowest boxes for overlaps and supports, the first boxes in
-the list for the order of boxes."""
+"""Largest number of boxes from which a plan is judged. Overlaps and supports are judged from the lowest boxes, and the
+order of boxes from the first boxes in the list."""
 _CARTON_MM, _CARTON_SPREAD = 280.0, 0.75
 """Geometric mean of a carton's sides, and the standard deviation of its natural logarithm, from BED-BPP's boxes."""
 _CARTON_KG_M3, _DENSITY_SPREAD = 250.0, 1.1
@@ -405,8 +405,7 @@ def density_cost(density_kg_m3: float) -> float:
 
 
 def _squared(value: float, usual: float, spread: float) -> float:
-    """Half the square of the distance between the logarithms of a value and of the usual value, in units of
-    ``spread``."""
+    """d² / 2, where d is the logarithm of value / usual value, divided by ``spread``."""
     return (math.log(value / usual) / spread) ** 2 / 2 if value > 0 else 50.0
 
 

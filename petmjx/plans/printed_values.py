@@ -44,8 +44,8 @@ _GAP: Final = re.compile(
     r"|--\[\[.*?\]\]|--(?=[\s{(\[])(?!\s*(?:[,;\])}]|$))[^\n]*)*+",
     re.DOTALL,
 )
-"""White space, separators and comments. One semicolon begins a comment only before an object of EDN. "--" before a
-separator is no comment, since it may stand for a missing value."""
+"""White space, separators and comments. A single semicolon begins a comment only if an object of EDN follows;
+otherwise, it is a separator. "--" before a separator is no comment, since it may stand for a missing value."""
 _SPACE: Final = re.compile(r"\s*")
 _QUOTED: Final = re.compile(r"""\\?(?:"((?:\\.|[^"\\])*)"|'((?:\\.|[^'\\])*)'|`([^`]*)`)""")
 _NAME: Final = re.compile(

@@ -73,7 +73,8 @@ X_UP_COST: Final = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One possible reading of a geometry, before units are chosen."""
+    """One possible reading of a ``Geometry`` (a choice of the columns for sizes and places), before units are
+    chosen."""
 
     geometry: Geometry
     pair: tuple[int, int, int]
@@ -290,7 +291,8 @@ def candidates_downwards(columns: BoxColumns, wishes: Wishes) -> Iterator[Candid
 
 
 _DOWNWARDS_COST, _DOWNWARDS_ABOVE_0_COST = 2.0, 4.5
-"""Costs of a reading in which heights are counted downwards: if no height is above 0, and if some heights are."""
+"""Costs of a reading in which heights are counted downwards: ``_DOWNWARDS_COST`` if no height is above 0, else
+``_DOWNWARDS_ABOVE_0_COST``."""
 _LOWER_CORNER_COST: Final = 0.3
 """Cost of a reading in which heights are counted downwards, and coordinates are those of the lower corner, which has
 the largest height, instead of the upper one."""
@@ -469,7 +471,8 @@ column of rotations. An angle about an axis ("rz", "rot_z") turns a box whose si
 
 
 def _sizes_by_name(columns: BoxColumns, geometry: Geometry) -> str:
-    """Whether sizes are those of the item, as names say. The result is "" if names do not say it."""
+    """The text "item" if names say that the sizes are those of the item before it is turned; "" if names do not say
+    it."""
     roles = {*map(role_of, geometry.axes), "sizes"}
     names = [name for role, name in geometry.columns.items() if role in roles]
     is_item = bool(names) and all(_OF_ITEMS.intersection(words_of(name)) for name in names)

@@ -143,7 +143,8 @@ _Sample = list[tuple[NDArray[np.int64], Mapping[str, float]]]
 
 
 def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], damaged: Collection[str]) -> _Sample:
-    """The first plans that have no faults. If all plans have faults, the first plans without their bad rows.
+    """The first plans that have no faults. If all plans have faults, the result has the first plans, without their bad
+    rows.
 
     Args:
         damaged: names of plans that lack rows.
@@ -204,9 +205,9 @@ def _judge(columns: BoxColumns, wishes: Wishes, candidate: Candidate, sample: _S
 
 
 _UNEQUAL_FLOOR_COST: Final = 5.0
-"""Cost of a reading in which plans of a file begin at different heights. It is multiplied by the share of plans that do
-not begin at the height at which other plans begin. Different heights are implausible, since a program measures the
-heights in all plans of a file from the same level."""
+"""Cost of a reading in which the lowest boxes of a file's plans are at different heights. The cost is multiplied by the
+share of plans whose lowest box is at an unusual height (``share_at_other_heights``). Different heights are implausible,
+since a program measures the heights in all plans of a file from the same level."""
 _PY3DBP_ORDER_WEIGHT: Final = 0.4
 """Weight with which the order of boxes counts in the cost of a reading, for files of py3dbp. The weight is low because
 py3dbp fills a container along x, then y, then z, whichever axis is the vertical."""
@@ -441,9 +442,9 @@ _LEAST_OVERLAPPING: Final = 6
 
 
 _LARGEST_PRIOR: Final = 7.0
-"""A reading whose vertical axis is neither z nor y is not taken if it costs at least this before any numbers are
-considered. Such a reading also has an unusual anchor, or contradicts names. It may seem the most plausible reading only
-because a number is damaged."""
+"""A reading whose vertical axis is neither z nor y is refused if its cost before any numbers are considered
+(``Candidate.prior``) is at least ``_LARGEST_PRIOR``. A reading with this cost also has an unusual anchor, or
+contradicts names. It may seem the most plausible reading only because a number is damaged."""
 
 
 def _is_impossible(best: _Judged, columns: BoxColumns, wishes: Wishes) -> bool:
@@ -600,7 +601,8 @@ def _other_mass(best: _Judged) -> str | None:
 
 
 def _has_unnamed_places(candidate: Candidate) -> bool:
-    """Whether only the sizes have a named unit, and coordinates are read in another one."""
+    """Whether the file names a unit for sizes but none for coordinates, and coordinates are read in another unit than
+    sizes."""
     return candidate.scale != 1.0 and bool(candidate.geometry.size_unit) and not candidate.geometry.place_unit
 
 

@@ -289,8 +289,8 @@ only a consequence, so it is not mentioned."""
 
 
 def differences(one: Reading, two: Reading) -> list[tuple[str, str, str]]:
-    """The differences between two readings. For each difference: the option that decides, and in words the value in the
-    first and in the second reading."""
+    """The differences between two readings. Each difference has three texts: the option that decides between the two
+    readings; what the first reading says, in words; and what the second reading says."""
 
     def parts_of(fields: Sequence[Any]) -> list[tuple[str, str, str]]:
         return [

@@ -253,10 +253,10 @@ def _still_columns(extraction: ColumnExtraction) -> set[int]:
 
 
 _STILL: Final = 0.9
-"""Smallest share of equal cells in a column of places that do not vary. The share is below 1, since a cell may be
-damaged."""
+"""If at least this share of the cells of a column of places are equal, the places count as not varying. The share is
+below 1, since a cell may be damaged."""
 _COMPARED: Final = 3
-"""Number of first cells that are compared with the others."""
+"""Number of cells at the beginning of a column that are compared with all cells of the column."""
 
 
 def _places_of(extraction: ColumnExtraction, indices: Sequence[int], anchor: str) -> Places:
@@ -389,9 +389,9 @@ _EXTENTS: Final = word_set("extent extents")
 
 
 def with_half_extents(geometry: Geometry) -> Geometry | None:
-    """The geometry with its sizes read as half extents. The result is None unless a name of a column of sizes has the
-    word "extent", which may mean half an extent. The result is also None if a name says "half" (the sizes are then
-    known to be half extents), or if the places are corners."""
+    """The geometry with its sizes read as half extents. This is possible if the name of a column of sizes has the word
+    "extent", which may mean half an extent. Otherwise, the result is None. It is also None if a name says "half" (the
+    sizes are then known to be half extents), or if the places are corners."""
     names = [name for role, name in geometry.columns.items() if role not in (*XYZ, "position")]
     words = {word for name in names for word in words_of(name)}
     if not words & _EXTENTS or words & HALF_WORDS or geometry.anchor == "corner":

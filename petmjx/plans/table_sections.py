@@ -246,7 +246,7 @@ def _sections(
 
 
 def _has_other_separator(cell: Any, width: int) -> bool:
-    """Whether a cell has all fields of a row, between other separators than those of the table."""
+    """Whether a cell has all fields of a row, divided by another separator than the table's."""
     rows = [cell.split(mark) for mark in ",;\t|"] if isinstance(cell, str) and width > 2 else []
     return any(len(fields) >= width and 2 * sum(map(is_number, fields)) > width for fields in rows)
 

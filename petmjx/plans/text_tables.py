@@ -260,8 +260,8 @@ def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
 
 
 def _below_names(units: list[str], line: str, names: Sequence[str], line_above: str) -> list[str]:
-    """One field for each name of a header: the unit that stands below the name in the file, or "". If a line of units
-    does not have each unit below another name, the units are returned unchanged."""
+    """One field for each name of a header: the unit that stands below the name in the file, or "". If two units stand
+    below the same name, the units are returned unchanged."""
     spans = _spans(names, line_above)
     fields = [""] * len(names)
     for unit, (begin, end) in zip(units, _spans(units, line), strict=True):

@@ -141,8 +141,7 @@ def _words_in(texts: Sequence[str]) -> tuple[str, ...]:
 
 
 def are_yes_or_no(cells: Sequence[Any]) -> bool:
-    """Whether cells are yes or no, and some of them are yes. One cell may have any other text, since it may be
-    damaged."""
+    """Whether cells mean yes or no, and both occur. One cell may have any other text, since it may be damaged."""
     texts = Counter(cell_text(cell).lower() for cell in cells)
     n_yes, n_no = (sum(texts[word] for word in words) for words in (_YES, _NO))
     has_words = any(text in _YES | _NO and text not in ("", "-", "0", "1", "x", "none", "original") for text in texts)
@@ -150,7 +149,8 @@ def are_yes_or_no(cells: Sequence[Any]) -> bool:
 
 
 def are_two_values(cells: Sequence[Any]) -> bool:
-    """Whether cells are 0 and 1, or two words, each of them several times. A few cells may be damaged."""
+    """Whether a column has two different values: 0 and 1, or two words. Each of the two must occur several times. A few
+    cells may be damaged."""
     texts = [cell_text(cell) for cell in cells]
     words = _words_in(texts)
     are_words = not any(cell_number(word) for word in words) and "" not in words

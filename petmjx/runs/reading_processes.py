@@ -26,8 +26,8 @@ from petmjx.results.plan_digests import PlanRecord, records_of
 from petmjx.runs.reading_child import ReadingAnswer
 
 WORTH_A_PROCESS: Final = 16 << 20
-"""Smallest size of plan files, in bytes, for which another process reads the plans: about 1,500 plans. This process
-can read smaller files in less time than another process takes to start."""
+"""Smallest size of plan files, in bytes, for which another process reads the plans. Files of this size have about 1,500
+plans. The run's own process reads smaller files in less time than another process takes to start."""
 
 MOST_IN_A_PROCESS: Final = 4 << 30
 """Largest size of plan files, in bytes, for which another process reads the plans. For a moment, the plans are in the
@@ -125,8 +125,8 @@ def _answers(tasks: Sequence[bytes]) -> list[ReadingAnswer] | None:
 
 def _segments(plans: PlanSource | None, options: RunOptions) -> list[Segment]:
     """Segments of the plans' file that processes can read at the same time. The list is empty if one process should
-    read all plans: if there are few CPU threads; if the file is small, or lacks the suffix ``.json``; for files of
-    other tools; and with options that concern all plans of a file together (such as ``limit``)."""
+    read all plans. This is so if there are few CPU threads, if the file is small, if it lacks the suffix ``.json``, if
+    it is a file of another tool, or if an option concerns all plans of a file together (such as ``limit``)."""
     count = min(MOST_PROCESSES, cpu_threads() // THREADS_EACH, bytes_of_plans(plans) // WORTH_A_PROCESS)
     names = ["limit", "articles", *(name for name, _ in OPTIONS_OF_OTHERS)]
     if count < 2 or any(getattr(options, name) is not None for name in names):

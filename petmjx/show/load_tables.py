@@ -60,9 +60,9 @@ def load_tables(loads: Loads, out: Path | None = None) -> Iterator[RenderableTyp
 
 
 def _ways_table(ways: pd.DataFrame) -> FittedTable:
-    """A table with one row for each plan and remedy. The row has three shares: the share of worlds in which the pallet
-    arrives at the end of a chain; the share in which it arrives and no box is surely overloaded; and the share in which
-    it arrives and no box is even possibly overloaded."""
+    """A table with one row for each plan and remedy (a change of one leg of the chain, such as more film). The row has
+    three shares: the share of worlds in which the pallet arrives at the end of a chain; the share in which it arrives
+    and no box is surely overloaded; and the share in which it arrives and no box is even possibly overloaded."""
     remedies = ways["remedy"].nunique() > 1
     return FittedTable(
         ways.head(FEW_ROWS).to_dict("records"),

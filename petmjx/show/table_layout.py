@@ -162,7 +162,7 @@ def number(value: Any, form: str | None = None, unit: str = "", factor: float = 
         value: the number, or None or NaN.
         form: format specification. If ``form`` is None, the number has three digits (``three_digits``).
         unit: text after the number.
-        sign: whether positive numbers also get a sign; ignored unless ``form`` is None.
+        sign: whether positive numbers also get a sign; used only if ``form`` is None.
     """
     if pd.isna(value):
         return "-"

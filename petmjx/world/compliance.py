@@ -50,12 +50,11 @@ real carton spreads such a load, and its edges carry more than its middle. ``EDG
 at most 0.28 × the width away from the middle of the area."""
 
 OUTWARD: Final = 0.6
-"""Factor by which the pressure on a face moves outward if only a small share of the face is pressed. If the pressed
-share of a face is below ``EDGE_SHARE``, the pressure moves towards the deepest edge, by this factor × (``EDGE_SHARE`` /
-share − 1) × the distance to that edge. If a quarter of the face is pressed, the pressure reaches the edge. The angle
-between the two faces is then 12 F / (k·L), rad. F is the force of the contact, L the width of its common area, and k
-its stiffness if the whole common area is pressed. Simpson's rule evaluates the pressure at nine points. At this angle,
-only the points at one edge carry load."""
+"""If the pressed share of a face is below ``EDGE_SHARE``, the contact points move towards the deepest edge, by
+``OUTWARD`` × (``EDGE_SHARE`` / share − 1) × the distance to that edge. If a quarter of the face is pressed, the
+pressure reaches the edge. The angle between the two faces is then 12 F / (k·L), rad. F is the force of the contact, L
+the width of its common area, and k its stiffness if the whole common area is pressed. Simpson's rule evaluates the
+pressure at nine points. At this angle, only the points at one edge carry load."""
 
 FACE_COSINE: Final = 0.5
 """Two faces press on one another if the cosine of the angle between one face's normal and the other face's reversed

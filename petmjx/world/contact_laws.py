@@ -140,13 +140,13 @@ iteration changes a slip excess by this multiple of the computed change. Bricks 
 solver per step if the first factor is 1.1; 2.6 calls if it is 0.8; 3.1 calls if all factors are ``RELAXATION``."""
 
 LEAST_M_S2: Final = ENOUGH_M_S2 / 10
-"""Smallest change of a slip excess from which the relaxation factor of the next iteration is estimated, m/s². Smaller
-changes are within the solver's tolerance."""
+"""Smallest change of a slip excess (see the module's docstring) from which the relaxation factor of the next iteration
+is estimated, m/s². Smaller changes are within the solver's tolerance."""
 
 MOST_LEFT: Final = 0.6
-"""After an iteration, ``next_share`` estimates which share of the change of a slip excess still remains to be made.
-This number is the upper limit of the estimate, as a share of the change before the iteration. If a larger share
-remains, other contacts have changed the slip excess."""
+"""Upper limit of a ratio in ``next_share``: the change of a slip excess (see the module's docstring) that remains after
+an iteration, divided by the change that remained before. A larger ratio is a sign that other contacts have changed the
+slip excess."""
 
 
 def slack_m_s2(physics: Physics) -> float:

@@ -36,8 +36,8 @@ PULL: Final = 1e-9
 outside its area, m. A support whose force pulls more, or acts farther outside, counts as pulling."""
 
 ON_EDGE_M: Final = 1e-6
-"""Distance from an edge of the supports' convex hull, m, within which a load counts as on the edge. For a load on an
-edge, the pressure plane would be infinitely steep."""
+"""Distance from an edge of the supports' convex hull, m, within which a load counts as on the edge. A load on an edge
+is treated separately (``on_edges``), since the linear pressure that balances the load would be infinitely steep."""
 
 _ROOT: Final = math.sqrt(3.0)
 _MOST_STEPS: Final = 60

@@ -2,7 +2,8 @@
 
 ``mjx.collision`` passes all pairs of geoms to its colliders. Of the n²/2 pairs of n boxes on a pallet, some 5·n touch.
 So pairs of boxes whose bounding boxes overlap are passed to MJX's collider in parts of equal size, until no such pair
-is left. The contacts of all other pairs are open. As with MJX, a contact has the same geoms in all steps.
+is left. Pairs that are not passed to the collider get contacts with a distance of 1 m, which exert no force. As with
+MJX, a contact has the same geoms in all steps.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ Collider = Callable[[Int[Array, "pair 2"]], Contacts]
 
 def collision(model: Any, data: Any) -> Any:
     """The data with the contacts that ``mjx.collision`` (MuJoCo 3.17) finds. Another version of MJX may lack the
-    private functions that this function needs. In this case, MJX's collider gets all pairs."""
+    private functions that this function needs. In this case, ``mjx.collision`` itself examines all pairs of geoms."""
     try:
         from mujoco.mjx._src.collision_driver import _COLLISION_FUNC, _contact_groups
     except ImportError:
@@ -66,7 +67,8 @@ def _overlap(model: Any, data: Any, geoms: Int[Array, "pair 2"], margin: Float[A
 def _contacts_of_near(
     collide: Collider, geoms: Int[Array, "pair 2"], near: Bool[Array, " pair"], at_once: int
 ) -> Contacts:
-    """The contacts of all pairs. ``collide`` gets only those that are near, ``at_once`` pairs at a time."""
+    """The contacts of all pairs. ``collide`` gets only the pairs that are near, ``at_once`` of them at a time. All
+    other pairs get contacts with a distance of 1 m."""
     order = jnp.argsort(~near)  # pairs that are near come first
     count = -(-len(order) // at_once)
     parts = geoms[jnp.resize(order, (count, at_once))]

@@ -87,7 +87,8 @@ class Beds:
         assert POINTS_PER_BED == CONTACTS_PER_PAIR
 
     def pressed(self, data: Any, faces: Faces) -> Any:
-        """The data of a step, in which the contacts of beds replace those that collision detection has found."""
+        """The data of a step. Where the faces of two boxes meet and at least one box is compliant, the contacts of a
+        bed of springs replace the contacts that collision detection has found."""
         contact, rows = data._impl.contact, self._rows
         one, two = self._geom.T
         place, turn = data.geom_xpos, data.geom_xmat.reshape(-1, 3, 3)

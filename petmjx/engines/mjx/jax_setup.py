@@ -33,8 +33,8 @@ CPU_COMPILER_OPTIONS = {
 
 
 def set_up_jax() -> None:
-    """Start JAX's devices, and turn on JAX's cache of compiled programs unless the user has set a usable folder for
-    it."""
+    """Start JAX's devices. If the user has not set a usable folder for JAX's cache of compiled programs, turn on the
+    cache in petmjx's own folder."""
     jax_devices()
     config: Any = jax.config
     if config.jax_compilation_cache_dir is None or (VARIABLES["jax"] in os.environ and why_not_written("jax")):

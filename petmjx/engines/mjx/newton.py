@@ -265,8 +265,8 @@ class BlockSolver:
         number = np.arange(at_once)
 
         def at(step: Scalar) -> tuple[Scalar, Scalar, Scalar, Bool[Array, ""]]:
-            """For a step: the cost, except for a constant; the slope; Newton's next step; and whether the slope
-            is only rounding."""
+            """For a step: the cost, except for a constant; the slope; Newton's next step; and whether the slope is only
+            a rounding error."""
             cones = Cones.of(problem, now.residual + step * way)
             work = cones.force(problem) * way
             slope = linear + step * square - work.sum()

@@ -26,11 +26,12 @@ def trembling_mask(state: State, sim: Simulation) -> Bool[Array, "world box"]:
 def stay_mask(
     state: State, sim: Simulation, moved: Float[Array, "world box"] | float = 0.0
 ) -> Bool[Array, "world box"]:
-    """Whether each box counts as staying at its place. A box counts as staying if it was near its place during the
-    whole last complete period of measurement, and in the present period until now. For some time after a placement, no
-    box counts as staying, for the same reason as in ``trembling_mask``. ``moved``: distances by which boxes moved in
-    the last ``still_steps`` steps, m, if the world is at its end; 0 if the caller only checks whether the pallet is
-    quiet (a look). The larger of this distance and ``tremble_away`` must be below the limit of ``_most_away``."""
+    """Whether each box counts as staying at its place. Two conditions must hold: in the last complete period of
+    measurement, the box always was near the place that it had when the period began; and the same is true of the
+    present period so far. For some time after a placement, no box counts as staying, for the same reason as in
+    ``trembling_mask``. ``moved``: distances by which boxes moved in the last ``still_steps`` steps, m, if the world is
+    at its end; 0 if the caller only checks whether the pallet is quiet (a look). The larger of this distance and
+    ``tremble_away`` must be below the limit of ``_most_away``."""
     stayed = (state.trembles != 0) & (state.tremble_looks > 2 * sim.quiet.tremble_looks)[:, None]
     return stayed & (jnp.maximum(state.tremble_away, moved) < _most_away(state.tremble_path, sim))
 

@@ -260,7 +260,7 @@ def _sides(edges: FloatArray, at: FloatArray, lines: FloatArray) -> None:
     Args:
         edges: (p, 2, 2, 2) half edges. The axes are pair, parallelogram, edge and coordinate.
         at: (p, 2) middle of the first parallelogram. The origin is the middle of the second parallelogram.
-        lines: (p, 9, 3) nine lines for each pair, of which the first eight are written.
+        lines: (p, 9, 3) room for nine lines for each pair. This function writes the first eight.
     """
     cross = edges[:, :, :1, 0] * edges[:, :, 1:, 1] - edges[:, :, :1, 1] * edges[:, :, 1:, 0]
     length = np.sqrt((edges * edges).sum(axis=3))

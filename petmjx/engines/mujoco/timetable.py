@@ -19,7 +19,7 @@ class Waits:
     end.
 
     Attributes:
-        settles: whether a drive follows the placement, or the settled state is kept.
+        settles: True if a drive follows the placement, or if the settled state is kept.
         since: the step after which the wait begins.
         last_placement: the step after which the last box was placed.
         drive_end: the last step of the drive, if boxes do not come to rest earlier; None before the drive begins.
@@ -68,8 +68,8 @@ class Waits:
         self._latest = self.longest_wait if self._patient and not restless else self._latest_after(step)
 
     def lasts_longer(self, step: int) -> bool:
-        """Whether this wait would continue after ``step`` if it were the last wait of the world. (The last wait of a
-        world is always long, but all other waits are short after a wait that ended while boxes were moving.)"""
+        """Whether this wait would continue after ``step`` if it were the last wait of the world. (After a wait that
+        ended while boxes were moving, all waits are short, except the last wait of the world.)"""
         return self._patient and step < self.longest_wait
 
     def deadline(self, sign_step: int | None) -> int:

@@ -34,8 +34,9 @@ class Trembling:
 
     Attributes:
         boxes: (n,) whether each box trembles. n is the number of placed boxes at the looks since the last placement.
-        stayed: (n,) whether each box stayed near its place in the last complete period of measurement.
-        looks: number of looks with this number of boxes.
+        stayed: (n,) for the last complete period of measurement, whether each box always was near the place that it had
+            when the period began.
+        looks: number of looks since the last placement.
         home: (n, 7) poses of the boxes at the beginning of the present period of measurement.
         path_m: (n,) length of each box's path since the first look of the present period, m.
         away_m: (n,) largest distance of each box from ``home`` in the present period, m.
@@ -55,9 +56,10 @@ class Trembling:
         return self.boxes if len(self.boxes) == n else np.zeros(n, bool)
 
     def staying(self, moved_m: FloatArray, sim: Simulation) -> NDArray[np.bool_]:
-        """(n,) whether each of the n placed boxes stays. A box stays if it was near its place during the whole last
-        complete period of measurement (``stayed``), and during the present period until now. As with ``which``, no box
-        counts as staying shortly after a placement.
+        """(n,) whether each of the n placed boxes stays. A box stays if two conditions hold: in the last complete
+        period of measurement, the box always was near the place that it had when the period began (``stayed``); and the
+        same is true of the present period so far. As with ``which``, no box counts as staying shortly after a
+        placement.
 
         Args:
             moved_m: (n,) distances by which the boxes moved in the last ``still_steps`` steps, m, if the world is at

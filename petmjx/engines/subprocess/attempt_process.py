@@ -139,9 +139,9 @@ class AttemptProcess:
 
 
 _IDLE: Final[dict[tuple[int, str], list[Child]]] = {}
-"""(Process id, module) → the idle processes that the process with this id started for this module. A fork has another
-process id than the original process, so it does not use the idle processes of the original: a fork has no threads that
-write tasks and read answers."""
+"""(Process id, module) → the idle processes that the process with this id started for this module. A fork cannot use
+the idle processes of the original process, since it has no threads that write tasks and read answers. The process id
+keeps them apart, since a fork has another id than the original."""
 
 
 def _idle_child(module: str) -> Child:

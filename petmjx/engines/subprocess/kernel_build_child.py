@@ -16,7 +16,7 @@ NICE: Final = 0
 
 @dataclass(frozen=True)
 class GpuLimits:
-    """The properties of a GPU from which its kernels follow.
+    """Properties of a GPU. Kernels are compiled for these properties, except ``sm_count``.
 
     Attributes:
         arch: compute capability times ten; an H100 has 90.

@@ -16,7 +16,7 @@ from petmjx.engines.warp.world_arrays import MAX_BOXES
 
 @dataclass(frozen=True)
 class Size:
-    """Thread blocks for worlds up to a number of boxes.
+    """The size of the thread blocks for worlds of at most ``most_boxes`` boxes.
 
     Attributes:
         most_boxes: largest number of boxes of a world.
@@ -54,7 +54,7 @@ blocks fills a multiprocessor."""
 
 
 USUAL_SIZES: Final = (SIZES[0], FEW_BOXES, LAST)
-"""The blocks of most runs, which have no large plans."""
+"""The block sizes that most runs need, since most runs have no large plans."""
 
 
 def size_for(n_boxes: int) -> Size:

@@ -229,8 +229,8 @@ class MjxWarpEngine(Engine):
     def _slices_of(
         self, table: WorldTable, source: TableJobs, *, waits: bool, simulate: bool = True
     ) -> Generator[SliceResult]:
-        """The ended worlds of each time slice of a table (``TableSlices``). After an error, all kept memory is
-        freed."""
+        """The ended worlds of each time slice of a table (``TableSlices``). After an error, the buffers that the engine
+        keeps for its next run are freed."""
         queues = Queues(table.run.needs.queues, queue_of, table.rows, depth_first=self.depth_first)
         rollout_for = partial(self._rollouts.of, slice_ns=self.slice_ns)
         slices = TableSlices(table, source, queues, waits, self._pools, rollout_for)

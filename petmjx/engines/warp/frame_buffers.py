@@ -32,9 +32,9 @@ room, all other lanes may be about to write a frame. So a recorded world takes a
 of each lane."""
 
 FEWEST: Final = 1024
-"""Smallest number of frames that are transferred together. If a slice has more frames, eight times this number is
-transferred. If that is not enough, 64 times this number is transferred, and so on. No other numbers of frames are
-transferred, since each number needs its own compiled program."""
+"""Smallest number of frames that are transferred together. If a time slice (one call of the kernels) has more frames,
+eight times this number is transferred. If that is not enough, 64 times this number is transferred, and so on. No other
+numbers of frames are transferred, since each number needs its own compiled program."""
 
 _KINDS: Final = {name: wp.dtype_to_numpy(kind.dtype) for name, kind in world_arrays.array_types(FrameBuffer).items()}
 
@@ -70,8 +70,9 @@ def room_for_frames(
 
 
 def pick_frames(frames: dict[str, jax.Array]) -> PickedFrames:
-    """The frames of an ended slice, still on the device, and their number. Call this function before the next slice
-    begins: otherwise, the device would compute the whole next slice before it picks the frames."""
+    """The frames of an ended time slice (one call of the kernels), still on the device, and their number. Call this
+    function before the next slice begins: otherwise, the device would compute the whole next slice before it picks the
+    frames."""
     used, room = int(np.asarray(frames["used"])[0]), len(frames["of"])
     some = FEWEST
     while some < used:

@@ -121,8 +121,8 @@ _program = functools.lru_cache(8)(_Program)
 def _block_pool(
     sim: Simulation, blocks: Callable[[Launch], int], width: int, k: int, boards: int, worlds: int, growth: int
 ) -> BlockPool:
-    """The block pool for worlds of k boxes. If there are enough small worlds, a block has many of them, one per
-    warp."""
+    """The block pool (the thread blocks) for worlds of k boxes. If there are enough small worlds, a block has many of
+    them, one per warp."""
     launch = Launch.here(width, Features(lands=sim.physics.has_landings))
     pool = BlockPool.of(launch, blocks(launch), width, boards, growth * (width + MORE_BOXES))
     few = small_world_pool(pool, worlds) if k <= FEW_BOXES.most_boxes else None

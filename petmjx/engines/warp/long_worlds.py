@@ -97,7 +97,8 @@ class LongWorlds:
         return True
 
     def ended(self) -> Iterator[Outcome]:
-        """The outcomes of the worlds that have ended since the last call, with their stream numbers."""
+        """The outcomes of the worlds that have ended since the last call. ``Outcome.job`` is the job's number in the
+        run's stream of jobs."""
         for answer in self._simulator.ended(wait=False):
             if answer.number not in self._left:  # the task READY belongs to no world
                 continue

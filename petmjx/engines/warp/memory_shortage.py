@@ -21,7 +21,7 @@ class KeptRollouts:
     device.
 
     Args:
-        pools: object that chooses the block pools of a table.
+        pools: object that chooses the block pools (the thread blocks) for the worlds of a table.
     """
 
     def __init__(self, pools: BlockPools) -> None:

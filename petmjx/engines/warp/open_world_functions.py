@@ -123,7 +123,7 @@ class Simulator:
         return (state.running | ((state.status == Status.SETTLED) & driven)).any()
 
     def time_slice(self, open_: OpenState, profiles: Float[Array, "profile step 3"]) -> OpenState:
-        """Simulate the worlds for a time slice."""
+        """Simulate the worlds for a time slice (one call of the kernels)."""
         worlds, n = open_.worlds, len(open_.worlds.n_boxes)
         flat_worlds = worlds._asdict() | {"profiles": profiles, "order": jnp.arange(n, dtype=jnp.int32)[None]}
         flat = self._driving.begin_drives(open_.state, worlds).flat()

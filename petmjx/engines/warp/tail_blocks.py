@@ -47,9 +47,9 @@ def tail_pool(pool: BlockPool, lanes: int | None = None) -> BlockPool | None:
 
 
 def stiff_pool(pool: BlockPool, stiff: float, lanes: int | None = None) -> BlockPool:
-    """The block pool for those worlds of a table that have stiffer contacts than the other worlds. A world with stiffer
-    contacts takes more steps, with more iterations each, and further jobs may follow from its outcome. So the world
-    gets a block like the blocks for last worlds.
+    """The block pool (the thread blocks) for those worlds of a table that have stiffer contacts than the other worlds.
+    A world with stiffer contacts takes more steps, with more iterations each, and further jobs may follow from its
+    outcome. So the world gets a block like the blocks for last worlds.
 
     Args:
         pool: the block pool for other worlds of the same size.

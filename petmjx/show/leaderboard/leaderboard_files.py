@@ -26,8 +26,8 @@ ORDERS: Final = "orders.json"
 
 FILES: Final = "files"
 UNFINISHED: Final = "unfinished"
-"""Two keys in ``leaderboard.json``: the list of the files that belong to the board, and a mark for an unfinished
-board."""
+"""Two keys in ``leaderboard.json``: ``FILES`` for the list of the files that belong to the board, and ``UNFINISHED``
+for the mark of an unfinished board."""
 
 _MOST_BYTES: Final = 1 << 30
 _NO_FILE: Final = ".none"

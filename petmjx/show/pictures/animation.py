@@ -38,7 +38,8 @@ USUAL_LONGEST_S: Final = 20.0
 time."""
 
 MOST_FRAMED: Final = 400
-"""Largest number of frames of the history to which the camera of a film is fitted."""
+"""Largest number of frames of the history that determine where the camera of a film stands. These frames are spread
+evenly over the history."""
 
 GIF_COLOURS: Final = 255
 """Number of colours in a GIF. The last of the 256 possible colours marks pixels that do not change."""

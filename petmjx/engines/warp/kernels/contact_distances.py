@@ -2,8 +2,9 @@
 
 A box at rest on stiff contacts sinks by 0.1 to 1 µm. In single precision, positions have steps of 0.1 µm at a height of
 1 m, and the colliders of mujoco_warp have errors of the same size. With such distances, the boxes of a pallet never
-come to rest: contacts open and close, and boxes creep. So positions have a remainder (``State.qpos_remainder``), and
-the distance at each contact is computed again, from the surfaces on which the collider has placed its points.
+come to rest: contacts open and close, and boxes creep. So the part of a position that single precision cannot hold is
+stored separately (``State.qpos_remainder``). And the distance at each contact is computed again in double precision,
+from the surfaces on which the collider has placed its points.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Rows of contacts: the constraints of a world in the solver, and the contacts of each body.
 
 Contacts have MuJoCo's parameters (MuJoCo's documentation, "Modeling", "Solver parameters"). Each of the two bodies of a
-contact is free or does not move. So 27 numbers describe a contact: its frame, and three moment arms for each body.
+contact is either free to move in all directions or does not move at all. So 27 numbers describe a contact: nine for its
+frame, and nine (three moment arms) for each body.
 """
 
 from __future__ import annotations

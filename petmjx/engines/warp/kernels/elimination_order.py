@@ -30,8 +30,8 @@ RENEWED_EVERY = wp.constant(25)
 
 MANY_BOXES = wp.constant(96)
 """Largest number of placed boxes with which the carrier is ordered by its distance from the root, like the boxes,
-instead of coming last. In generated plans of 10 to 80 boxes, few boxes stand on the carrier. For these plans, the
-factor takes fewer operations if the carrier does not come last."""
+instead of coming last. In generated plans of 10 to 80 boxes, few boxes stand on the carrier. For these plans, computing
+the Cholesky factor takes fewer operations if the carrier does not come last."""
 
 UNREACHED = wp.constant(1 << 30)
 

@@ -21,8 +21,8 @@ def has_failed(
     state: Ref[State],
 ) -> bool:
     """Whether a box has failed irreversibly: it has dropped, or was tilted too far at a sample or at a check during a
-    drive. A shift is not irreversible: it is judged at rest, and may decrease until then. ``culprit`` is the world's
-    culprit; without a culprit, no box is checked."""
+    drive. A shift is not irreversible: it is judged at rest, and may decrease until then. ``culprit`` is the number of
+    the box that first crossed a threshold; if it is negative, no box has crossed one, and the result is False."""
     if culprit < 0:
         return False
     world = at.world

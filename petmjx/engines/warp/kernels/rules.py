@@ -57,8 +57,8 @@ NOTHING = wp.constant(release_places.NOTHING)
 
 @wp.func
 def _longest_wait(model: Ref[Model], worlds: Ref[Worlds], state: Ref[State], world: int, driven: bool) -> int:
-    """The last step of the longest wait of a world that keeps moving. The wait is counted from the last placement or,
-    in a drive, from the end of the drive."""
+    """The step at which a world that keeps moving stops waiting for rest. The wait is counted from the last placement
+    or, in a drive, from the end of the drive."""
     if driven:
         return state.driven_from[world] + worlds.drive_steps[world] + model.longest_steps
     return model.longest[state.last_placed_at[world]]
