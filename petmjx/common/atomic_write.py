@@ -53,7 +53,9 @@ def atomic_write(file: Path) -> Iterator[Path]:
         InputError: the file cannot be written.
     """
     if "\0" in str(file):
-        raise InputError(f"{printable(str(file))}: cannot be written: no file can have this name")
+        raise InputError(
+            f"{printable(str(file))}: cannot be written: the name of a file cannot contain a NUL character"
+        )
     target = file.resolve() if file.is_symlink() else file
     direct = file.exists() and not file.is_file()  # such as /dev/stdout, which no file can replace
     temporary = file if direct else target.with_name(f".{secrets.token_hex(8)}.{target.name}")

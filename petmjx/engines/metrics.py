@@ -279,8 +279,8 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     _largest(
         "max_top_force_n", "N", SampleAt.STEPS,
         "max F, where F is the force on the box's top (defined below); or `rest_top_force_n` if that is larger",
-        of_box="largest force on the box's top in any step, at least the force at rest",
-        of_world="largest force on the top of any box in any step, at least the force at rest", relative=True,
+        of_box="largest force on the box's top in any step; never less than the force at rest",
+        of_world="largest force on the top of any box in any step; never less than the force at rest", relative=True,
     ),
     _largest(
         "rest_top_force_n", "N", SampleAt.REST,
@@ -291,8 +291,8 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     ),
     BoxMetric(
         "pos", "m",
-        {"pos_x_m": "final centre, x", "pos_y_m": "final centre, y",
-         "pos_z_m": "final centre, z; 0 is the carrier's top"},
+        {"pos_x_m": "x of the final centre", "pos_y_m": "y of the final centre",
+         "pos_z_m": "z of the final centre; the carrier's top is at z = 0"},
         SampleAt.END, "the box's centre c; `petmjx compare` compares two runs by the distance between the two centres "
                       "of a box", compared=False,
     ),
@@ -329,8 +329,8 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     ),
     BoxMetric(
         "sustained_top_force_n", "N",
-        {"sustained_top_force_n": "largest value that the force at rest on the box's top has after the placement or "
-         "after a leg; null if the world has no legs"},
+        {"sustained_top_force_n": "largest force at rest on the box's top, after the placement or after any leg "
+         "(stage of a transport chain); null if the world has no legs"},
         SampleAt.REST,
         "largest of the values that `rest_top_force_n` has at the end of the placement and at the end of each leg",
         driven_only=True, legs_only=True, relative=True,
@@ -412,7 +412,7 @@ def _of_numbers(kind: type[BoxMetrics], numbers: FloatArray, shape: tuple[int, .
 FORCE_INTERVAL: Final = tuple(
     Column(
         name, "N", np.float32,
-        f"{word} force on the box's top at rest that balance and friction allow; null if it is not known",
+        f"{word} force at rest on the box's top that balance and friction allow; null if it is not known",
         compared=False,
     )
     for name, word in (("rest_top_force_low_n", "smallest"), ("rest_top_force_high_n", "largest"))

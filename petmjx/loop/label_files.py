@@ -360,7 +360,7 @@ def _page(card: dict[str, Any]) -> str:
         )
         + "",
         "",
-        "## From which orders, and how",
+        "## Where the orders come from, and how boxes are placed",
         "",
         f"Orders come from {source}. Boxes come in the order's sequence. {100 * options['explore']:g} % of them "
         "are first put at a random place: an extreme point inside the carrier at which the box rests on "
