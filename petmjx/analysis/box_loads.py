@@ -313,6 +313,6 @@ def _film_notes(results: RunResults) -> list[str]:
     if not (turns > 0).any() or "profile" not in results.worlds:
         return []
     return [
-        "film presses the boxes together, so after the pallet is shaken, friction between the layers changes the "
-        "forces at rest"
+        "film presses the boxes together, so after the pallet is shaken, forces at rest also depend on friction "
+        "between the layers"
     ]

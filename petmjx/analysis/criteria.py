@@ -543,7 +543,9 @@ class CriteriaOptions(CheckedRecord):
     )
     carrier: Annotated[
         AnyCarrier,
-        CliFlag("--carrier", "NAME|FILE", default="the run's carrier; else footprint, the plan's bounding box"),
+        CliFlag(
+            "--carrier", "NAME|FILE", default="the run's carrier; without a run, 'footprint' (the plan's bounding box)"
+        ),
     ] = Field(
         Carrier.FOOTPRINT,
         description="carrier on which the boxes stand, as for petmjx score; gaps between boards bear nothing, and a "

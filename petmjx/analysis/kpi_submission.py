@@ -167,7 +167,7 @@ def _faults(plan: Plan, placements: Sequence[Placement], order: Order, choice: i
         ordered = order.items[index]
         measures = (item["length/mm"], item["width/mm"], item["height/mm"], item["weight/kg"])
         if measures != (ordered.length_mm, ordered.width_mm, ordered.height_mm, ordered.weight_kg):
-            yield f", box {box}: size or weight differs from the order's {printable_name(ordered.article)}"
+            yield f", box {box}: size or weight differs from those of {printable_name(ordered.article)} in the order"
         corner = placement["flb_coordinates"]
         if not all(isinstance(value, int) for value in corner):
             yield f", box {box}: coordinates must be whole millimetres, got {corner}"

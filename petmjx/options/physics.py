@@ -132,9 +132,9 @@ class Physics(CheckedRecord):
     )
     slip_correction: bool = Field(
         True,
-        description="whether sliding leaves the normal force of a contact unchanged, with elliptic cones "
-        "(petmjx/world/contact_laws.py); if false, sliding increases the normal force, as in MuJoCo itself, and "
-        "sliding boxes hop",
+        description="with elliptic cones: true: sliding leaves the normal force of a contact unchanged "
+        "(petmjx/world/contact_laws.py); false: sliding increases the normal force, as in MuJoCo itself, so sliding "
+        "boxes hop",
     )
     kinetic_friction_share: Annotated[float, within(0.1, 1)] = Field(
         1.0,
