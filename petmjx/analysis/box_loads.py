@@ -48,16 +48,16 @@ _BOX_UNITS: Final = {
     "rest_top_force_n": ("N", "force on top of the box at rest"),
     "rest_top_force_low_n": (
         "N",
-        "smallest force on top of the box at rest that balance and friction allow; null if unknown",
+        "smallest force at rest on top of the box that balance and friction allow; null if unknown",
     ),
     "rest_top_force_high_n": (
         "N",
-        "largest force on top of the box at rest that balance and friction allow; null if unknown",
+        "largest force at rest on top of the box that balance and friction allow; null if unknown",
     ),
     SUSTAINED: (
         "N",
-        "largest value that the force at rest on top of the box has after the placement or after a leg of a "
-        "chain; null if the world has no legs",
+        "largest force at rest on top of the box, after the placement or after any leg (stage of a transport "
+        "chain); null if the world has no legs",
     ),
     "max_top_force_n": ("N", "largest force on top of the box in any step, also while it is placed or shaken"),
     "press_strength_n": ("N", "strength of the box between the plates of a press; null if unknown"),
@@ -96,12 +96,12 @@ _PLAN_UNITS: Final = {
         "number of boxes with a load_share_high above 1, including the surely overloaded boxes",
     ),
     "max_load_share": ("1", "largest load_share of any box"),
-    "box": ("1", "number of the box with the largest load_share"),
+    "box": ("1", "number (in packing order, from 0) of the box with the largest load_share"),
     "article": ("", "article of the box with the largest load_share"),
     "overloaded_at_peak": ("1", "whether the peak_share of any box is above 1; null if unknown"),
     "n_overloaded_at_peak": ("1", "number of boxes with a peak_share above 1"),
     "max_peak_share": ("1", "largest peak_share of any box"),
-    "peak_box": ("1", "number of the box with the largest peak_share"),
+    "peak_box": ("1", "number (in packing order, from 0) of the box with the largest peak_share"),
     "peak_article": ("", "article of the box with the largest peak_share"),
     **PLAN_UNITS,
 }
@@ -313,6 +313,6 @@ def _film_notes(results: RunResults) -> list[str]:
     if not (turns > 0).any() or "profile" not in results.worlds:
         return []
     return [
-        "film presses the boxes together, so after the pallet is shaken, friction between the layers changes the "
-        "forces at rest"
+        "film presses the boxes together, so after the pallet is shaken, forces at rest also depend on friction "
+        "between the layers"
     ]

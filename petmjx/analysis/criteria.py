@@ -493,8 +493,8 @@ CRITERIA: Final = (
     ),
     Criterion(
         "load_points",
-        f"the load has at least {LEAST_POINTS:g} of the {sum(MOST_POINTS.values()):g} points that a seller's five "
-        "rules can give",
+        f"the load has at least {LEAST_POINTS:g} of the {sum(MOST_POINTS.values()):g} points that five rules of "
+        "thumb can give (docs/criteria.md)",
         f"for the last box, the load's points minus {LEAST_POINTS:g}; for all other boxes, "
         f"{sum(MOST_POINTS.values()) - LEAST_POINTS:g}",
         DIMENSIONLESS,
@@ -542,7 +542,9 @@ class CriteriaOptions(CheckedRecord):
     )
     carrier: Annotated[
         AnyCarrier,
-        CliFlag("--carrier", "NAME|FILE", default="the run's carrier; else footprint, the plan's bounding box"),
+        CliFlag(
+            "--carrier", "NAME|FILE", default="the run's carrier; without a run, 'footprint' (the plan's bounding box)"
+        ),
     ] = Field(
         Carrier.FOOTPRINT,
         description="carrier on which the boxes stand, as for petmjx score; gaps between boards bear nothing, and a "
@@ -559,7 +561,7 @@ class CriteriaOptions(CheckedRecord):
     )
     p_arrives: Annotated[float, within(0, 1), CliFlag("--p-arrives", "P")] = Field(
         0.5,
-        description="with the run of a chain: least share of a plan's worlds that must arrive so that the plan counts "
+        description="if the run is of a chain: least share of a plan's worlds that must arrive so that the plan counts "
         "as standing",
     )
     seed: Annotated[int, within(0, 2**63 - 1), CliFlag("--seed", "SEED")] = Field(

@@ -101,7 +101,7 @@ def documented_boxes(criteria: Sequence[Criterion]) -> Described:
         DIMENSIONLESS,
         "number of areas on which the box lies: one for each box below, one for the carrier or for each of its boards",
     )
-    columns["support_share"] = (DIMENSIONLESS, "borne share of the base")
+    columns["support_share"] = (DIMENSIONLESS, "share of the box's base that is borne")
     columns["corners"] = (DIMENSIONLESS, "number of bottom corners that lie on something")
     for criterion in criteria:
         columns[criterion.name] = (DIMENSIONLESS, f"whether, when the box is placed, {criterion.asks}")
@@ -113,12 +113,19 @@ def documented_plans(criteria: Sequence[Criterion]) -> Described:
     """The units and descriptions of the columns of the table ``plans``."""
     columns = dict(_PLAN_ID)
     columns["n_boxes"] = (DIMENSIONLESS, "number of boxes of the plan")
-    columns["support_share"] = (DIMENSIONLESS, "smallest borne share of the base of any box")
+    columns["support_share"] = (
+        DIMENSIONLESS,
+        "smallest value, among the plan's boxes, of the share of the base that is borne",
+    )
     for criterion in criteria:
-        columns[criterion.name] = (DIMENSIONLESS, f"whether, for each box when it is placed, {criterion.asks}")
+        columns[criterion.name] = (
+            DIMENSIONLESS,
+            f"whether this holds for each box when it is placed: {criterion.asks}",
+        )
         columns[f"{criterion.name}_first"] = (
             DIMENSIONLESS,
-            "number of the first box that the criterion does not accept; null if it accepts all boxes",
+            "number (in packing order, from 0) of the first box that the criterion does not accept; null if it accepts "
+            "all boxes",
         )
         columns[f"{criterion.name}_slack"] = (
             criterion.unit,
@@ -146,8 +153,8 @@ def criteria_vs_physics_columns() -> Described:
         columns[f"{name}_high"] = (DIMENSIONLESS, f"upper end of the 95 % interval of {name}, by bootstrap over plans")
     columns["same_first_box"] = (
         DIMENSIONLESS,
-        "number of plans that the criterion refuses and that fall in the simulation, and for which the first box "
-        "that the criterion refuses is the box that fails first in the simulation",
+        "number of plans that the criterion refuses, that fall in the simulation, and whose first refused box is "
+        "also the first box that fails in the simulation",
     )
     for name, says in zip(ARRIVES, ("accepts", "refuses"), strict=True):
         columns[name] = (

@@ -24,13 +24,13 @@ BOX_UNITS: Final = {
     ),
     "crush_share_low": (
         "1",
-        "the larger of two quotients. At rest: smallest possible force / largest possible strength. At the peak: "
-        "largest force in any step / largest possible strength for a short time",
+        "the larger of two quotients. At rest: smallest possible force at rest / largest possible strength against "
+        "lasting forces. At the peak: largest force in any step / strength_high_n",
     ),
     "crush_share_high": (
         "1",
-        "the larger of two quotients. At rest: largest possible force / smallest possible strength. At the peak: "
-        "largest force in any step / smallest possible strength for a short time",
+        "the larger of two quotients. At rest: largest possible force at rest / smallest possible strength against "
+        "lasting forces. At the peak: largest force in any step / strength_low_n",
     ),
 }
 PLAN_UNITS: Final = {
@@ -38,7 +38,7 @@ PLAN_UNITS: Final = {
         "",
         "surely, possibly or not: whether a box of the plan is crushed, at rest or at the peak; null if unknown",
     ),
-    "crush_box": ("1", "number of the box with the largest crush_share_high"),
+    "crush_box": ("1", "number (in packing order, from 0) of the box with the largest crush_share_high"),
 }
 
 SUSTAINED: Final = "sustained_top_force_n"

@@ -79,7 +79,8 @@ def read_stability(sources: Sequence[RunResults | Path], plans: Collection[Plan]
     notes = [line for run in runs for line in run.doubts(run.where)]
     if static is None:
         notes.append(
-            f"kpi_6 needs a run with check static, but the run {runs[0].where} has check {_check(runs[0])}: give also "
+            f"kpi_6 needs a run with --check static, but the run {runs[0].where} was made with --check "
+            f"{_check(runs[0])}: give also "
             "--run DIR with a run made by petmjx score PLANS --check static --out DIR"
         )
     invalid = Verdict.INVALID.value

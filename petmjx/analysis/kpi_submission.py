@@ -86,9 +86,9 @@ def parse_name(text: str, today: Callable[[], datetime.date] = datetime.date.tod
     p, s = (int(number or 1) for number in match.groups()) if match else (0, 1)
     if match is None or not 1 <= s <= p:
         raise InputError(
-            f"leaderboard name {printable_name(text)}: the task must be offline3dbp, o3dbp or o3dbp-p-s with p ≥ s ≥ "
-            "1, such as "
-            f"o3dbp-3-2, got {printable_name(task) or 'nothing'}"
+            f"leaderboard name {printable_name(text)}: the task must be offline3dbp, o3dbp or o3dbp-p-s (p: number "
+            "of items known in advance, s: number of items to choose from, p ≥ s ≥ 1), such as o3dbp-3-2, "
+            f"got {printable_name(task) or 'nothing'}"
         )
     return Submission(date, surname, algorithm, task, None if task.lower().startswith("offline") else s)
 
@@ -167,7 +167,7 @@ def _faults(plan: Plan, placements: Sequence[Placement], order: Order, choice: i
         ordered = order.items[index]
         measures = (item["length/mm"], item["width/mm"], item["height/mm"], item["weight/kg"])
         if measures != (ordered.length_mm, ordered.width_mm, ordered.height_mm, ordered.weight_kg):
-            yield f", box {box}: size or weight differs from the order's {printable_name(ordered.article)}"
+            yield f", box {box}: size or weight differs from those of {printable_name(ordered.article)} in the order"
         corner = placement["flb_coordinates"]
         if not all(isinstance(value, int) for value in corner):
             yield f", box {box}: coordinates must be whole millimetres, got {corner}"

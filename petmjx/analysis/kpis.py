@@ -55,7 +55,7 @@ def _text(name: str, meaning: str) -> KpiColumn:
 
 COLUMNS: Final = (
     _text("plan_id", "id of the packing plan and of its order"),
-    _text("target", "the order's target: euro-pallet 1200 × 800 mm, rollcontainer 800 × 700 mm"),
+    _text("target", "the order's target: 'euro-pallet' (1200 × 800 mm) or 'rollcontainer' (800 × 700 mm)"),
     KpiColumn("n_ordered", "int64", "1", "number of boxes of the order"),
     KpiColumn("n_boxes", "int64", "1", "number of boxes of the plan"),
     KpiColumn(

@@ -357,13 +357,13 @@ _NUMBERS: Final = {
     "packer `a`",
     "p": "p-value of McNemar's exact test; null if there is no test",
     "p_holm": "p-value of McNemar's exact test, corrected for the number of pairs (Holm)",
-    "p_arrives": "share of worlds with errors that arrive at the end of a chain; in the table `packers`: mean over "
-    "orders",
-    "p_low": "lower end of the interval of the mean of p_arrives over orders",
-    "p_high": "upper end of the interval of the mean of p_arrives over orders",
+    "p_arrives": "share of a plan's worlds, each with random errors, that arrive at the end of a chain; in the table "
+    "`packers`: mean over orders",
+    "p_low": "lower end of the interval of the mean of `p_arrives` over orders",
+    "p_high": "upper end of the interval of the mean of `p_arrives` over orders",
     "p_gain": "`p_arrives` of packer `b` minus `p_arrives` of packer `a`, as a mean over orders",
-    "p_gain_low": "lower end of the interval of p_gain over orders",
-    "p_gain_high": "upper end of the interval of p_gain over orders",
+    "p_gain_low": "lower end of the interval of `p_gain`, a mean over orders",
+    "p_gain_high": "upper end of the interval of `p_gain`, a mean over orders",
     "margin": "distance to the nearest threshold as a share of that threshold",
 }
 _TEXTS: Final = {

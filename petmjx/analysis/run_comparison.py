@@ -33,8 +33,14 @@ KEY: Final = ["plan_id", "variant"]
 BOX_KEY: Final = ["plan_id", "variant", "box"]
 
 POSE: Final = (
-    Column("position_m", "m", np.float64, "distance between the final centres", compared=True),
-    Column("orientation_deg", "deg", np.float64, "angle between the final orientations", compared=True),
+    Column("position_m", "m", np.float64, "distance between the box's final centres in the two runs", compared=True),
+    Column(
+        "orientation_deg",
+        "deg",
+        np.float64,
+        "angle between the box's final orientations in the two runs",
+        compared=True,
+    ),
 )
 """The two metrics by which the poses of a box in two runs are compared. Single components of a pose are not
 compared."""

@@ -212,7 +212,7 @@ def _engine_of(config: Mapping[str, Any]) -> tuple[Engine, str]:
     if name not in ENGINES:
         return make_engine(
             "mujoco"
-        ), f"simulated on mujoco: the run's engine {printable_name(str(name))} is not petmjx's own"
+        ), f"simulated on mujoco, because the run's engine {printable_name(str(name))} is not one of petmjx's own"
     try:
         return make_engine(name, lanes=config.get("lanes") if has_option(name, "lanes") else None), ""
     except EngineUnavailable as error:

@@ -167,7 +167,7 @@ def notes_in_words(story: Story) -> list[str]:
     if outcome.flags & Flag.LEANS:
         notes.append(_leans(story))
     if outcome.flags & Flag.NOT_PLACED:
-        notes.append("The hand found no room for a box: it released the box beside its place.")
+        notes.append("The robot's hand found no room for a box, and released the box beside its planned place.")
     if outcome.flags & Flag.TIMESTEP:
         notes.append("A simulation with half the timestep gives another verdict.")
     return notes

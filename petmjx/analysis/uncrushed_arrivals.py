@@ -13,9 +13,9 @@ from petmjx.engines.verdict import Verdict
 
 WAY_UNITS: Final = {
     "plan_id": ("", "id of the packing plan"),
-    "remedy": ("", "name of the remedy, which changes one leg; empty: the unchanged chain"),
+    "remedy": ("", "name of the remedy (a change of one leg of the chain); empty: the unchanged chain"),
     "n_worlds": ("1", "number of worlds with a verdict"),
-    "n_standing": ("1", "number of worlds that arrive"),
+    "n_standing": ("1", "number of worlds that arrive at the end of the chain"),
     "n_whole": ("1", "number of worlds that arrive without a possibly crushed box"),
     "n_possibly_whole": ("1", "number of worlds that arrive without a surely crushed box"),
     "share": ("1", "n_standing / n_worlds"),

@@ -57,7 +57,8 @@ def criteria(
         ),
     ] = None,
     processes: Annotated[
-        int | None, typer.Option("--processes", metavar="N", help="Processes. [default: one for each CPU thread]")
+        int | None,
+        typer.Option("--processes", metavar="N", help="Number of processes. [default: one for each CPU thread]"),
     ] = None,
     pdf: Pdf = None,
     svg: Svg = None,

@@ -33,7 +33,8 @@ def info(
         typer.Option(
             "--html",
             metavar="FILE.html",
-            help="Write a page: pictures of the plans, columns, units, and the other readings.",
+            help="Write a page with pictures of the plans, the columns and units as petmjx reads them, and other "
+            "possible readings of the file.",
         ),
     ] = None,
     overwrite: opt.Overwrite = False,

@@ -17,7 +17,10 @@ from petmjx.common.text import printable
 def kpis(
     plans: Annotated[list[Path], typer.Argument(metavar="PLANS…", help=opt.PLANS_HELP)],
     orders: Annotated[
-        Path, typer.Option("--orders", metavar="FILE", help="Orders of the plans, BED-BPP's or of any other form.")
+        Path,
+        typer.Option(
+            "--orders", metavar="FILE", help="File of the orders of the plans, in BED-BPP's form or any other."
+        ),
     ],
     run: Annotated[
         list[Path] | None,
@@ -42,7 +45,8 @@ def kpis(
             metavar="NAME",
             help="Check the plans as a submission to BED-BPP's leaderboard, and write it to --out (by default to the "
             "current folder). NAME is SURNAME_ALGORITHM_TASK, with a date in front if the submission is not of today; "
-            "the task is offline3dbp, o3dbp or o3dbp-p-s.",
+            "the task is offline3dbp, o3dbp or o3dbp-p-s (the packer knows the next p items, and chooses from the next "
+            "s items).",
         ),
     ] = None,
     assume_stable: Annotated[

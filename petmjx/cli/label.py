@@ -45,8 +45,8 @@ def label(
         typer.Option(
             "--worlds-with-errors",
             metavar="N",
-            help="Also simulate each labelled placement in N worlds in which a robot places the box inexactly (column "
-            "`share`).",
+            help="Also simulate each labelled placement in N worlds in which a robot places the box inexactly; the "
+            "column `share` has the share of these worlds in which the pallet stands.",
         ),
     ] = None,
     explore: Annotated[
@@ -62,8 +62,8 @@ def label(
         typer.Option(
             "--pallets",
             metavar="N",
-            help="Number of pallets that are packed side by side, which changes no label. [default: 4096 on a GPU, "
-            "else 64]",
+            help="Number of pallets that are packed at the same time; the labels do not depend on it. "
+            "[default: 4096 on a GPU, else 64]",
         ),
     ] = None,
     max_height_mm: Annotated[

@@ -35,7 +35,8 @@ def leaderboard(
         typer.Option(
             "--orders",
             metavar="FILE",
-            help="Orders of the plans, in any form; with orders, the site also shows boxes left out and KPIs.",
+            help="Orders of the plans, in any form; with orders, the site also shows KPIs and how many boxes are left "
+            "out.",
         ),
     ] = None,
     baselines: Annotated[

@@ -83,7 +83,7 @@ def repair(
     except RepairInterrupted as stop:
         result, interrupted = stop.repairs, True
         if not result.each:
-            raise RunInterrupted("no plan was searched to the end; nothing was written") from None
+            raise RunInterrupted("no search for a repair was finished; nothing was written") from None
     print_skipped(result.skipped)
     if out is not None:
         result.save(out)
@@ -98,7 +98,9 @@ def repair(
     if not as_json:
         print_renderables(_written(result, out, html), results_console())
     if interrupted:
-        how_far = f"{len(result.each):,} of {count_text(watcher.total or 0, 'plan')} were searched to the end"
+        how_far = (
+            f"repairs were searched to the end for {len(result.each):,} of {count_text(watcher.total or 0, 'plan')}"
+        )
         raise RunInterrupted(f"{how_far}; the results contain only these plans")
 
 

@@ -181,7 +181,10 @@ def samples(
     print(f"{count_text(written, 'plan')} in {printable(str(out))}{_totals(boxes, len(left_out))}")
     share = loose_share_of(packer, loose_share)
     if orders is None and share > 0 and packer in (None, BASELINE):
-        print(f"about {100 * share:.3g} % of them are packed loosely on purpose; to compare packers: --loose-share 0")
+        print(
+            f"about {100 * share:.3g} % of these plans are packed loosely on purpose; "
+            "to compare packers, use --loose-share 0"
+        )
 
 
 def _print_left_out(lines: Sequence[str], *, drawn: bool) -> None:

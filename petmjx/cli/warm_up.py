@@ -19,8 +19,8 @@ def warm_up(
         typer.Option(
             "--arch",
             metavar="NN,…",
-            help="GPUs to compile for, as compute capability times ten: 80 A100, 86 A10, 89 L4, 90 H100, 100 B200, 120 "
-            "RTX 50. The machine itself needs no GPU.",
+            help="GPUs to compile for, as compute capability times ten: 80 (A100), 86 (A10), 89 (L4), 90 (H100), 100 "
+            "(B200), 120 (RTX 50). The machine itself needs no GPU.",
             show_default="the GPU of this machine",
         ),
     ] = None,

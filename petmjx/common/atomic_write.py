@@ -53,7 +53,9 @@ def atomic_write(file: Path) -> Iterator[Path]:
         InputError: the file cannot be written.
     """
     if "\0" in str(file):
-        raise InputError(f"{printable(str(file))}: cannot be written: no file can have this name")
+        raise InputError(
+            f"{printable(str(file))}: cannot be written: the name of a file cannot contain a NUL character"
+        )
     target = file.resolve() if file.is_symlink() else file
     # no file can replace a path such as /dev/stdout, so it is written to directly
     direct = file.exists() and not file.is_file()

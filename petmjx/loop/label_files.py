@@ -360,7 +360,7 @@ def _page(card: dict[str, Any]) -> str:
         )
         + "",
         "",
-        "## From which orders, and how",
+        "## Where the orders come from, and how boxes are placed",
         "",
         f"Orders come from {source}. Boxes come in the order's sequence. {100 * options['explore']:g} % of them "
         "are first put at a random place: an extreme point inside the carrier at which the box rests on "
@@ -385,13 +385,13 @@ def _page(card: dict[str, Any]) -> str:
     lines += ["", "## Baselines", ""]
     if not card["baselines"]:
         return "\n".join(
-            [*lines, "No rule is rated: in the split test, no placement stands, or no placement falls.", ""]
+            [*lines, "No rule is rated, because no placement of the split `test` stands, or none falls.", ""]
         )
     first = next(iter(card["baselines"].values()))
     lines += [
-        f"On {count_text(first['labels'], 'label')} of the split test: the share of the standing placements that a "
-        "rule accepts, the share of the falling placements that it refuses, and the mean of both (0.5: as good as a "
-        "guess).",
+        f"On {count_text(first['labels'], 'label')} of the split `test`. Column `standing`: share of the standing "
+        "placements that the rule accepts; `falling`: share of the falling placements that the rule refuses; `mean`: "
+        "mean of both (0.5: as good as a guess).",
         "",
         "| baseline | standing | falling | mean |",
         "| --- | ---: | ---: | ---: |",

@@ -120,9 +120,7 @@ class Pallets(Closable):
 
     def _check_placing(self) -> None:
         if self._standing.placing:
-            raise InputError(
-                "meanwhile: pallets are still coming to rest; only places, boxes and height maps can be read"
-            )
+            raise InputError("meanwhile: while pallets come to rest, only places, boxes and height_map can be called")
 
     @property
     def engine(self) -> str:

@@ -83,7 +83,9 @@ def grid_of(grid_mm: Any, extent_mm: tuple[float, float]) -> FloatArray:
     """
     corners = array_of(grid_mm, "grid_mm", (2,))
     if ((corners < 0) | (corners > extent_mm)).any():
-        raise InputError("grid_mm must be corners on the carrier, which has {:g} × {:g} mm".format(*extent_mm))
+        raise InputError(
+            "grid_mm: all points must lie on the carrier, from (0, 0) to ({:g}, {:g}) mm".format(*extent_mm)
+        )
     return corners
 
 

@@ -53,7 +53,10 @@ TERMS: Final[dict[str, tuple[str, Callable[[Placement], FloatArray]]]] = {
         _utilisation,
     ),
     "fall": ("-1 where the pallet does not stand", lambda p: np.where(p.results.stable, 0.0, -1.0)),
-    "margin": ("the pallet's margin, from -1 to 1; -1 if invalid", _margin),
+    "margin": (
+        "the pallet's margin (distance to the nearest threshold), from -1 to 1; -1 if the verdict is invalid",
+        _margin,
+    ),
     "load": ("minus the largest force on a box's top, as a share of the weight of all boxes", _load),
     "height": (
         "minus the increase of the pallet's height, as a share of the largest height",

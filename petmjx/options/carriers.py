@@ -163,7 +163,7 @@ class OwnCarrier(CheckedRecord):
 
     name: Name = Field("", description="name of the carrier; by default the name of its file")
     mass_kg: Mass | None = Field(
-        None, description="mass of all boards together, kg; only if no board has a mass of its own"
+        None, description="mass of all boards together, kg; give it only if no board has a mass of its own"
     )
     friction: Coefficient | None = Field(
         None, description="coefficient of sliding friction of the boards that have no friction of their own"
@@ -173,7 +173,9 @@ class OwnCarrier(CheckedRecord):
         description="material of the boards that have no material of their own; friction between two materials depends "
         "on it",
     )
-    walls: Walls = Field(Walls(), description="walls around the carrier's top, as for the option walls")
+    walls: Walls = Field(
+        Walls(), description="walls around the carrier's top; they have the same fields as the option 'walls'"
+    )
     boards: Annotated[tuple[Board, ...], Field(min_length=1, max_length=MOST_BOARDS)] = Field(
         description="one table [[boards]] for each board, with corner_mm, size_mm and mass_kg"
     )

@@ -20,8 +20,8 @@ class Confidence(CheckedRecord):
     confidence: Annotated[int | None, within(4, 100_000), CliFlag("--confidence", "N")] = Field(
         None,
         description="also simulate each plan in this many worlds with random errors of placement, friction, mass and "
-        "size, and report the share of worlds in which the plan stands; at least 4, since fewer worlds cannot show "
-        "that the share differs from one half",
+        "size, and report the share of worlds in which the plan stands. At least 4 worlds are needed, since fewer "
+        "cannot show that the share differs from one half",
     )
     errors: Annotated[File | None, CliFlag("--errors", "FILE", default="the ready-made sweep confidence")] = Field(
         None, description="sweep file with the random errors of the robot and of the cartons"
@@ -29,8 +29,9 @@ class Confidence(CheckedRecord):
 
     exact_too: Annotated[bool, CliFlag("--exact-too")] = Field(
         False,
-        description="also simulate each world with errors a second time, with boxes that appear at their places "
-        "instead of being carried; report the plans whose two shares of standing worlds differ by more than chance",
+        description="simulate each world with errors a second time, with boxes that appear at their places instead of "
+        "being carried; report the plans whose share of standing worlds differs between the two simulations by more "
+        "than chance",
     )
 
     @model_validator(mode="after")

@@ -108,8 +108,8 @@ class FrictionPair(_MaterialPair):
     )
     kinetic: Annotated[StrictFloat, Field(ge=0, le=100)] | None = Field(
         None,
-        description="coefficient of friction while the materials slide on each other, at most the value of friction; "
-        "by default friction times physics.kinetic_friction_share",
+        description="coefficient of friction while the materials slide on each other, at most 'friction'; by default "
+        "'friction' times physics.kinetic_friction_share",
     )
 
     @model_validator(mode="after")

@@ -118,8 +118,8 @@ class Physics(CheckedRecord):
     )
     solreffriction: Annotated[tuple[float, float], AfterValidator(_contact_times)] = Field(
         (0.004, 1.0),
-        description="MuJoCo's solreffriction: time constant of friction, s, and damping ratio of friction, with "
-        "elliptic cones; 0, 0: friction has the values of solref",
+        description="MuJoCo's solreffriction, which needs elliptic cones: time constant of friction, s, and damping "
+        "ratio of friction; 0, 0: friction uses the values of solref",
     )
     solimp: Annotated[Triple, AfterValidator(_impedances)] = Field(
         (0.1, 0.999, 0.0001),
@@ -132,9 +132,9 @@ class Physics(CheckedRecord):
     )
     slip_correction: bool = Field(
         True,
-        description="whether sliding leaves the normal force of a contact unchanged, with elliptic cones "
-        "(petmjx/world/contact_laws.py); if false, sliding increases the normal force, as in MuJoCo itself, and "
-        "sliding boxes hop",
+        description="with elliptic cones: true: sliding leaves the normal force of a contact unchanged "
+        "(petmjx/world/contact_laws.py); false: sliding increases the normal force, as in MuJoCo itself, so sliding "
+        "boxes hop",
     )
     kinetic_friction_share: Annotated[float, within(0.1, 1)] = Field(
         1.0,

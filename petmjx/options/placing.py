@@ -51,8 +51,8 @@ class Placing(CheckedRecord):
     )
     speed_m_s: Annotated[float, within(0.001, 10), CliFlag("--placing-speed", "M/S")] = Field(
         0.08,
-        description="with placing=hand or tines: largest speed of a carried box, m/s; a box moves faster if its path "
-        "would otherwise take more than 2 s",
+        description="with placing=hand or tines: largest speed of a carried box, m/s; exception: if a box would need "
+        "more than 2 s for its path, it moves faster",
     )
     force_n: Annotated[float, within(0.1, 100_000), CliFlag("--placing-force-n", "N")] = Field(
         100.0,

@@ -53,7 +53,7 @@ class Quiet(CheckedRecord):
         50,
         ge=1,
         description="number of steps for which a box counts as landing after its placement; in these steps, no rest "
-        "window begins, and no acceleration is a sign of an explosion",
+        "window begins, and accelerations do not count as signs of an explosion",
     )
     poll_steps: Annotated[int, within(1, MOST_STEPS)] = Field(
         5, ge=1, description="number of steps between two checks whether the pallet is quiet"
@@ -76,8 +76,8 @@ class Quiet(CheckedRecord):
     tremble_share: Annotated[float, within(0, 1)] = Field(
         0.25,
         ge=0,
-        description="a box trembles if, during a window of tremble_steps, its distance from its place at the beginning "
-        "of the window is at most this share of the path that it travels in the window",
+        description="share of a path: a box trembles if, throughout a window of tremble_steps, its distance from where "
+        "it was when the window began is at most this share of the path that it travels in the window",
     )
 
     @property

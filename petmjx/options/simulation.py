@@ -107,8 +107,8 @@ class Simulation(CheckedRecord):
     landing_pairs: tuple[LandingPair, ...] = Field(
         (),
         max_length=100,
-        description="how boxes bounce and stop when they land, for pairs of materials, in addition to petmjx's own; "
-        "each entry has the key 'between', a list of two materials, and 'restitution', 'landing_s' or both",
+        description="values for pairs of materials, in addition to petmjx's own: how boxes bounce and stop when they "
+        "land; each entry has the key 'between', a list of two materials, and 'restitution', 'landing_s' or both",
     )
     size_reduction_mm: Annotated[float, within(0, 1000), CliFlag("--size-reduction-mm", "MM")] = Field(
         0.1,
@@ -126,7 +126,7 @@ class Simulation(CheckedRecord):
         10.0,
         ge=0,
         description="longest wait for a pallet to come to rest, s: before a world ends and, with schedule=adaptive, "
-        "before the next box is placed. A world that still moves after this wait has the flag moving",
+        "before the next box is placed. A world that still moves after this wait has the flag 'moving'",
     )
     duration_s: Annotated[float, within(0, LONGEST_S), CliFlag("--duration", "S")] = Field(
         10.0,
@@ -168,7 +168,7 @@ class Simulation(CheckedRecord):
     check_timestep: Annotated[bool, CliFlag("--check-timestep")] = Field(
         False,
         description="simulate again, at half the timestep, the worlds whose margin is between -0.5 and 0.5, and report "
-        "the worlds whose verdict then changes (flag timestep)",
+        "the worlds whose verdict then changes (flag 'timestep')",
     )
     soft: Annotated[bool, CliFlag("--soft")] = Field(
         False,
@@ -177,8 +177,9 @@ class Simulation(CheckedRecord):
     )
     attempts: Annotated[Attempts, CliFlag("--attempts")] = Field(
         Attempts.RIGID,
-        description="soft: a world gets one more attempt, with all boxes as flex bodies, if it is invalid after all "
-        "other attempts, or if soft contacts may have decided its verdict; rigid: it does not get this attempt",
+        description="attempts to simulate a world: soft: a world gets one more attempt, with all boxes as flex bodies, "
+        "if it is invalid after all other attempts, or if soft contacts may have decided its verdict; rigid: no "
+        "world gets this attempt",
     )
     placing: Placing = Field(Placing(), description="how a box is placed")
     wrap: Wrap = Field(Wrap(), description="stretch film around a pallet that is shaken")
@@ -193,9 +194,9 @@ class Simulation(CheckedRecord):
     iteration_limit: Annotated[int | None, within(1, MOST_ITERATIONS), CliFlag("--iteration-limit", "N")] = Field(
         None,
         gt=0,
-        description="largest number of solver iterations of a world; with a profile: of the placement, and again of "
-        "the profile. A world that reaches this number ends, and has a verdict only if a box has dropped or tilted "
-        "too far; none: no limit",
+        description="largest number of solver iterations of a world; with a profile (a motion of the carrier), the "
+        "placement and the profile may each take this number. A world that reaches this number ends, "
+        "and has a verdict only if a box has dropped or tilted too far; none: no limit",
     )
     solver_tolerance: Annotated[float | None, within(0, 1)] = Field(
         None, gt=0, description="MuJoCo's opt.tolerance; none: the engine's own choice"

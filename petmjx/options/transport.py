@@ -18,6 +18,6 @@ class Transport(CheckedRecord):
         None,
         description="transport chain, from the robot to the dock, through which each plan is taken in worlds with "
         "random errors; the run reports how likely each pallet is to arrive. Give the name of a ready-made chain, "
-        "such as chain-film-truck, or a sweep file with legs. The option confidence, else the chain's file, sets the "
-        "number of worlds",
+        "such as chain-film-truck, or a sweep file with legs. The option confidence sets the number of worlds; by "
+        "default, the chain's file sets it",
     )

@@ -130,9 +130,9 @@ HANDMADE: tuple[HandmadePlan, ...] = (
     ),
     HandmadePlan(
         "hand-staircase",
-        "each box hangs over by only 40 % of its length, but the common centre of the upper two boxes is 60 % of the "
-        "length from the lowest box's centre: the stair tips over the lowest box's edge, although every single box "
-        "passes a support rule of 0.6",
+        "each box hangs over by only 40 % of its length, so it passes a support rule of 0.6. But the common centre of "
+        "the upper two boxes is 60 % of the length from the lowest box's centre, so both tip over the lowest box's "
+        "edge",
         _cartons((0, 0, 0), (160, 0, 200), (320, 0, 400)),
         culprit=2,
     ),

@@ -11,7 +11,7 @@ from petmjx.common.text import count_text, printable_name
 from petmjx.packers.baseline_packer import PlacedBox
 from petmjx.plans.order import Order
 
-NO_PLACE: Final = "no packing has room for more"
+NO_PLACE: Final = "no packing has room for more boxes"
 FALLS: Final = "packings with more boxes do not stand often enough"
 
 

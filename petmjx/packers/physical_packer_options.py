@@ -68,6 +68,6 @@ class PhysicalOptions(CheckedRecord):
     )
     maximise: Annotated[Literal["utilisation", "share"], CliFlag("--maximise", "utilisation|share")] = Field(
         "utilisation",
-        description="what is maximised: utilisation: the utilisation of a packing that stands in at least least_share "
-        "of the worlds with errors; share: the share of worlds with errors in which a packing stands",
+        description="what is maximised: utilisation: the utilisation, among packings that stand in enough of the "
+        "worlds with errors (option least_share); share: the share of worlds with errors in which a packing stands",
     )

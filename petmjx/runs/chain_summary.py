@@ -43,7 +43,7 @@ _COUNTS: Final = ["n_worlds", "n_standing", "n_invalid"]
 _DESCRIPTIONS: Final = {
     "scope": "all: the row is about all plans together; plan: the row is about one plan",
     "plan_id": "id of the packing plan; null if the row is about all plans",
-    "remedy": "name of the remedy, which changes one leg; empty: the row is about the unchanged chain",
+    "remedy": "name of the remedy (a change of one leg of the chain); empty: the row is about the unchanged chain",
     "leg": "name of the leg of the chain; empty: the row is about the whole journey",
     "n_worlds": "number of worlds that reached the leg; in rows about the whole journey: number of all worlds",
     "n_standing": "number of worlds that stand after the leg; in rows about the whole journey: number of worlds that "

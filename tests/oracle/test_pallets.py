@@ -275,7 +275,10 @@ def test_what_is_wrong_is_one_line_that_names_the_argument(engine: Engine) -> No
         (lambda: pallets.places(size_mm=None), "size_mm is missing"),
         (lambda: pallets.places(size_mm=(4, 3, 2), pallet=0, max_height_mm=np.nan), "max_height_mm must be"),
         (lambda: pallets.places(size_mm=(400, 300, 200), pallet=0, hulls=3), "hulls must be true or false"),
-        (lambda: pallets.places(size_mm=(400, 300, 200), pallet=0, grid_mm=[(-5, 0)]), "grid_mm must be corners on"),
+        (
+            lambda: pallets.places(size_mm=(400, 300, 200), pallet=0, grid_mm=[(-5, 0)]),
+            "grid_mm: all points must lie on",
+        ),
         (lambda: pallets.show(0, size=(0, 0)), "size must be at least 16"),
         (lambda: pallets.show(0, view=None), "view must be text"),  # type: ignore[arg-type]
         (pallets.score, "pallet: there is no box on any pallet"),

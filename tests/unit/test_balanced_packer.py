@@ -205,7 +205,7 @@ def test_a_packer_that_is_named_packs_no_plan_loosely(tmp_path: Path, capsys: py
     assert "loosely" not in capsys.readouterr().out
     assert run(*command) == 0
     assert json.loads(packed.read_text()) == dict(generate(12, 7)) != strict
-    assert "about 50 % of them are packed loosely on purpose" in capsys.readouterr().out
+    assert "about 50 % of these plans are packed loosely on purpose" in capsys.readouterr().out
 
 
 def test_processes_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

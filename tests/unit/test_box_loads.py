@@ -206,8 +206,8 @@ def test_what_film_does_to_forces_at_rest_is_said(tmp_path: Path) -> None:
     results = petmjx.sweep(sweep, [stacked((0, 0, 0))], engine="mujoco", threads=1, carrier="euro-pallet", out=out)
     notes = [note for note in petmjx.loads(results).notes if "film" in note]
     assert notes == [
-        "film presses the boxes together, so after the pallet is shaken, friction between the layers changes the "
-        "forces at rest"
+        "film presses the boxes together, so after the pallet is shaken, forces at rest also depend on friction "
+        "between the layers"
     ]
     bare = petmjx.score([stacked((0, 0, 0))], engine="mujoco", threads=1, wrap={"turns": 2})
     assert not [note for note in petmjx.loads(bare).notes if "film" in note]

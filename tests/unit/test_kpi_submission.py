@@ -77,7 +77,7 @@ FAULTY = {
         {"A": order_for(tower(1))},
     ),
     "plan A, box 0: item jam (7) was not ordered": ({"A": A_OTHER}, {"A": order_for(tower(1))}),
-    "plan A, box 0: size or weight differs from the order's donut-00101843": (
+    "plan A, box 0: size or weight differs from those of donut-00101843 in the order": (
         {"A": [placement(size=(600, 400, 221))]},
         {"A": order_for(tower(1))},
     ),

@@ -233,7 +233,7 @@ def test_stability_comes_from_runs(runs: dict[str, Path]) -> None:
     in_memory = [petmjx.score("plans.json", engine="mujoco", check=check, duration_s=3) for check in runs]
     assert rate(plans, run=in_memory[0]).summary == kpis.summary
     assert rate(plans, run=[in_memory[1], runs["static"]]).summary == kpis.summary
-    assert "but the run in memory has check one-by-one" in rate(plans, run=in_memory[1]).notes[0]
+    assert "but the run in memory was made with --check one-by-one" in rate(plans, run=in_memory[1]).notes[0]
     with pytest.raises(petmjx.InputError, match="run must be a path, got 5"):
         rate(plans, run=[5])
     with pytest.raises(petmjx.InputError, match="run must be a list of runs or folders, got 5"):
@@ -243,7 +243,7 @@ def test_stability_comes_from_runs(runs: dict[str, Path]) -> None:
     assert alone.summary["rating"] is None
     assert alone.summary["rating_by_verdict"] == 0.5
     assert alone.notes == (
-        "kpi_6 needs a run with check static, but the run one-by-one has check one-by-one: "
+        "kpi_6 needs a run with --check static, but the run one-by-one was made with --check one-by-one: "
         "give also --run DIR with a run made by petmjx score PLANS --check static --out DIR",
     )
 

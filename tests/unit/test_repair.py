@@ -1516,10 +1516,10 @@ def test_an_interrupted_repair_keeps_the_plans_that_are_done(
     assert main(["repair", str(source), "-o", str(out), "--engine", "mujoco", "--threads", "1"]) == 130
     shown = capsys.readouterr()
     if not names:
-        assert "no plan was searched to the end; nothing was written" in shown.err
+        assert "no search for a repair was finished; nothing was written" in shown.err
         assert not out.exists()
         return
-    assert f"{len(names)} of 2 plans were searched to the end" in shown.err
+    assert f"repairs were searched to the end for {len(names)} of 2 plans" in shown.err
     assert shown.err.startswith("2 plans, about ")
     assert "\nengine mujoco (as asked for)\n" in shown.err
     plans = petmjx.load_plans(out).plans
