@@ -78,7 +78,7 @@ def _other_plans(sources: Sequence[BoxSource]) -> list[str]:
         where = printable_name(boxes.table.title or boxes.path or "another table")
         count = count_text(len(boxes.table.rows), "box", "boxes")
         if boxes.has_places and boxes.has_sizes and boxes.table.has_header:
-            lines.append(f"not read: {count} in {where}, because the columns differ")
+            lines.append(f"not read: {count} in {where}, because its columns differ from those of the boxes read")
         elif not (boxes.table.has_header or first.table.has_header) and boxes.table.header == first.table.header:
             lines.append(f"not read: {count} in {where}, because only the list with the most boxes is read")
     return lines
@@ -137,7 +137,7 @@ def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path |
     if not columns.n_boxes and boxes.table.lost:
         place, fault = boxes.table.lost[0]
         advice = (
-            "; has a name in the header a blank in it?" if "fields between white space" in boxes.table.notes else ""
+            "; does a name in the header contain a blank?" if "fields between white space" in boxes.table.notes else ""
         )
         return NoGeometry(f"holds no box: {place} {fault}{advice}; {names}")
     if not columns.n_boxes:
