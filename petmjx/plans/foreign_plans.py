@@ -145,7 +145,7 @@ def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path |
     items_of_packingsolver = {name.upper() for name in boxes.table.header} >= {"X", "Y", "Z", "COPIES"}
     if quantities and (items_of_packingsolver or (some_sizes and not places_named)):
         content = "quantities and layers" if "layers" in kinds else "quantities"
-        return NoGeometry(f"has types of boxes with {content}, and no places: {PACK.format(file=file)}")
+        return NoGeometry(f"has types of boxes with {content}, but no places; {PACK.format(file=file)}")
     if places_named and not sized:
         return NoGeometry(f"has places of boxes, but no sizes: name a file that has them with --items FILE; {names}")
     if sized and not places_named:

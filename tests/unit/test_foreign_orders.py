@@ -425,7 +425,7 @@ def test_plans_are_read_as_the_orders_of_their_boxes(tmp_path: Path) -> None:
     assert near(order, [SMALL, SMALL])
     (tmp_path / "types.csv").write_text("name,length,width,height,weight,qty\ns,400,300,200,6.5,2\n")
     (skipped,) = petmjx.load_plans(tmp_path / "types.csv").skipped
-    assert "no places: pack them first: petmjx samples --orders" in skipped.message
+    assert "no places; pack them first: petmjx samples --orders" in skipped.message
 
 
 def test_plans_in_the_form_of_petmjx_are_read_as_orders_too(tmp_path: Path) -> None:
