@@ -250,9 +250,9 @@ def thousands_faults(cells: Sequence[Any], decimal: str, unit: str, are_sizes: b
         return {}
     faults = {}
     for row, number in numbers.items():
-        short = f"{number.value:g}"
+        short, thousands = f"{number.value:g}", f"{number.value * 1000:g}"
         sure = f"{number.value:.4f}" if _WITH_THREE.match(short) else short
-        faults[row] = f"{pointed[row]}: {short} or {number.value * 1000:g}? write it without a point, or as {sure}"
+        faults[row] = f"{pointed[row]} may mean {short} or {thousands}: write {sure} or {thousands}"
     return faults
 
 

@@ -40,7 +40,7 @@ def sources_of_bytes(data: bytes | bytearray, path: Path | None = None) -> list[
         InputError: the file has none of the known forms, or is damaged. The error does not name the file.
     """
     if len(data) > MOST_BYTES:
-        raise NoBoxes(f"is larger than {MOST_BYTES >> 20} MiB, too large for a file of another tool")
+        raise NoBoxes(f"is larger than {MOST_BYTES >> 20} MiB, the limit for files of other tools")
     head = bytes(data[:8])
     if head.startswith(b"\x93NUMPY"):
         return sources_of_arrays({"": loaded_array(data)})

@@ -177,7 +177,7 @@ def _sheet_of_deli(data: bytes | bytearray) -> BoxSource | None:
     good_rows = [(number, row) for number, row in cells if all(cell_number(cell) is not None for cell in row)]
     table = RawTable(_LENGTHS, [row for _, row in good_rows], [f"row {number + 1}" for number, _ in good_rows])
     parts = tuple(str(number // SET_ITEMS + 1) for number in range(len(good_rows)))
-    notes = [f"divided into orders of {SET_ITEMS} boxes"]
+    notes = [f"the list is divided into orders of {SET_ITEMS} boxes"]
     if left := len(cells) - len(good_rows):
         notes.append(f"{count_text(left, 'row')} without three sizes left out")
     return BoxSource(BoxList(table, "", parts), DELI, tuple(notes))

@@ -177,7 +177,7 @@ class PlanBuilder:
         apart = unsaid and len(plans) > 1 and not lost
         if apart and self._float(reading, candidate, plans) and search.are_parts_of_one():
             names_text = first_names(list(plans))
-            self.notes.append(f"{names_text} are read as one plan, since some of them would begin above the deck")
+            self.notes.append(f"{names_text} are read as one plan: as separate plans, some would float above the deck")
             self._join_parts()
             names = plan_names(self.columns, self.source, self.notes)
             reading, candidate = choose_reading(self.columns, self._plans_of_size(names)[0], self.wishes)

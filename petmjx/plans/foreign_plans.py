@@ -78,7 +78,7 @@ def _other_plans(sources: Sequence[BoxSource]) -> list[str]:
         where = printable_name(boxes.table.title or boxes.path or "another table")
         count = count_text(len(boxes.table.rows), "box", "boxes")
         if boxes.has_places and boxes.has_sizes and boxes.table.has_header:
-            lines.append(f"not read: {count} in {where}, because the columns differ")
+            lines.append(f"not read: {count} in {where}, because its columns differ from those of the boxes read")
         elif not (boxes.table.has_header or first.table.has_header) and boxes.table.header == first.table.header:
             lines.append(f"not read: {count} in {where}, because only the list with the most boxes is read")
     return lines
@@ -137,7 +137,7 @@ def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path |
     if not columns.n_boxes and boxes.table.lost:
         place, fault = boxes.table.lost[0]
         advice = (
-            "; has a name in the header a blank in it?" if "fields between white space" in boxes.table.notes else ""
+            "; does a name in the header contain a blank?" if "fields between white space" in boxes.table.notes else ""
         )
         return NoGeometry(f"holds no box: {place} {fault}{advice}; {names}")
     if not columns.n_boxes:
@@ -145,7 +145,7 @@ def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path |
     items_of_packingsolver = {name.upper() for name in boxes.table.header} >= {"X", "Y", "Z", "COPIES"}
     if quantities and (items_of_packingsolver or (some_sizes and not places_named)):
         content = "quantities and layers" if "layers" in kinds else "quantities"
-        return NoGeometry(f"has types of boxes with {content}, and no places: {PACK.format(file=file)}")
+        return NoGeometry(f"has types of boxes with {content}, but no places; {PACK.format(file=file)}")
     if places_named and not sized:
         return NoGeometry(f"has places of boxes, but no sizes: name a file that has them with --items FILE; {names}")
     if sized and not places_named:

@@ -371,7 +371,7 @@ class _OrderBuilder:
         low, high = _PALLET_MM
         if ((level >= low) & (level <= high)).all():
             return target_named(f"{level[0]:g}x{level[1]:g}")
-        self.notes.append(f"the container, {level[0]:,.0f} × {level[1]:,.0f} mm, is no pallet")
+        self.notes.append(f"the container, {level[0]:,.0f} × {level[1]:,.0f} mm, is no pallet; a Euro pallet is taken")
         return EURO
 
     # Quantities and sizes.
@@ -397,9 +397,9 @@ class _OrderBuilder:
             with np.errstate(invalid="ignore"):
                 if bool((cover[several] <= _FULL).all()):
                     raise self._layer_tie()
-            self.notes.append("quantities count the boxes of all layers")
+            self.notes.append("the quantity in a row is the number of boxes in all its layers")
         elif per_layer:
-            self.notes.append("quantities count the boxes of each layer")
+            self.notes.append("the quantity in a row is the number of boxes in each of its layers")
         return (quantity * layers if per_layer else quantity).astype(np.int64)
 
     def _layer_tie(self) -> InputError:

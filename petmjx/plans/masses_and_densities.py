@@ -90,8 +90,10 @@ def masses_kg(
     for row in np.flatnonzero((mass < SMALLEST_KG) | (mass > LARGEST_KG)).tolist():
         fault = positive_fault(name, float(columns.weight[row]), *limits)
         if fault is None and counts is not None:
-            boxes = f"all {counts[row]:,} boxes of the row"
-            fault = f"{name} is the weight of {boxes}, and too small or too large for so many boxes"
+            fault = (
+                f"{name} is {columns.weight[row]:g} {unit} for all {counts[row]:,} boxes of the row, so a box would "
+                f"weigh {mass[row]:.3g} kg; must be from {SMALLEST_KG:g} to {LARGEST_KG:g} kg"
+            )
         if fault is not None:
             faults.setdefault(row, fault)
     return np.asarray(mass)

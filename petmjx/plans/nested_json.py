@@ -509,7 +509,7 @@ def _with_zeros(flat: list[dict[str, Any]]) -> list[str]:
     for row in flat:
         for name in columns:
             row.setdefault(name, 0)
-    return ["coordinates that are not written are 0"]
+    return ["missing coordinates are read as 0"]
 
 
 def _mark_long_lists(flat: list[dict[str, Any]]) -> None:

@@ -46,8 +46,8 @@ def loaded_array(data: bytes | bytearray, name: str = "") -> Any:
     expected = math.prod(shape) * dtype.itemsize
     if expected != n_bytes:
         raise InputError(
-            f"{prefix}is no whole NumPy array: its header says {shape} of {dtype.str}, {expected:,} bytes, "
-            f"but {count_text(n_bytes, 'byte follows', 'bytes follow')}"
+            f"{prefix}is no whole NumPy array: its header (shape {shape}, type {dtype.str}) announces "
+            f"{expected:,} bytes, but {count_text(n_bytes, 'byte follows', 'bytes follow')}"
         )
     if math.prod(max(extent, 1) for extent in shape) > MOST_BYTES:
         raise InputError(f"{prefix}is an array {shape} without values")
@@ -158,7 +158,9 @@ def sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
         sources.append(BoxSource(BoxList(table, name, tuple(parts), containers), ARRAY))
     if not sources:
         shapes = ", ".join(f"{name or 'array'} {getattr(array, 'shape', ())}" for name, array in arrays.items())
-        raise InputError(f"holds no array of boxes, whose shape must be (n, 6 to 64): {printable_name(shapes)}")
+        raise InputError(
+            f"holds no array of boxes, whose shape must be (n, 6 to 64); the file has {printable_name(shapes)}"
+        )
     return _as_plans(sources)
 
 

@@ -182,7 +182,8 @@ def _thpack(lines: Sequence[_Line]) -> BoxSource:
             marks = line.words[at + 1 : at + 6 : 2]
             if not set(marks) <= {"0", "1"}:
                 bad_mark = next(mark for mark in marks if mark not in ("0", "1"))
-                rows.lost.append((line.place, f"marks of upright sizes must be 0 or 1, got {printable_name(bad_mark)}"))
+                fault = f"after a size, 1 or 0 must say whether it may be vertical, got {printable_name(bad_mark)}"
+                rows.lost.append((line.place, fault))
                 continue
             sizes = list(line.words[at : at + 6 : 2])
             upright = next((axis for axis in (2, 1, 0) if marks[axis] == "1"), 2)
@@ -212,11 +213,12 @@ def _thpack(lines: Sequence[_Line]) -> BoxSource:
         )
     notes = []
     if laid:
-        notes.append(f"{count_text(laid, 'type')} laid on a permitted side, since the height must not be vertical")
+        lying = count_text(laid, "box type lies", "box types lie")
+        notes.append(f"{lying} on a permitted side, since the height must not be vertical")
     if free:
         notes.append(
-            f"{count_text(free, 'type')} may also stand on other sides, which petmjx does not use: it turns boxes "
-            "only about the vertical"
+            f"{count_text(free, 'box type')} may also stand on other sides, but petmjx turns boxes only about the "
+            "vertical"
         )
     return rows.source(THPACK, notes)
 
@@ -263,7 +265,7 @@ def _bin_packing(lines: Sequence[_Line]) -> BoxSource | None:
         head = _bin_head(lines, position)
         if head is None:
             raise InputError(
-                f"{lines[position].place}: must be the number of boxes and the bin, or the end of the file"
+                f"{lines[position].place}: must be the number of boxes and the sizes of the bin, or the end of the file"
             )
         n_boxes, sizes, begin = head
         problem += 1
@@ -342,4 +344,4 @@ def _lengths(lines: Sequence[_Line]) -> BoxSource | None:
             rows.lost.append((line.place, f"must have three lengths, got {len(line)}"))
             continue
         rows.add(line.words, line, str(number // SET_ITEMS + 1) if several else "")
-    return rows.source(LENGTHS, (f"divided into orders of {SET_ITEMS} boxes",) if several else ())
+    return rows.source(LENGTHS, (f"the list is divided into orders of {SET_ITEMS} boxes",) if several else ())

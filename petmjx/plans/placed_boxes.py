@@ -128,7 +128,7 @@ def _move(
     notes = []
     if abs(bottom) > _LEVEL * float(np.nanmedian(size[used, 2])):
         low[rows, 2] -= bottom
-        notes.append(f"heights are measured from the lowest box, at {bottom:g} mm")
+        notes.append(f"heights are measured from the bottom of the lowest box, which is at {bottom:g} mm in the file")
     elif bottom:
         low[rows, 2] = np.where(np.abs(low[rows, 2]) <= abs(bottom), 0.0, low[rows, 2])
     begin = np.nanmin(low[used, :2], axis=0)
@@ -137,7 +137,7 @@ def _move(
         notes.append("the origin is the middle of the carrier")
     elif (begin < -DEFAULT_TOLERANCE_MM).any():
         low[rows, :2] += np.where(begin < -DEFAULT_TOLERANCE_MM, -begin, 0.0)
-        notes.append("the origin is another corner of the carrier")
+        notes.append("x or y is negative: boxes are moved so that its smallest value is 0")
     return "; ".join(notes)
 
 

@@ -618,7 +618,7 @@ def _kind_of_text(data: bytearray, named: bool) -> str | None:
         return None
     if b"\0" in data[: 1 << 12]:
         return "is no text: plans are JSON, or tables in CSV or Parquet"
-    return "is text of another kind: petmjx finds neither lists of boxes nor a table of boxes in it"
+    return "is text, but petmjx finds neither lists of boxes nor a table of boxes in it"
 
 
 def _orders_message(source: str, order_ids: Sequence[str]) -> str:

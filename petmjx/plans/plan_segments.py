@@ -55,7 +55,7 @@ class Segment(NamedTuple):
         with open_regular(self.file) as file, memoryview(text)[1:-1] as inner:
             file.seek(self.begin)
             if file.readinto(inner) < len(inner):  # type: ignore[attr-defined]  # a buffered reader of a file
-                raise OSError("the file has become shorter")
+                raise OSError("the file has become shorter since its plans were listed")
         return text
 
 

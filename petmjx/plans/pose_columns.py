@@ -199,7 +199,7 @@ def _turned(extraction: ColumnExtraction, geometry: Geometry, rotation: FloatArr
         cosine = np.abs(rotation[row]).max(axis=1)
         degrees = np.degrees(np.arccos(np.clip(cosine.min(), 0, 1)))
         is_rotation_of_box = cosine.max() <= 1 + _ROUNDED_SCALE
-        fault = f"is turned by {degrees:.3g}° out of right angles: boxes must be level and at right angles"
+        fault = f"is turned by {degrees:.3g}° out of right angles: edges of boxes must be parallel to x, y and z"
         extraction.bad(int(row), index, fault if is_rotation_of_box else "is no rotation")
     return replace(geometry, placed=True, turn=np.rint(rotation))
 

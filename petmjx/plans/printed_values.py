@@ -110,7 +110,7 @@ def printed_values(text: str) -> Any:
     line = 1 + text.count("\n", 0, at)
     while at < len(text):
         if _OPEN.match(text, at) is None:
-            raise _fault(text, at, "there is text behind a structure")
+            raise _fault(text, at, "there is text after a closing bracket")
         values.lines.append(line)
         places.append(at)
         value, end = _value(text, at, 0)

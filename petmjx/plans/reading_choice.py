@@ -328,7 +328,7 @@ def choose_reading(
         raise AmbiguousFile(tie_text(readings, weak=False), readings)
     (reading,) = readings
     if (rival := _other_mass(best)) is not None:
-        reading = replace(reading, notes=(f"weights may be in {rival}, too (--units)",))
+        reading = replace(reading, notes=(f"weights may also be in {rival} (say which with --units)",))
     for other in (*turned[:1], *_reversed_piles(judged)[:1]):
         note = f"{up_words(other.candidate.up).replace(' ', ' may be ')}, too (--up)"
         reading = replace(reading, notes=(*reading.notes, note))

@@ -30,9 +30,9 @@ from petmjx.plans.input_conventions import ANCHORS
 
 ROTATION_RULES: Final = {
     "none": "sizes are as placed",
-    "swap": "odd values swap the two level sizes",
-    "swap back": "the value 0 swaps the two level sizes",
-    "degrees": "90 and 270 degrees swap the two level sizes",
+    "swap": "odd values swap the two horizontal sizes",
+    "swap back": "the value 0 swaps the two horizontal sizes",
+    "degrees": "90 and 270 degrees swap the two horizontal sizes",
     "letters": "letters tell which size lies along x, y and z",
     "py3dbp": "0 WHD, 1 HWD, 2 HDW, 3 DHW, 4 DWH, 5 WDH",
     "py3dbp from 1": "1 WHD, 2 HWD, 3 HDW, 4 DHW, 5 DWH, 6 WDH",

@@ -132,7 +132,7 @@ def _table_below(
     header = tuple(distinct_names(names))
     sections, lost, trailing = _sections(rows, first, end, begin, header, above, notes)
     if trailing and not more:
-        notes.append(f"left out at the end: {printable_name(trailing[0])}")
+        notes.append(f"rows below the table are left out, beginning with {printable_name(trailing[0])}")
     names_of = dict.fromkeys(name for name, _ in sections)
     tables = []
     decimal = decimal_of([row for _, section in sections for row, _ in section])
@@ -382,8 +382,8 @@ def _without_header(
     numeric = sum(_mostly_numbers(row) for _, row in good_rows)
     if [len(row) for _, row in used[:4]] == [1, 2, 3, 1]:
         raise InputError(
-            "looks like Bischoff and Ratcliff's orders (thpack): types of boxes with quantities, and no places: "
-            "pack them first with petmjx samples --orders"
+            "looks like Bischoff and Ratcliff's orders (thpack), which have types of boxes with quantities, but no "
+            "places; pack them first with petmjx samples --orders"
         )
     if width < 6 or numeric < 0.8 * max(len(good_rows), 1):
         raise NoBoxes("has no header with known names of columns")

@@ -103,7 +103,11 @@ def check_name(name: str, *path: str | int) -> None:
     """Raise a ValidationError if a name has no visible characters, or has characters, such as line breaks, that would
     spoil tables."""
     if not name.strip() or not name.isprintable():
-        raise complaint(f": '{printable_name(name)}' must have visible characters, and no others", *path, "name")
+        raise complaint(
+            f": '{printable_name(name)}' must have visible characters, and no control characters such as line breaks",
+            *path,
+            "name",
+        )
 
 
 def check_chain(legs: Sequence[Leg], remedies: Sequence[Remedy], defined: Mapping[str, Profile]) -> None:

@@ -41,7 +41,7 @@ _KEYS: Final = ["scope", "plan_id", "remedy", "leg"]
 _COUNTS: Final = ["n_worlds", "n_standing", "n_invalid"]
 
 _DESCRIPTIONS: Final = {
-    "scope": "all: the row is about all plans together; plan: the row is about one plan",
+    "scope": "`all`: the row is about all plans together; `plan`: the row is about one plan",
     "plan_id": "id of the packing plan; null if the row is about all plans",
     "remedy": "name of the remedy (a change of one leg of the chain); empty: the row is about the unchanged chain",
     "leg": "name of the leg of the chain; empty: the row is about the whole journey",
@@ -55,12 +55,12 @@ _DESCRIPTIONS: Final = {
     "weakest_leg": "in rows about the whole journey: leg in which most worlds failed; empty if no world failed",
     "box": "number of the box that most often failed first in the leg `weakest_leg`; null if the row is about all "
     "plans",
-    "only_with": "in rows about the whole journey with a remedy: number of pairs of worlds (with the same random "
-    "numbers, one with and one without the remedy) of which only the world with the remedy arrives",
-    "only_without": "in rows about the whole journey with a remedy: number of pairs of worlds (with the same random "
-    "numbers, one with and one without the remedy) of which only the world without the remedy arrives",
-    "gain": "share of worlds that arrive with the remedy, minus the share that arrive without it; the worlds with "
-    "and without the remedy form pairs with the same random numbers, and a pair counts if both worlds have a verdict",
+    "only_with": "in rows about the whole journey with a remedy: number of worlds that arrive only with the remedy; "
+    "each world is simulated with and without the remedy, with the same random numbers",
+    "only_without": "in rows about the whole journey with a remedy: number of worlds that arrive only without the "
+    "remedy; each world is simulated with and without the remedy, with the same random numbers",
+    "gain": "share of worlds that arrive with the remedy, minus the share that arrive without it; only worlds that "
+    "have a verdict both with and without the remedy count",
     "gain_low": "lower end of the 95 % interval of `gain` (Newcombe's interval for paired shares); null if nothing is "
     "drawn at random",
     "gain_high": "upper end of the 95 % interval of `gain` (Newcombe's interval for paired shares); null if nothing is "

@@ -58,8 +58,8 @@ _DESCRIPTIONS: Final = {
     "share": "share of stable worlds among the worlds with errors that have a verdict; null if no world has a verdict",
     "low": "lower end of the Wilson 95 % interval of `share`",
     "high": "upper end of the Wilson 95 % interval of `share`",
-    "coin_toss": "whether the interval from low to high contains one half, so that the worlds do not show whether the "
-    "pallet stands more often than it falls",
+    "coin_toss": "whether the interval from `low` to `high` contains one half, so that the worlds do not show whether "
+    "the pallet stands more often than it falls",
 }
 
 _OF_BOTH: Final = {
@@ -68,9 +68,9 @@ _OF_BOTH: Final = {
     "at their places; null if no such world has a verdict",
     "only_carried": "number of sets of random errors with which the pallet stands only if boxes are carried",
     "only_exact": "number of sets of random errors with which the pallet stands only if boxes appear at their places",
-    "p_value": "p-value of McNemar's exact two-sided test of whether carrying the boxes changes how often the pallet "
-    "stands (only_carried against only_exact); Holm's method corrects it for the number of plans",
-    "placing_matters": f"whether p_value is below {SIGNIFICANCE:g}, so that share and share_exact differ beyond chance",
+    "p_value": "p-value of McNemar's exact two-sided test on `only_carried` and `only_exact`, corrected for the number "
+    "of plans by Holm's method",
+    "placing_matters": f"whether `p_value` is below {SIGNIFICANCE:g}: `share` and `share_exact` differ beyond chance",
 }
 """Additional columns of a run in which each world with errors was simulated twice: once with boxes that are carried to
 their places, and once with boxes that appear at their places."""

@@ -257,8 +257,8 @@ class _Run:
             writer.warn(note)
         if len(writer.recorded) and (missing := self.recording.missing(writer.parts)):
             writer.warn(
-                f"histories of {count_text(missing, 'world')} of an earlier run are missing, because the run does not "
-                "simulate worlds again; to record them, name another folder"
+                f"{count_text(missing, 'world of an earlier run has', 'worlds of an earlier run have')} no history, "
+                "and will not be simulated again; to record histories, name another folder"
             )
 
     def _start(self, recorded: int) -> RunStart:

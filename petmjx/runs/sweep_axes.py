@@ -115,7 +115,7 @@ class Range(CheckedRecord, Generic[Number]):
 
     low: Number = Field(alias="from", description="the first value")
     high: Number = Field(
-        alias="to", description="upper end of the range; the last value, if the steps reach it exactly"
+        alias="to", description="upper end of the range; also the last value, if the steps reach it exactly"
     )
     step: Annotated[StrictFloat, Field(gt=0)] | None = Field(
         None, description="difference between two successive values"

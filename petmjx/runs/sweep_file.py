@@ -68,7 +68,10 @@ class Search(CheckedRecord):
         "and 0.02 for scales",
     )
     sections: StrictInt = Field(
-        3, ge=1, le=1000, description="number of levels that are tested at the same time in each direction"
+        3,
+        ge=1,
+        le=1000,
+        description="number of levels that are tested at the same time, for each direction",
     )
 
     @model_validator(mode="after")
@@ -140,8 +143,8 @@ class Sweep(CheckedRecord):
     )
     mode: Literal["grid", "sample"] = Field(
         "grid",
-        description="grid: every combination of the values of the axes is simulated; sample: random combinations are "
-        "drawn",
+        description="'grid': every combination of the values of the axes is simulated; 'sample': random combinations "
+        "are drawn",
     )
     sample: StrictInt | None = Field(
         None, ge=1, le=MAX_REPEATS, description="number of random combinations, if mode is 'sample'"
@@ -164,8 +167,8 @@ class Sweep(CheckedRecord):
     )
     shifts_from: Literal["plan", "release"] = Field(
         "plan",
-        description="place from which shifts of boxes are measured: the planned place (plan), or the place of release, "
-        "with its error (release)",
+        description="'plan': shifts of boxes are measured from the planned place; 'release': from the place of "
+        "release, which includes the placement error",
     )
     simulation: Simulation = Field(Simulation(), description="how worlds are simulated")
     search: Search | None = Field(

@@ -294,7 +294,7 @@ def summary_units(frame: pd.DataFrame, plan: SweepPlan) -> tuple[dict[str, str],
 
 
 _DESCRIPTIONS = {
-    "scope": "all: the row is about all plans together; plan: the row is about one plan",
+    "scope": "`all`: the row is about all plans together; `plan`: the row is about one plan",
     "plan_id": "id of the packing plan; null if the row is about all plans",
     "axis": "name of the varied parameter; empty: the row is about all worlds",
     "value": "value that the varied parameter has in the worlds of the row",
@@ -315,10 +315,10 @@ _DESCRIPTIONS = {
     "largest_scale": "largest survived scale that is below all failed scales; null if there is no such scale",
     "first_failed_level_g": "smallest level that failed; null if no level failed",
     "first_failed_scale": "smallest scale that failed; null if no scale failed",
-    "box": "number of the box that failed first at the smallest level that failed; if the pallet does not stand "
-    "without a profile: of the box that failed first at rest",
-    "mode": "how the first box failed, at the smallest level that failed or at rest: slide, tilt or drop; for an "
-    "invalid world, the reason why the world is invalid",
+    "box": "number of the box that failed first: at rest, if the pallet does not stand without a profile; otherwise at "
+    "the smallest failed level",
+    "mode": "how the box in the column `box` failed: slide, tilt or drop; for an invalid world, the reason why the "
+    "world is invalid",
     "monotone": "whether the pallet also failed at every tested level above the smallest failed level",
     "n_tests": "number of levels tested",
     "n_moving": "number of tested levels at which boxes still moved after the longest wait (longest_wait_s)",

@@ -130,7 +130,7 @@ class SweepPlan(Design):
         if left is None or left > 0:
             return True
         at = f"at {self.sweep.simulation.total_time_factor:g} times the placement time (total_time_factor)"
-        reason = f": the run ends before its profile begins, {at}"
+        reason = f": its worlds end before the profile begins, {at}"
         self.skipped.append(Skipped.plan(plan, reason, self.strict))
         return False
 

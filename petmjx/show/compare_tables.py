@@ -39,7 +39,7 @@ def comparison_tables(comparison: Comparison, max_rows: int = 40) -> Iterator[Re
         yield _flips_table(comparison.flips, max_rows)
         if comparison.flips_within is not None:
             yield line(
-                f"each has a margin from -{three_digits(comparison.flips_within)} to "
+                f"each of these worlds has a margin from -{three_digits(comparison.flips_within)} to "
                 f"{three_digits(comparison.flips_within)} in one of the runs"
             )
     several = (("worlds", comparison.worlds), ("boxes", comparison.boxes))

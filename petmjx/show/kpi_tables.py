@@ -56,7 +56,7 @@ def _summary_table(kpis: Kpis) -> FittedTable:
             ("kpi_2", number(means["kpi_2"], ".4f"), "mean use of the space below the highest top"),
             ("kpi_3", number(means["kpi_3"], ".3f"), "mean height, m"),
             ("kpi_4", number(means["kpi_4"], ".4f"), "mean support"),
-            ("kpi_5", number(means["kpi_5"], ".4f"), "mean share of boxes on boxes that tie the pile together"),
+            ("kpi_5", number(means["kpi_5"], ".4f"), "mean share of stacked boxes that tie the pile together"),
             ("kpi_6", percent(means["kpi_6"]), "stable by BED-BPP's rule"),
             ("stable", percent(means["stable"]), "stable by petmjx's verdict"),
             ("utilisation_2m", number(means["utilisation_2m"], ".4f"), "mean use of the space up to 2 m"),

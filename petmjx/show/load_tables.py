@@ -45,8 +45,8 @@ def load_tables(loads: Loads, out: Path | None = None) -> Iterator[RenderableTyp
     if "surely_overloaded" in loads.plans:
         surely, possibly = (int(loads.plans[name].sum()) for name in ("surely_overloaded", "possibly_overloaded"))
         yield line(
-            f"overloaded by the smallest force that statics allows: {surely:,} (surely), by the largest force: "
-            f"{possibly:,} (possibly)"
+            f"{surely:,} surely overloaded (by the smallest force that statics allows), {possibly:,} possibly (by the "
+            "largest force)"
         )
     counts = {name: int((loads.plans["crushed"] == name).sum()) for name in (SURELY, POSSIBLY, NOT)}
     unsure = len(loads.plans) - sum(counts.values())

@@ -25,14 +25,14 @@ class PictureWindow:
         try:
             from matplotlib import pyplot
         except ImportError as error:
-            raise InputError("render_mode: human needs matplotlib: pip install 'petmjx[show]'") from error
+            raise InputError("render_mode='human' needs matplotlib: pip install 'petmjx[show]'") from error
         import matplotlib
         from matplotlib.backends.registry import BackendFilter, backend_registry
 
         backend = matplotlib.get_backend()
         registry: Any = backend_registry  # Matplotlib's registry has no type annotations
         if backend.lower() not in registry.list_builtin(BackendFilter.INTERACTIVE):
-            raise InputError(f"render_mode: human needs a window, but Matplotlib's backend {backend} has no windows")
+            raise InputError(f"render_mode='human' needs a window, but Matplotlib's backend {backend} has no windows")
         self._pyplot: Any = pyplot
         self._pause_s = pause_s
         self._figure = pyplot.figure(title, frameon=False)

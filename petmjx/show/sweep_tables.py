@@ -210,7 +210,7 @@ def arrivals_table(summary: pd.DataFrame, of_plans: pd.DataFrame) -> FittedTable
         *(TableColumn(leg, share_after(leg), spare=2) for leg in shares),
         TableColumn("weakest", text_of("weakest_leg"), "left", least=8),
         TableColumn("box", lambda row: "" if pd.isna(row["box"]) else str(int(row["box"])), spare=1),
-        title="P: worlds that arrive; by leg: of the worlds that reached the leg, those that stand after it",
+        title="P: share that arrives; legs: share that stands after the leg, of worlds that reached it",
     )
 
 

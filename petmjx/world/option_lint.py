@@ -114,8 +114,8 @@ def _wrap_notes(wrap: Wrap, axes: Collection[str], driven: bool, plans: Sequence
     unit = next((plan for plan in plans if plan.pallets), None)
     if holds and unit is not None:
         raise InputError(
-            f"plan {printable_name(unit.plan_id)}: wrap.turns: film holds boxes to the carrier, and this plan has "
-            "pallets among its boxes; leave film out"
+            f"plan {printable_name(unit.plan_id)}: wrap.turns: this plan has pallets among its boxes, and film "
+            "would hold the boxes on them to the carrier, not to these pallets; leave film out"
         )
     if holds and not driven:
         yield "wrap has no effect: there is no profile, and film acts only while a pallet is shaken"
@@ -168,7 +168,8 @@ def _stiffness_notes(sim: Simulation, plans: Sequence[Plan], errors: bool) -> It
     """Notes on boxes that are too soft for their loads, and on options of soft boxes that have no effect."""
     if sim.has_soft and errors and sim.placing.name is Way.AUTO:
         raise InputError(
-            "soft: a hand would place boxes with errors, but soft boxes appear at their places; pass placing='exact'"
+            "soft: in worlds with errors, a hand would carry boxes, but soft boxes appear at their places; pass "
+            "placing='exact'"
         )
     giving = [plan for plan in plans if plan.stiffness_n_mm is not None]
     if sim.soft and (not giving or not sim.physics.has_own_friction):

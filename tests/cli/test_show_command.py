@@ -132,7 +132,7 @@ def test_what_is_wrong_is_one_line(
 
 def test_a_moment_that_the_story_has_not(capsys: pytest.CaptureFixture[str]) -> None:
     printed = lines_of(capsys, "hand-one-box", "--png", "x.png", "--at", "first-sign", code=2)
-    assert "there is no moment first-sign: nothing failed in plan hand-one-box" in printed
+    assert "there is no moment 'first-sign': nothing failed in plan hand-one-box" in printed
     printed = lines_of(capsys, "hand-one-box", "--png", "x.png", "--at", "1e308", code=2)
     assert "there is no moment 1e+308 s: plan hand-one-box ends at " in printed
     assert not Path("x.png").exists()

@@ -96,7 +96,7 @@ def test_moments_are_the_frames_that_their_names_say() -> None:
     assert [moment.frame for moment in moments(STORY, "start,0.34,0.36,2.004,0")] == [0, 3, 4, 20, 0]
     calm = standing_story(STORY)
     assert [moment.name for moment in moments(calm, None)] == ["end"]
-    with pytest.raises(InputError, match="there is no moment first-sign: nothing failed in plan tower"):
+    with pytest.raises(InputError, match="there is no moment 'first-sign': nothing failed in plan tower"):
         moments(calm, "first-sign")
 
 

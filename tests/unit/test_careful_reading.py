@@ -220,7 +220,7 @@ def test_units_by_what_fits_a_pallet(
 ) -> None:
     (reading,) = load(tmp_path, "load.csv", grid(*block)).readings.values()
     assert (reading.units, reading.masses) == (unit, "kg")
-    assert "weights may be in lb, too (--units)" in reading.notes
+    assert "weights may also be in lb (say which with --units)" in reading.notes
 
 
 def test_pounds_beside_inches_are_mentioned(tmp_path: Path) -> None:
@@ -228,7 +228,7 @@ def test_pounds_beside_inches_are_mentioned(tmp_path: Path) -> None:
     for options in ({}, {"units": "in"}):  # a pallet of 48 × 40 inches is usual
         (reading,) = load(tmp_path, "load.csv", text, **options).readings.values()
         assert (reading.units, reading.masses) == ("in", "kg")
-        assert "weights may be in lb, too (--units)" in reading.notes
+        assert "weights may also be in lb (say which with --units)" in reading.notes
     (plan,) = load(tmp_path, "load.csv", text.replace("weight", "weight [lb]"), units="in").plans
     np.testing.assert_allclose(plan.mass_kg, 7 * 0.45359237)
     (reading,) = load(tmp_path, "load.csv", text, units="in,kg").readings.values()
@@ -393,7 +393,7 @@ def test_what_is_missing_is_named(tmp_path: Path) -> None:
     assert "lacks some of the sizes, and places" in message
     rows = "\n".join(f"{number} {400 * number} 0 0 400 300 200 5" for number in range(1, 4))
     message = refusal(load(tmp_path, "load.txt", f"Nr Mid X Mid Y Z Length Width Height Weight\n{rows}\n"))
-    assert "holds no box: row 2 has 8 fields instead of 10; has a name in the header a blank in it?" in message
+    assert "holds no box: row 2 has 8 fields instead of 10; does a name in the header contain a blank?" in message
     np.savez(tmp_path / "poses.npz", poses=np.tile(np.eye(4), (3, 1, 1)))
     message = refusal(petmjx.load_plans(tmp_path / "poses.npz"))
     assert "has places of boxes, but no sizes: name a file that has them with --items FILE" in message
@@ -489,9 +489,9 @@ def test_points_that_may_be_between_thousands_are_refused(tmp_path: Path, column
     header = "Box;X;Y;Z;Length [mm];Width [mm];Height [mm];Weight [kg]\n"
     content = f"{header}a;0;0;0;{length};800;200;60\nb;{x};0;0;{length};800;200;60\n"
     line = refusal(load(tmp_path, "a.csv", content))
-    assert f"{column} 1.200: 1.2 or 1200? write it without a point, or as 1.2" in line
+    assert f"{column} 1.200 may mean 1.2 or 1200: write 1.2 or 1200" in line
     line = refusal(load(tmp_path, "b.csv", content.replace("1.200", "1.125")))
-    assert f"{column} 1.125: 1.125 or 1125? write it without a point, or as 1.1250" in line
+    assert f"{column} 1.125 may mean 1.125 or 1125: write 1.1250 or 1125" in line
 
 
 def test_points_of_metres_are_decimal(tmp_path: Path) -> None:

@@ -318,7 +318,7 @@ def test_container_loading_problems(tmp_path: Path) -> None:
     (tmp_path / "thpack1.txt").write_text(THPACK)
     orders = read(
         tmp_path / "thpack1.txt",
-        "1 type laid on a permitted side, since the height must not be vertical.*container, 5,870 × 2,330 mm, is no",
+        "1 box type lies on a permitted side, since the height must not be vertical.*container, 5,870 × 2,330 mm, is",
     )
     assert list(orders) == ["thpack1-1", "thpack1-2"]
     sizes = [box[:3] for box in boxes_of(orders["thpack1-1"])]
@@ -425,7 +425,7 @@ def test_plans_are_read_as_the_orders_of_their_boxes(tmp_path: Path) -> None:
     assert near(order, [SMALL, SMALL])
     (tmp_path / "types.csv").write_text("name,length,width,height,weight,qty\ns,400,300,200,6.5,2\n")
     (skipped,) = petmjx.load_plans(tmp_path / "types.csv").skipped
-    assert "no places: pack them first: petmjx samples --orders" in skipped.message
+    assert "no places; pack them first: petmjx samples --orders" in skipped.message
 
 
 def test_plans_in_the_form_of_petmjx_are_read_as_orders_too(tmp_path: Path) -> None:
@@ -494,7 +494,7 @@ def test_the_only_row_is_named_when_it_is_damaged(row: str, message: str, tmp_pa
 
 PROBLEMS: dict[str, tuple[str, str, str]] = {
     "size": (" 1 108 0", " 1 1o8 0", 'order thpack1-1, line 5: length must be a number, got "1o8"'),
-    "mark": (" 1 108 0", " 1 108 2", "line 5: marks of upright sizes must be 0 or 1, got 2"),
+    "mark": (" 1 108 0", " 1 108 2", "line 5: after a size, 1 or 0 must say whether it may be vertical, got 2"),
     "types": (" 587 233 220\n 1\n", " 587 233 220\n 2\n", "line 9: announces 2 box types, but only 1 before the end"),
     "more types": (
         " 587 233 220\n 2\n",

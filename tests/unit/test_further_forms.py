@@ -1086,7 +1086,7 @@ def test_a_written_reading_keeps_that_parts_are_one_plan(tmp_path: Path) -> None
     boxes = boxes_by(plain)
     groups = [{"name": "lower", "places": boxes[:4]}, {"name": "upper", "places": boxes[4:]}]
     plan_set = load(tmp_path, "pile.json", json.dumps({"containers": groups}), up="z", units="mm")
-    assert "are read as one plan, since some of them would begin above the deck" in notes_of(plan_set)
+    assert "are read as one plan: as separate plans, some would float above the deck" in notes_of(plan_set)
     check_pile(plan_set.plans[0])
     check_pile(load_again(tmp_path / "pile.json", plan_set))
 
@@ -1609,7 +1609,7 @@ def test_what_is_not_read_is_noted(tmp_path: Path) -> None:
     other = [["box", *(f"{name} [cm]" for name in FIELDS[:6])], *(row[:7] for row in BOX_ROWS[1:])]
     twice = [["box", "box", *FIELDS], *([row[0], *row] for row in BOX_ROWS[1:])]
     line = notes_of(load(tmp_path, "load.xlsx", sheets(A=BOX_ROWS, B=other, C=twice)))
-    assert "not read: 8 boxes in B, because the columns differ" in line
+    assert "not read: 8 boxes in B, because its columns differ from those of the boxes read" in line
     assert "sheet C not read: column box occurs twice" in line
     hidden = openpyxl.load_workbook(io.BytesIO(sheets(A=BOX_ROWS, B=BOX_ROWS)))
     hidden["B"].sheet_state = "hidden"

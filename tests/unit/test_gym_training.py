@@ -243,7 +243,9 @@ def test_a_window_shows_each_step(monkeypatch: pytest.MonkeyPatch) -> None:
     env = PalletizingEnv(orders=table((400, 300, 200)), render_mode="human", **THREADS)
     monkeypatch.setattr(env.episodes, "picture", lambda row: np.full((8, 8, 3), row, np.uint8))
     matplotlib.use("agg")
-    with pytest.raises(InputError, match="human needs a window, but Matplotlib's backend agg has no windows"):
+    with pytest.raises(
+        InputError, match="render_mode='human' needs a window, but Matplotlib's backend agg has no windows"
+    ):
         env.reset(seed=0)
     monkeypatch.setattr(matplotlib, "get_backend", lambda: "tkagg")  # the backend agg draws what a window would show
     drawn = []

@@ -299,8 +299,8 @@ def test_worlds_of_before_are_not_simulated_again_to_be_recorded(tmp_path: Path)
     assert run.histories.empty
     (line,) = run.info["warnings"]
     assert line == (
-        "histories of 2 worlds of an earlier run are missing, because the run does not simulate worlds again; to "
-        "record them, name another folder"
+        "2 worlds of an earlier run have no history, and will not be simulated again; to "
+        "record histories, name another folder"
     )
 
 

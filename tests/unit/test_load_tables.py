@@ -191,7 +191,7 @@ def test_what_statics_leaves_open_is_overloaded_possibly(capsys: pytest.CaptureF
     assert plans.loc["bridge", ["n_surely_overloaded", "n_possibly_overloaded"]].tolist() == [0, 1]
     assert plans.loc["tower", ["n_surely_overloaded", "n_possibly_overloaded"]].tolist() == [2, 2]
     assert run("loads", "run", "--articles", str(articles)) == 0
-    assert "1 (surely), by the largest force: 2 (possibly)" in capsys.readouterr().out
+    assert "1 surely overloaded (by the smallest force that statics allows), 2 possibly" in capsys.readouterr().out
     # if some articles have no strength, it is unknown whether boxes are possibly overloaded, but not whether surely
     plans = petmjx.loads(results, table(f"donut-00101843,,{strength},,,", "plank,,9,,,")).plans.set_index("plan_id")
     assert plans["possibly_overloaded"].isna().to_dict() == {"bridge": True, "tower": False}

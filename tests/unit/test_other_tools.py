@@ -322,7 +322,7 @@ def test_the_given_files() -> None:
     assert sets["nested_placements.json"].plans[0].mass_kg.tolist() == [6, 6]
     assert sets["packingsolver.csv"].plans[0].mass_kg[0] == 12
     for name in ("packingsolver_items.csv", "types_and_quantities.csv"):
-        assert "no places: pack them first: petmjx samples --orders" in sets[name].skipped[0].message
+        assert "no places; pack them first: petmjx samples --orders" in sets[name].skipped[0].message
     assert (
         "no sizes: name a file that has them with --items FILE"
         in sets["submission_without_sizes.json"].skipped[0].message

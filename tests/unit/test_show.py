@@ -230,7 +230,7 @@ def test_comparison(tmp_path: Path) -> None:
     assert "stable 1 1 0" in lines
     assert any(line.startswith("d 0 a stable - ") for line in lines)
     assert any(line.startswith("b unstable drop 1 ") for line in lines)
-    assert "each has a margin from -0.7 to 0.7 in one of the runs" in lines
+    assert "each of these worlds has a margin from -0.7 to 0.7 in one of the runs" in lines
     assert "differences |b - a| of boxes, both stable" in lines
     assert any(line.startswith("shift_x_m 3 - 0 0.0036 0.004 [bold]s/0/2") for line in lines)
     assert any(line.startswith("max_lin_acc m/s² ") for line in lines)

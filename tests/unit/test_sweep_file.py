@@ -317,9 +317,9 @@ def test_plans_whose_run_ends_before_their_profile_are_skipped(tmp_path: Path) -
     assert results.worlds["plan_id"].tolist() == ["four"]
     (skipped,) = results.info["skipped"]
     assert skipped["plan_id"] == "one"
-    assert "plan one: the run ends before its profile begins, at 1.2 times the placement time" in skipped["error"]
+    assert "plan one: its worlds end before the profile begins, at 1.2 times the placement time" in skipped["error"]
     for plans, strict in (([one], False), ([four, one], True)):
-        with pytest.raises(InputError, match="plan one: the run ends before"):
+        with pytest.raises(InputError, match="plan one: its worlds end before"):
             petmjx.sweep(sweep_file(tmp_path, TOO_SHORT_FOR_ONE_BOX), plans, engine="mujoco", strict=strict)
 
 

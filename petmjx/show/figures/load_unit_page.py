@@ -257,9 +257,9 @@ def _assumed(run: RunResults) -> list[str]:
     )
     limits = sim.thresholds
     lines.append(
-        f"{alone} straps or neighbours. Boxes are rigid. A world arrives if after each leg no box has fallen, lies "
-        f"more than {MM_PER_M * limits.shift_m:g} mm from its planned place, or is tilted by more than "
-        f"{limits.tilt_deg:g}°."
+        f"{alone} straps or neighbours. Boxes are rigid. A world arrives if, after each leg, no box has fallen, "
+        f"no box lies more than {MM_PER_M * limits.shift_m:g} mm from its planned place, and no box is tilted by more "
+        f"than {limits.tilt_deg:g}°."
     )
     return [printable(line) for line in lines]
 

@@ -78,7 +78,7 @@ def _section(repaired: Repaired, how: dict[str, Any]) -> str:
 def _heading(repaired: Repaired) -> str:
     """The heading above the changes."""
     if not repaired.stands:
-        return f"No changed plan stands, of {repaired.n_trials:,} that were simulated"
+        return f"No changed plan stands ({repaired.n_trials:,} simulated)"
     return f"It stands after {count_text(len(repaired.changes), 'change')}"
 
 

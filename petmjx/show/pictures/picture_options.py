@@ -122,8 +122,8 @@ class PictureOptions(CheckedRecord):
         CliFlag("--at", "TIMES", default="before,first-sign,end if a box fails; else end"),
     ] = Field(
         None,
-        description="moments that pictures show, separated by commas: times in seconds, or start, before (the last "
-        "placement before the first sign), first-sign, end; several moments give a row of pictures",
+        description="moments that pictures show, separated by commas: times in seconds, or 'start', 'before' "
+        "(the last placement before the first sign), 'first-sign', 'end'; several moments give a row of pictures",
     )
     view: Annotated[str, _checked_by(view_of), CliFlag("--view")] = Field(
         "iso",
@@ -132,7 +132,7 @@ class PictureOptions(CheckedRecord):
     )
     size: Annotated[str | None, _checked_by(size_of), CliFlag("--size", "WxH", default=_USUAL_SIZES)] = Field(
         None,
-        description="width and height in pixels; if several pictures stand in a row, of each picture",
+        description="width and height of a film, or of each picture, in pixels",
     )
     colour: Annotated[Colour, CliFlag("--colour")] = Field(
         Colour.ARTICLE,
@@ -144,7 +144,7 @@ class PictureOptions(CheckedRecord):
     speed: Annotated[
         float | None,
         within(0.01, 1000),
-        CliFlag("--speed", "X", default="1, or so much faster that a film lasts 20 s at most"),
+        CliFlag("--speed", "X", default="1, or more if a film would otherwise last longer than 20 s"),
     ] = Field(
         None,
         description="speed of films, as a multiple of real time",

@@ -127,7 +127,7 @@ def _moment(story: Story, which: str | float) -> Moment:
     if which in (START, END):
         return Moment(0 if which == START else len(history.time_s) - 1, which)
     if not math.isfinite(sign_s):
-        raise InputError(f"there is no moment {which}: nothing failed in plan {printable_name(story.plan.plan_id)}")
+        raise InputError(f"there is no moment '{which}': nothing failed in plan {printable_name(story.plan.plan_id)}")
     if which == FIRST_SIGN:
         return Moment(nearest_frame(history, sign_s), which)
     grown = np.flatnonzero(np.diff(history.n_placed, prepend=0) > 0)

@@ -178,11 +178,11 @@ def _flips(runs: Sequence[ReportRun], pair: Comparison) -> Markup:
     note = (
         ""
         if within is None
-        else f"Each has a margin from -{three_digits(within)} to {three_digits(within)} in one of the runs."
+        else f"Each of these worlds has a margin from -{three_digits(within)} to {three_digits(within)} in one run."
     )
     return joined_markup(
         table(["plan", a, b, f"margin, {a}", f"margin, {b}"], rows, caption=caption, texts=3),
-        element("p", note, " A click shows the world of both runs in 3D, side by side.", class_="hint"),
+        element("p", note, " A click on a plan shows its world in both runs, in 3D and side by side.", class_="hint"),
     )
 
 

@@ -48,10 +48,14 @@ AXES_CAPTION: Final = (
     "difference of the largest and the smallest of these shares. Explained: part of the variance of “stands” that lies "
     "between the values of the axis (η², the squared correlation ratio). The row “plan” shows how much plans differ."
 )
-DIRECTIONS_CAPTION: Final = "Line: the median plan; band: half of the plans. A plan that survives no level counts as 0."
+DIRECTIONS_CAPTION: Final = (
+    "Line: the median plan; band: the middle half of the plans. A plan that survives no level counts as 0."
+)
 
 
-LEGS_CAPTION: Final = "Worlds that stand after a leg, of the worlds that reached it. Line: Wilson’s 95 % interval."
+LEGS_CAPTION: Final = (
+    "Share of worlds that stand after a leg, among the worlds that reached it. Line: Wilson’s 95 % interval."
+)
 WEAKEST_LEG_CAPTION: Final = "The leg in which most worlds of a plan failed first."
 
 
