@@ -270,7 +270,8 @@ class Candidates:
         self._seen: set[bytes] = set()
         self._known: dict[bytes, Trial] = {}  # key of each draft that was judged → its trial
         self._falls: dict[bytes, Trial] = {}  # key of the placements up to an early fall → the trial
-        self._held_mm: dict[int, float] = {}  # box → largest depth of its load beyond an edge at which it did not fall
+        # box → largest depth, mm, by which its load acted beyond an edge although the box did not fall
+        self._held_mm: dict[int, float] = {}
         self._in_worlds: dict[bytes, dict[int, Trial]] = {}  # key of a draft → number of a world → trial
         self._balances: dict[bytes, Balance] = {}  # key of a draft → its balance, for drafts that may be judged
 

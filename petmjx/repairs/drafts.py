@@ -124,7 +124,8 @@ class Draft:
     def bears(self) -> BoolArray:
         """(m, m) whether the column's box lies on the row's box, directly or on boxes between them."""
         bears = self.on_top.copy()
-        for box in np.argsort(-self.corner_mm[:, 2], kind="stable"):  # a box lies only on boxes with lower bottoms
+        # from the highest box down, since a box lies only on boxes with lower bottoms
+        for box in np.argsort(-self.corner_mm[:, 2], kind="stable"):
             bears[box] |= bears[bears[box]].any(axis=0)
         return bears
 

@@ -377,8 +377,8 @@ def _exchanged_places(draft: Draft, pairs: IntArray) -> tuple[Places, BoolArray]
     is_possible = ~uneven | draft.is_bare[pairs].all(axis=1)
     alike = (differ <= TOLERANCE_MM).all(axis=1) & (np.abs(mass[:, 0] / mass[:, 1] - 1) < 0.01)
     pairs = pairs[is_possible & ~alike]
-    # Axes of these arrays: pair; which of the two boxes are turned; whether both boxes stand at the low or the high
-    # ends of their new places; box of the pair; x, y and z.
+    # Axes of these arrays: (1) pair; (2) which of its two boxes are turned; (3) low or high end of the new places, at
+    # which both boxes then stand; (4) box of the pair; (5) x, y and z.
     turns = np.array([[False, False], [False, True], [True, False], [True, True]])[:, None]
     before, size = draft.size_mm[pairs][:, None, None], draft.size_mm[pairs][:, None, None]
     size = np.where(turns[..., None], size[..., [1, 0, 2]], size)

@@ -164,7 +164,7 @@ class _Pile:
         self._distrusted, self._way, self._leaves_out = distrusted, way, leaves_out
         self._held = set(draft.order[:n_held])
         self._pile = draft.in_order(())
-        self._balance: Balance | None = None  # balance of the pile; None: unknown
+        self._balance: Balance | None = None  # balance of the pile; None: not computed yet
 
     def built(self) -> Judging[Proposal | None]:
         """The changes that turn the draft into the new plan; None: there is no place for a box."""

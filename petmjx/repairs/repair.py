@@ -145,7 +145,7 @@ class Repaired:
             return f"{name}: stands as it is"
         first = "" if trial.culprit is None else f", first box {trial.culprit}"
         fails = f"{name}: {trial.verdict} ({trial.reason}{first})"
-        spent = "" if self.complete else f", then {self._limit} for the search were spent"
+        spent = "" if self.complete else f"; the search stopped because {self._limit} were used up"
         if self.built_falls:
             return f"{fails}; no repair was sought, because the boxes that are already built do not stand by themselves"
         if not self.stands:
@@ -156,7 +156,7 @@ class Repaired:
         doubt = "some may not be needed" if len(self.changes) > 1 else "another change might be better"
         if self.trials_spent and self.left_out:
             doubt = "all boxes might be kept"
-        return f"{text}; {self._limit} for the search were spent: {doubt}"
+        return f"{text}; {doubt}, since the search stopped when {self._limit} were used up"
 
     @property
     def doubt(self) -> str:

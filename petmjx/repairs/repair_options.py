@@ -55,8 +55,8 @@ class RepairOptions(CheckedRecord):
     )
     max_height_mm: Annotated[float, within(0, 100_000), CliFlag("--max-height-mm", "MM")] = Field(
         2000.0,
-        description="largest height of the top of a box that the repair places elsewhere, mm; if the plan is higher, "
-        "the height of the plan",
+        description="largest height that the top of a moved box may reach, mm; a plan that is higher may keep its own "
+        "height",
     )
     most_changes: Annotated[int, within(1, 100), CliFlag("--most-changes", "N")] = Field(
         60, description="largest number of changes; boxes that are left out do not count"
@@ -94,7 +94,7 @@ class RepairOptions(CheckedRecord):
         "at rest",
     )
     level: Annotated[float, within(0, 1000), CliFlag("--level", "LEVEL")] = Field(
-        1.0, gt=0, description="strength of the profile: a level in g, or a scale"
+        1.0, gt=0, description="strength of the profile: a level in g, or a factor (scale), as the profile requires"
     )
     direction_deg: Annotated[float, within(-360, 360), CliFlag("--direction", "DEG")] = Field(
         0.0, description="angle by which the profile is turned from +x towards +y, degrees"

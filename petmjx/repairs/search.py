@@ -213,7 +213,7 @@ class Search(Candidates):
         if self.judged is not None:
             self._remember([self._start], [self.judged])
         (trial,) = yield from self._simulated([self._start], judged=not is_driven)
-        self.n_trials = 0  # the plan itself does not count
+        self.n_trials = 0  # the trial of the unchanged plan does not count
         self.invalid.clear()
         if is_driven:
             self.begin(trial)
@@ -324,8 +324,8 @@ class Search(Candidates):
         doubtful: list[State] = []  # states that may fall when scored (``_is_doubtful``)
         is_late = is_widened = False
         n_anew, may_rebuild = 0, Kind.PLACE in kinds and options.profile is None
-        # Boxes may be left out only after a search of many rounds in which no box was left out. The count of rounds
-        # continues from there.
+        # Boxes may be left out only after a search of many rounds in which no box was left out. So the count of
+        # rounds begins with the number of those rounds.
         n_rounds = len(WIDE_AT_ONCE) if Kind.LEAVE_OUT in kinds else 0
         queues: list[list[Candidate]] = []
         while self.n_trials < last and not self._stands:
@@ -350,8 +350,8 @@ class Search(Candidates):
                 last = min(end, self.n_trials + int(PAIRS * most_trials))
             n_anew += is_late and may_rebuild
             if n_anew > ROUNDS_ANEW:
-                # let the search count as one that has used up its trials, since there may be further ways to build
-                # plans anew
+                # The search ends here as if its trials were used up: there may be further ways to build plans anew, but
+                # none is tried.
                 last = self.n_trials
                 break
             queues = self._queues(useful, kinds, anew=is_late)
@@ -436,7 +436,7 @@ class Search(Candidates):
         for begin in range(0, len(chosen), at_once):
             counted += yield from self._judged_in(chosen[begin : begin + at_once], COMPARED_IN)
             if sum(state.n_good == len(COMPARED_IN) for state in counted) >= _n_finalists(counted):
-                break  # no other repair stands more often
+                break  # enough repairs stand in all compared worlds, and no other repair can stand more often
         counted.sort(key=lambda state: -state.n_good)
         best, sure = counted[: 2 * MOST_FINALISTS], {key_of(state.draft) for state in scored}
         unsure = [k for k, state in enumerate(best) if key_of(state.draft) not in sure]

@@ -16,6 +16,8 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple, Protocol
 
+import numpy.ma  # noqa: F401  # ``numpy.unique`` needs it, and each copy of the process would import it anew
+
 from petmjx.engines.subprocess.task_pipe import Child, Forks, PipedProcess, next_of, own_pipes
 from petmjx.repairs.requests import Asked, OutOfTime, Steps, Together, TrialAnswer
 from petmjx.repairs.search import Search

@@ -250,8 +250,8 @@ class Question:
             number: _trial(worlds.loc[str(number)], fallen.get(str(number), ()), drafts[number].order)
             for number in numbers
         }
-        if self._options.profile is not None:  # then only the user limits iterations
-            return trials
+        if self._options.profile is not None:
+            return trials  # with a profile, only the user can limit iterations, so no reason needs to be examined
         # If a further attempt reaches the iteration limit, its world keeps the reason of an earlier attempt. So the
         # reasons of all attempts are examined.
         simulations = pd.concat([results.worlds[["plan_id", "reason"]], results.attempts[["plan_id", "reason"]]])
@@ -515,8 +515,9 @@ class TrialStream:
         """
         request = _Request(ticket, drafts)
         self._n_open += 1
-        # Tables of the engine have room for the largest plan of any search, even while its drafts are being scored: the
-        # search may soon request judged drafts again, and programs are compiled for each size of a table.
+        # Tables of the engine always have room for the largest plan of any search. Even if the drafts of this plan are
+        # being scored now, its search may soon request judged drafts again, and programs are compiled for each size of
+        # a table.
         self._most_boxes = max(self._most_boxes, *(one.draft.plan.n_boxes for one in drafts))
         numbered: dict[object, list[tuple[int, Job | None]]] = {}
         for number, (one, job) in enumerate(zip(drafts, self._question.jobs(drafts), strict=True)):

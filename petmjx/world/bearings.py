@@ -112,12 +112,12 @@ class Boxes:
 
 
 def _wall_allowances(scene: Scene, target: FloatArray) -> FloatArray:
-    """(n, 2, 2) how far beyond a box's supports its load may act while a wall keeps the box from tipping, m
-    (``Boxes.wall_allowance``), in a scene with walls. ``target`` has the (n, 3) middles of the boxes, m.
+    """(n, 2, 2) for a scene with walls: how far beyond a box's supports its load may act while a wall keeps the box
+    from tipping, m (``Boxes.wall_allowance``). ``target`` has the (n, 3) middles of the boxes, m.
 
     If the load W of a box acts at a distance e beyond an edge of the supports, the box tips until it touches the wall
-    on that side. The box touches the wall at its own top or at the wall's top, whichever is lower. The point at which
-    the box touches the wall is a height h above the box's bottom. The wall then presses on the box with the force
+    on that side. The box touches the wall at its own top or at the wall's top, whichever is lower. The box touches
+    the wall at the height h above its own bottom. The wall then presses on the box with the force
     W·e/h, which friction at the edge must balance. So the wall holds the box as long as e is at most µ·h. This limit
     assumes a smooth wall and a support that does not move.
     """

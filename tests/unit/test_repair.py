@@ -1256,7 +1256,7 @@ def test_a_search_whose_seconds_are_spent_says_so() -> None:
     result = repaired(TOWER, seconds=0.1)
     assert not result.complete
     assert result.trial_before.verdict == "unstable"
-    assert "the seconds for the search were spent" in result.headline
+    assert "since the search stopped when the seconds were used up" in result.headline
     assert not result.row()["complete"]
     assert repaired(stack(2), seconds=0.1).complete, "a plan that stands needs no search"
 
@@ -1266,7 +1266,7 @@ def test_a_search_whose_trials_are_spent_says_so() -> None:
     help here, and all of them were tried: more trials would find nothing."""
     few = repaired(TWO_FAULTS, forbid=[kind for kind in Kind if kind not in (Kind.MOVE, Kind.LEAVE_OUT)], trials=6)
     assert (few.stands, few.complete, few.trials_spent, len(few.left_out)) == (True, False, True, 1)
-    assert few.headline.endswith("the trials for the search were spent: all boxes might be kept")
+    assert few.headline.endswith("all boxes might be kept, since the search stopped when the trials were used up")
     all_tried = repaired(TWO_FAULTS, forbid=[kind for kind in Kind if kind not in (Kind.SHEET, Kind.LEAVE_OUT)])
     assert (all_tried.complete, all_tried.trials_spent, len(all_tried.left_out)) == (True, False, 3)
 
@@ -1315,7 +1315,7 @@ def test_a_trial_is_kept_for_the_score_of_a_repair(boxes: Sequence[Box], worlds:
     result = repaired(boxes, worlds=worlds, trials=trials)
     assert (len(result.changes), result.left_out) == (1, ())
     assert result.complete == (not worlds), "with errors, the trials are not enough to compare repairs"
-    spent = "; the trials for the search were spent: another change might be better"
+    spent = "; another change might be better, since the search stopped when the trials were used up"
     assert result.headline.endswith("stands after 1 change" + spent * bool(worlds))
 
 
@@ -1363,9 +1363,9 @@ def test_a_changed_plan_that_is_scored_for_too_long_counts_as_one_that_falls(mon
 def test_a_repair_with_few_trials_is_told_as_such() -> None:
     few = repaired(COUNTERWEIGHT, trials=3)
     assert (few.stands, few.n_trials <= 4, few.complete) == (True, True, False)
-    assert few.headline.endswith("the trials for the search were spent: all boxes might be kept")
+    assert few.headline.endswith("all boxes might be kept, since the search stopped when the trials were used up")
     undone = replace(few, changes=(Move(0, 1.0, 0.0), Move(1, 1.0, 0.0)))
-    assert undone.headline.endswith("the trials for the search were spent: some may not be needed")
+    assert undone.headline.endswith("some may not be needed, since the search stopped when the trials were used up")
 
 
 def test_a_repair_that_stands_in_too_few_worlds_with_errors_is_told() -> None:
