@@ -1256,7 +1256,7 @@ def test_a_search_whose_seconds_are_spent_says_so() -> None:
     result = repaired(TOWER, seconds=0.1)
     assert not result.complete
     assert result.trial_before.verdict == "unstable"
-    assert "since the search stopped when the seconds were used up" in result.headline
+    assert "the search stopped because the seconds were used up" in result.headline
     assert not result.row()["complete"]
     assert repaired(stack(2), seconds=0.1).complete, "a plan that stands needs no search"
 
