@@ -83,8 +83,7 @@ BUILT_ANEW: Final = 0.2
 ROUNDS_ANEW: Final = 6
 """Largest number of rounds in which plans are built anew. Almost always, the first or second round finds a plan that
 stands. Each round takes a second of statics, even if few of its plans are worth judging. With more rounds, the few
-plans for which no repair is found would keep all other plans waiting. On a GPU, there are half as many rounds, and
-twice as many plans are built anew in each (``WIDE``): statics takes little more time for more plans."""
+plans for which no repair is found would keep all other plans waiting."""
 
 PAIR: Final = 2
 """Once a repair with ``PAIR`` + 1 changes is known, the search for a repair with ``PAIR`` changes is wide: it judges
@@ -111,8 +110,8 @@ MOST_NEARLY: Final = 2
 falls when judged is scored: such plans hardly ever stand (none of 24), and their scores keep all searches waiting."""
 
 MOST_ANEW: Final = 2
-"""Largest number of changed plans that are built anew in one round. Each changed plan is built anew in up to sixteen
-ways. All ways together take about a second."""
+"""Largest number of changed plans that are built anew at once. Each changed plan is built anew in up to sixteen ways.
+All ways together take about a second."""
 
 CONFIRMED_AT_ONCE: Final = 2
 """Of the plans that stand when judged, this many are scored at once."""
@@ -350,7 +349,7 @@ class Search(Candidates):
                 is_widened, useful, at_once = True, unchanged, self._scale * PAIRS_AT_ONCE
                 last = min(end, self.n_trials + int(PAIRS * most_trials))
             n_anew += is_late and may_rebuild
-            if n_anew > ROUNDS_ANEW // self._scale:
+            if n_anew > ROUNDS_ANEW:
                 # The search ends here as if its trials were used up: there may be further ways to build plans anew, but
                 # none is tried.
                 last = self.n_trials
@@ -475,7 +474,7 @@ class Search(Candidates):
         """For each of the best nodes, its ranked changes that were not judged yet. With ``anew``, the queues instead
         have ways to build plans anew, if there are nodes whose plans were not built anew before."""
         if anew and Kind.PLACE in kinds:
-            chosen = [node for node in nodes if not node.is_anew][: self._scale * MOST_ANEW]
+            chosen = [node for node in nodes if not node.is_anew][:MOST_ANEW]
             for node in chosen:
                 node.is_anew = True
             queues = self._anew(chosen, kinds)
