@@ -42,7 +42,7 @@ OF_READING: Final = (*READING, "articles", "limit", "strict")
 """Fields of ``RunOptions`` about the reading of plans."""
 
 AT_ONCE: Final = 256
-GPU_AT_ONCE: Final = 512
+GPU_AT_ONCE: Final = 1024
 """Largest number of plans that are repaired at the same time, on CPU threads and on a GPU. The trials of plans that
 are repaired at the same time share runs of the engine, so that a GPU has enough worlds to be busy. The next plans wait
 for the last search: seven of 263 plans waited for more than a minute, when this number was 256 on a GPU, too."""
