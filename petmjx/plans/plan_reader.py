@@ -611,7 +611,7 @@ def _kind_of_text(data: bytearray, named: bool) -> str | None:
             table is taken for damaged JSON.
     """
     if looks_like_table(data):
-        return "looks like a table as text, but is read as one only if its name ends in .csv or .tsv"
+        return "looks like a table, but is read as a table only if its name ends in .csv or .tsv"
     first = data[: 1 << 16].split(b"\n", 1)[0].strip().lower()
     begins_so = not first or first[:1] in b'{["-0123456789' or first.startswith((b"true", b"false", b"null"))
     if named or begins_so:

@@ -211,7 +211,7 @@ def _film(run: RunResults, plan: Plan, slides_g: float) -> str:
     film = film_of(build_scene(plan, sim.changed(wrap=wrap)))
     weight_n = float(plan.mass_kg.sum()) * sim.physics.gravity_m_s2
     held_g = slides_g * (1 + wrap.hat_n / weight_n) + float(film.hold.sum()) / weight_n
-    return f"{text} Held to its carrier by {most:g} turns, the load slides from {held_g:.2f} g on."
+    return f"{text} Held to its carrier by {most:g} turns of film, the load slides from {held_g:.2f} g on."
 
 
 def _most_loaded(run: RunResults, plan: Plan) -> Iterator[str]:
