@@ -230,7 +230,7 @@ def _list_files(paths: list[Path]) -> list[Path]:
                 files.append(path)
                 continue
             if _is_run(path):
-                advice = "petmjx convert writes its plans to a file"
+                advice = "'petmjx convert' writes its plans to a file"
                 raise InputError(f"{printable(str(path))}: the folder of a run, not of plans: {advice}")
             members = plan_files_in(path)
         except (OSError, ValueError) as error:

@@ -136,8 +136,9 @@ def _sides_along_axes(turns: Turns, rule: str) -> NDArray[np.int64]:
 
 
 _TIPPED_COST, _TIPPED_NEXT_COST = 1.5, 1.0
-"""Costs of a reading in which some boxes are tipped on a side. The second cost holds if py3dbp's rotations are only 0
-and 1: if a box does not fit unturned, py3dbp tries rotation 1 next, whichever axis is the vertical."""
+"""Costs of a reading in which some boxes are tipped on a side: ``_TIPPED_NEXT_COST`` if py3dbp's rotations are only 0
+and 1, else ``_TIPPED_COST``. If a box does not fit unturned, py3dbp tries rotation 1 next, whichever axis is the
+vertical."""
 
 
 def tipping_cost(columns: BoxColumns, candidate: Candidate, rows: NDArray[np.int64]) -> float:
@@ -151,7 +152,7 @@ def tipping_cost(columns: BoxColumns, candidate: Candidate, rows: NDArray[np.int
     if turns is None or candidate.rule in ("none", "swap", "swap back", "degrees", *POSES):
         return 0.0
     sides = _sides_along_axes(turns, candidate.rule)[rows, axis_up(candidate.up)]
-    is_cube = np.ptp(sizes, axis=1) == 0  # its rotation shows nothing
+    is_cube = np.ptp(sizes, axis=1) == 0  # the rotation of a cube shows nothing
     if len(set(sides[~is_cube].tolist())) < 2:
         return 0.0
     codes = set(turns.codes[rows].tolist())

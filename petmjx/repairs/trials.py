@@ -587,7 +587,8 @@ class TrialStream:
                     if outcome.state is not None and queue.common is not None:
                         for following in queue.common.go_on(placement, outcome):
                             stream.put(following.job, following)
-                    else:  # final for all worlds of the placement: a fall before their first different box
+                    # the outcome is final for all worlds of the placement: a box fell before the worlds begin to differ
+                    else:
                         for world in placement.worlds:
                             request, number = world.tag
                             trial = self._question.judged(outcome, request.drafts[number], world.job, lane.sim)

@@ -404,8 +404,8 @@ class RunWriter(RunInfo):
             raise failure
 
     def _write_part(self, begin: int) -> None:
-        """Write waiting rows, from row ``begin`` on, as one part (one file of each table). If writing fails, the worlds
-        keep waiting."""
+        """Write waiting rows, from row ``begin`` on, as one part (one file of each table). If writing fails, the rows
+        are kept for the next try."""
         rows = self._rows[begin : begin + self._worlds_per_part]
         number = self.parts.next_number(*OF_WORLDS)
         digests: dict[Path, str] = {}

@@ -70,7 +70,8 @@ def write_load_unit_pages(run: RunResults, plans: Mapping[str, Plan], path: Path
         )
     if not is_chain(run.info) or run.summary is None:
         raise InputError(
-            f"{run.path}: is not the run of a chain, so it has no PDF pages; petmjx score PLANS --chain NAME makes one"
+            f"{run.path}: is not the run of a chain, so it has no PDF pages; 'petmjx score PLANS --chain NAME' "
+            "makes such a run"
         )
     rows = [row for row in arrivals(run.summary).to_dict("records") if row["plan_id"] in plans]
     if not rows:
