@@ -575,7 +575,8 @@ class TrialStream:
         stream.close()  # drafts that are requested later enter the stream as jobs that follow from an outcome
         self._feed(stream, queue, lane)
         progress = self._question.progress
-        compiled_s = self._limit.compiled_s - progress.compile_s  # both numbers contain the times of earlier runs
+        # both numbers contain the times of earlier runs; below, only the increase of ``compile_s`` is added
+        compiled_s = self._limit.compiled_s - progress.compile_s
         with closing(outcomes_of_stream(lane.engine, stream, lane.sim, progress, MOST_LISTED)) as outcomes:
             for outcome in outcomes:
                 self._limit.compiled_s = compiled_s + progress.compile_s
