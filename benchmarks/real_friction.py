@@ -76,7 +76,7 @@ def _row_of_friction(carton: Carton) -> Row:
     miss = _outside(ours, low, high)
     return Row(
         f"friction of {carton.name}", _TUE, f"{low:.2f} to {high:.2f}", f"{ours:.2f}", f"{miss:.2f}", "all",
-        "petmjx's default for boxes (CTU Code, cardboard on cardboard)", miss == 0.0,
+        "the value is petmjx's default for boxes (CTU Code, cardboard on cardboard)", miss == 0.0,
     )  # fmt: skip
 
 
@@ -130,7 +130,8 @@ def _row_of_floor() -> Row:
     return Row(
         "static friction of a pallet on rack beams", _RACKS, f"{low} to {high} (loads of 0.55 to 13 kN)", f"{ours:g}",
         f"{miss:.2f}", ALL_ENGINES,
-        "petmjx's default, with which pallets do not slide on the floor; `physics.floor_friction` changes this default",
+        "the value is petmjx's default, with which pallets do not slide on the floor; `physics.floor_friction` changes "
+        "this default",
         miss == 0.0,
     )  # fmt: skip
 
@@ -154,7 +155,7 @@ def _row_of_kinetic_share() -> Row:
     return Row(
         "kinetic friction, as a share of static friction", _SAE,
         f"{percent(low, 0)} to {percent(high, 0)}; CTU Code: 75 %", percent(ours, 0), percent(miss, 0),
-        ALL_ENGINES, "petmjx's default for contacts that slide", miss == 0.0,
+        ALL_ENGINES, "the value is petmjx's default for contacts that slide", miss == 0.0,
     )  # fmt: skip
 
 
@@ -184,7 +185,7 @@ def _rows_of_sliding(engine: str) -> Iterator[Row]:
         f"sliding distance of a pallet that starts at {SPEED_M_S:g} m/s",
         f"Coulomb's law, with the kinetic friction measured for: {_SAE}",
         f"{expected[worst]:.3f} m", f"{expected[worst] * (1 + error[worst]):.3f} m", percent(abs(error[worst])), engine,
-        f"of {len(kinetic)} floors, the row shows the one with the largest error",
+        f"of {len(kinetic)} floors, the row has the floor with the largest error",
         bool(abs(error).max() < _WAY_WITHIN),
     )  # fmt: skip
     lift = MM_PER_M * max(_lowest_corner(pos, quat) for pos, quat in zip(moved.pos_m, moved.quat_wxyz, strict=True))

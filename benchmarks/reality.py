@@ -212,7 +212,7 @@ def _tosses(data: Path, limit: int | None, engine: str, *, complete: bool) -> tu
         rows += _rows_of_spread(measures["spread"], engine)
         rows.append(_row_of_faces(measures["spread_as_shipped"], "by default", engine))
         right = percent(measures["mujoco_own"]["right_face"])
-        note = f"if simulated from the measured starts, {right} of tosses have the filmed face up"
+        note = f"if simulated from the measured starts, {right} of tosses end with the measured face up"
         rows.append(_row_of_faces(measures["spread_mujoco_own"], "with MuJoCo's own contacts", engine, note))
         rows += _rows_of_friction(measures["friction"], engine)
         rows += _rows_of_calibration(measures["calibration"], engine)
@@ -223,17 +223,18 @@ def _rows_of_errors(measures: Mapping[str, Any], name: str, n: int, engine: str)
     face, place, path = measures["right_face"], measures["place_median_mm"], measures["path_mean_mm"]
     low, high = map(float, wilson_interval(round(face * n), n))
     yield Row(
-        f"{name}: share that ends with the same face up as in the film", _CUBE, percent(1), percent(face),
+        f"{name}: share that ends with the measured face up", _CUBE, percent(1), percent(face),
         percent(1 - face), engine,
         f"the goal is {percent(_RIGHT_FACE)}; 95 % interval of petmjx's share: {percent(low)} to {percent(high)}",
         face >= _RIGHT_FACE,
     )  # fmt: skip
     yield Row(
-        f"{name}: error of the place at the end", _CUBE, "filmed", "–", f"{place:.1f} mm in the median", engine,
+        f"{name}: error of the place at the end", _CUBE, "by motion capture", "–",
+        f"{place:.1f} mm in the median", engine,
         f"the goal is at most {_PLACE_MM:g} mm", place <= _PLACE_MM,
     )  # fmt: skip
     yield Row(
-        f"{name}: error of place and orientation along the path", _CUBE, "filmed", "–",
+        f"{name}: error of place and orientation along the path", _CUBE, "by motion capture", "–",
         f"{path:.1f} mm, {measures['turn_mean_deg']:.1f}° in the mean", engine, f"the goal is at most {_PATH_MM:g} mm",
         path <= _PATH_MM,
     )  # fmt: skip
@@ -265,12 +266,12 @@ def _rows_of_spread(measures: Mapping[str, Any], engine: str) -> Iterator[Row]:
 
 
 def _row_of_faces(measures: Mapping[str, Any], contacts: str, engine: str, note: str = "") -> Row:
-    """How often a run of a toss with uncertain starts ends with the filmed face up, and how often two runs of the same
-    toss end with the same face up."""
+    """How often a run of a toss with uncertain starts ends with the measured face up, and how often two runs of the
+    same toss end with the same face up."""
     measured, runs_agree = measures["same_face_as_measured"], measures["same_face_between_runs"]
     return Row(
         f"face that is up at the end, in simulations of tosses with uncertain starts, {contacts}", _CUBE,
-        f"{percent(measured)} of simulations agree with the film",
+        f"{percent(measured)} of simulations agree with the measurement",
         f"{percent(runs_agree)} of pairs of simulations of one toss agree", percent(runs_agree - measured),
         engine, note,
     )  # fmt: skip
@@ -282,8 +283,8 @@ def _rows_of_friction(measures: Mapping[str, Any], engine: str) -> Iterator[Row]
         yield Row(
             f"friction fitted to {name} of the tosses", _CUBE, f"{measures['published']}", f"{half['friction']}",
             f"{abs(miss):.3f}", engine,
-            f"of the tosses not used for the fit, {percent(other['right_face'])} have the filmed face up; errors: "
-            f"place {other['place_median_mm']:.1f} mm, path {other['path_mean_mm']:.1f} mm",
+            f"of the tosses not used for the fit, {percent(other['right_face'])} end with the measured face up; "
+            f"errors: place {other['place_median_mm']:.1f} mm, path {other['path_mean_mm']:.1f} mm",
             abs(miss) <= _FRICTION_WITHIN + 1e-9,
         )  # fmt: skip
 

@@ -476,6 +476,7 @@ def tilting(
 ) -> Iterator[Row]:
     """Rows with the angles at which boxes on a tilted carrier fail, and the delay of the failure, compared with closed
     forms."""
+    shift_mm = 1000 * THRESHOLD_M
     for profile, rate in TILT_RATES.items():
         for friction in frictions:
             angle = math.degrees(math.atan(friction))
@@ -483,17 +484,20 @@ def tilting(
             name = f"a box with friction {friction:g} slides in the profile `{profile}`"
             yield Row(f"angle at which {name}, °", "atan(friction)", angle, failed, engine)
             late = slide_late_deg(math.radians(angle), rate)
-            quantity = f"how far the carrier tilts beyond atan(friction) before petmjx detects that {name}, °"
+            slid = f"a box with friction {friction:g} has slid by {shift_mm:g} mm in the profile `{profile}`"
+            quantity = f"further tilt of the carrier, beyond atan(friction), until {slid}, °"
             yield Row(quantity, "Coulomb", late, failed - angle, engine)
         for block in blocks:
             width, height = 1000 * block.width_m, 1000 * block.height_m
             angle = math.degrees(block.slenderness_rad)
             failed = _fail_angle_deg(block_plan("b", width, [height]), profile, ROUGH, engine)
-            name = f"a block of {width:g} × {height:g} mm topples in the profile `{profile}`"
+            block_name = f"a block of {width:g} × {height:g} mm"
+            name = f"{block_name} topples in the profile `{profile}`"
             yield Row(f"angle at which {name}, °", "atan(width / height)", angle, failed, engine)
             late = block.late_deg(rate, THRESHOLD_M)
+            moved = f"the centre of {block_name} has moved by {shift_mm:g} mm in the profile `{profile}`"
             yield Row(
-                f"how far the carrier tilts beyond atan(width / height) before petmjx detects that {name}, °",
+                f"further tilt of the carrier, beyond atan(width / height), until {moved}, °",
                 "Housner 1963, linear",
                 late,
                 failed - angle,

@@ -547,7 +547,7 @@ class CriteriaOptions(CheckedRecord):
         ),
     ] = Field(
         Carrier.FOOTPRINT,
-        description="carrier on which the boxes stand, as for petmjx score; gaps between boards bear nothing, and a "
+        description="carrier on which the boxes stand, as for 'petmjx score'; gaps between boards bear nothing, and a "
         "carrier without boards counts as reaching under all boxes",
     )
     walls: Walls = Field(Walls(), description="walls around the carrier's top, by default the run's walls")

@@ -69,7 +69,7 @@ def read_stability(sources: Sequence[RunResults | Path], plans: Collection[Plan]
             same id.
     """
     if not sources:
-        command = "give --run DIR with a run made by petmjx score PLANS --check static --out DIR"
+        command = "give --run DIR with a run made by 'petmjx score PLANS --check static --out DIR'"
         return Stability(notes=(f"no run was given, so it is unknown which plans stand: {command}",))
     runs = [run if isinstance(run, RunResults) else load_run(run) for run in sources]
     for run in runs:
@@ -81,7 +81,7 @@ def read_stability(sources: Sequence[RunResults | Path], plans: Collection[Plan]
         notes.append(
             f"kpi_6 needs a run with --check static, but the run {runs[0].where} was made with --check "
             f"{_check(runs[0])}: give also "
-            "--run DIR with a run made by petmjx score PLANS --check static --out DIR"
+            "--run DIR with a run made by 'petmjx score PLANS --check static --out DIR'"
         )
     invalid = Verdict.INVALID.value
     stable = {name: verdict == Verdict.STABLE.value for name, verdict in verdicts.items() if verdict != invalid}
@@ -96,7 +96,7 @@ def _check(run: RunResults) -> Any:
 
 def _check_same(run: RunResults, plans: Iterable[Plan]) -> None:
     if run.info["config"]["command"] == "sweep":
-        raise InputError(f"{run.where}: is a sweep; KPIs need a run of petmjx score")
+        raise InputError(f"{run.where}: is a sweep; KPIs need a run of 'petmjx score'")
     digests = dict(zip(run.plans["plan_id"], run.plans["digest"], strict=True))
     if (file := how_read(run.info).articles) is not None:
         articles = read_articles(file)

@@ -86,7 +86,7 @@ def runs_by_packer(runs: Sequence[RunSource] | Mapping[str, RunSource]) -> dict[
             raise InputError(f"runs: a name must be text that can be printed, got {printable_name(name)!r}")
     for run in loaded_runs:
         if run.info.get("config", {}).get("command") == "sweep":
-            raise InputError(f"{run.path}: is a sweep; packers are compared by runs of petmjx score")
+            raise InputError(f"{run.path}: is a sweep; packers are compared by runs of 'petmjx score'")
         if run.worlds.duplicated(["plan_id", "variant"]).any():
             raise InputError(
                 f"{run.path}: the run has the same plan and variant more than once, so it cannot be compared"

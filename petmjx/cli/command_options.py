@@ -28,7 +28,7 @@ Command = TypeVar("Command", bound=Callable[..., None])
 
 PLANS_HELP = (
     "Packing plans: files, or folders of files. Files may be BED-BPP's JSON, CSV (both also gzipped), Parquet, or "
-    "files of other tools (JSON, tables, sheets, arrays, MJCF; petmjx info says how they are read)."
+    "files of other tools (JSON, tables, sheets, arrays, MJCF; 'petmjx info' says how they are read)."
 )
 
 PlanPaths = Annotated[

@@ -27,7 +27,8 @@ def convert(
         bool,
         typer.Option(
             "--orders",
-            help="The file holds orders, in any form that petmjx samples --orders reads: write them as BED-BPP's JSON.",
+            help="The file holds orders: write them as BED-BPP's JSON. The file may have any form that the command "
+            "'petmjx samples --orders' reads.",
         ),
     ] = False,
     target: opt.Target = None,

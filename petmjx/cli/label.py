@@ -25,7 +25,7 @@ def label(
         typer.Argument(
             metavar="ORDERS",
             help="A file of orders: BED-BPP's JSON, a table or sheet of items, or another tool's form "
-            "(docs/plan-format.md). Without a file: random orders, as in petmjx samples.",
+            "(docs/plan-format.md). Without a file: random orders, as in 'petmjx samples'.",
         ),
     ] = None,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Folder to write.")] = Path("labels"),

@@ -131,7 +131,7 @@ def samples(
     from petmjx.show.progress import progress
 
     if is_csv(out) or is_parquet_name(out):
-        raise InputError(f"{out}: samples are written as JSON; use petmjx convert to make a table")
+        raise InputError(f"{out}: samples are written as JSON; use 'petmjx convert' to make a table")
     check_outputs([out], overwrite=overwrite, inputs=[] if orders is None else [orders])
     if look_ahead is not None:
         if packer != LEARNED:

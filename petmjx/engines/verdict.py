@@ -100,8 +100,8 @@ class Outcome:
     flags: Flag
     boxes: BoxMetrics
     n_at_sign: int = 0
-    """Number of boxes that were placed when the culprit crossed a threshold. The number is 0 if no box crossed a
-    threshold before the world's end."""
+    """Number of boxes that had been placed when the culprit (the box that failed first) crossed a threshold. The number
+    is 0 if no box crossed a threshold before the world's end."""
     solver: str = "newton"
     attempt: int = 1
     engine: str = ""

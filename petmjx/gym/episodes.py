@@ -170,7 +170,8 @@ class Episodes:
         )
         if self._actions.asks_physics:
             self._look(rows[report.stable & ~self._are_full(rows)])
-        fallen = ~report.stable  # boxes that ``go_on`` left out return to the queue if the pallet has fallen
+        # where a pallet has fallen, the queue gets back the state that it had before ``go_on`` left out boxes
+        fallen = ~report.stable
         self._queues.restore(rows[fallen], [values[fallen] for values in queues])
         volume, top = size.prod(axis=1), corner[:, 2] + size[:, 2]
         higher = np.maximum(top - self._top[on], 0.0)

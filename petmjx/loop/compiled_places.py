@@ -22,7 +22,8 @@ KERNELS: Final = (place_kernel.add_points, place_kernel.lower_boxes)
 """The kernels that ``petmjx.common.warp_setup.machine_code`` compiles when it loads this module."""
 
 _THREADS: Final = 4
-"""Number of threads that lower boxes. Machine code does not need Python's lock, so the threads do not wait for it."""
+"""Number of threads that lower boxes onto their supports. Machine code does not need Python's lock, so the threads do
+not wait for it."""
 
 _WORTH_A_THREAD: Final = 32
 """If several threads are started, each gets at least this number of boxes or pallets."""

@@ -208,12 +208,13 @@ class RunOptions(CheckedRecord):
         "for orders that have only articles",
     )
     reading: Annotated[File | None, CliFlag("--as", "FILE.toml")] = Field(
-        None, description="file that petmjx info FILE --write-as wrote: it tells how files of other tools are read"
+        None,
+        description="file that 'petmjx info PLANS --write-as FILE' wrote: it tells how files of other tools are read",
     )
     articles: Annotated[File | None, CliFlag("--articles", "FILE")] = Field(
         None,
-        description="table of articles or product groups, as for petmjx loads: it gives the boxes' centres of mass and "
-        "materials; the materials determine the friction between boxes",
+        description="table of articles or product groups, as for 'petmjx loads': it gives the boxes' centres of mass "
+        "and materials; the materials determine the friction between boxes",
     )
     record: Annotated[str | tuple[str, ...] | None, CliFlag("--record", "failed|all|ID,…", "--record-plans")] = Field(
         None,
@@ -263,7 +264,7 @@ class RunOptions(CheckedRecord):
     )
     shard: Annotated[str | None, AfterValidator(_share), CliFlag("--shard", "I/N")] = Field(
         None,
-        description="simulate only share number I of N shares of the plans; I counts from 1; petmjx merge joins the "
+        description="simulate only share number I of N shares of the plans; I counts from 1; 'petmjx merge' joins the "
         "results of the shares",
     )
 

@@ -55,8 +55,8 @@ class Candidates:
     def copy(self) -> Self:
         """An independent copy of the table."""
         twin = copy.copy(self)
+        # these are changed in place; all other arrays are only replaced by new arrays, so the two tables may share them
         twin.open, twin._known = self.open.copy(), set(self._known)
-        # the copy shares all other arrays, since arrays are never changed in place
         twin._low, twin._high = _copied_rows(self._low, self._n), _copied_rows(self._high, self._n)
         return twin
 

@@ -42,15 +42,23 @@ class Answer(IntEnum):
 
 
 class Count(IntEnum):
-    """Entries of the table ``counts``: numbers of boxes, corner points, shapes and edges of hulls; number of boxes that
-    the compiled code has placed; point and shape of the first candidate; and how the compiled code begins and ends."""
+    """Entries of the table ``counts``.
+
+    ``BOXES``, ``POINTS``, ``SHAPES``, ``PLANES``: numbers of boxes, corner points, shapes, and edges of hulls.
+    ``MADE``: number of boxes that the compiled code has placed. ``POINT``, ``SHAPE``: point and shape of a candidate.
+    ``HOW``: how the compiled code begins (``Begin``). ``OWN``: Python's answer about the next box (``Answer``).
+    ``END``: how the compiled code ended (``End``). ``UNDER``: number of boxes under the next box.
+    """
 
     BOXES, POINTS, SHAPES, PLANES, MADE, POINT, SHAPE, HOW, OWN, END, UNDER = range(11)
 
 
 class Number(IntEnum):
-    """Entries of the table ``numbers``: the largest allowed height, the height of the packing's highest top, weights
-    with which candidates are rated, and constants."""
+    """Entries of the table ``numbers``.
+
+    ``HIGHEST`` is the largest allowed height, and ``TOP`` the height of the packing's highest top. The other entries
+    are weights with which candidates are rated, and constants.
+    """
 
     HIGHEST, TOP, PER_OVERHANG, PER_DISTANCE, EXTENT_X, EXTENT_Y, MOST_HEIGHT, LEAST_SUPPORT = range(8)
     TOUCH, MARGIN, MARGIN_SHARE, SLACK, LEAST_TURN, DECIMALS = range(8, 14)

@@ -166,9 +166,8 @@ class Flow:
     ) -> None:
         self._searched, self._options, self._worlds = searched, options, worlds
         self._at_a_time = at_a_time
-        self._open = self._unanswered = self._n_yielded = (
-            0  # numbers of simulated orders, of their worlds without a result, and of yielded orders
-        )
+        # numbers of orders that are being simulated, of their worlds without a result, and of orders that were yielded
+        self._open = self._unanswered = self._n_yielded = 0
         self._following: list[World] = []
         self._packed: dict[int, PackedOrder] = {}
 

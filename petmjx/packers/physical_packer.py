@@ -1,10 +1,10 @@
 """The packer ``physical``: rules find dense packings, and simulations decide which of them is chosen.
 
 Rules find packings that are dense and in balance (:mod:`petmjx.packers.beam_search`), with different free spaces
-between neighbours. Simulations show which of these packings stand if boxes are placed exactly, and if a robot places
-them with errors. Searches run in worker processes. One engine simulates the packings of all orders, because engines are
-fastest with many worlds at a time. The engine gets the packings of an order as soon as the search has found them, so
-that no order waits for another order.
+between neighbours. Simulations show which of these packings stand, both if boxes are placed exactly and if a robot
+places them with errors. Searches run in worker processes. One engine simulates the packings of all orders, because
+engines are fastest with many worlds at a time. The engine gets the packings of an order as soon as the search has found
+them, so that no order waits for another order.
 """
 
 from __future__ import annotations

@@ -130,7 +130,7 @@ def read_articles(path: str | Path) -> Articles:
     """
     file, name = Path(path), printable(str(path))
     try:
-        # the readers of CSV and TOML recognise files of another format themselves
+        # CSV and TOML are not checked here: their readers report files of another format themselves
         has_own_reader = is_csv(file) or file.suffix.lower() == ".toml"
         if not has_own_reader and (foreign := foreign_kind_of(file)) is not None:
             raise InputError(f"{name}: {foreign}")

@@ -276,8 +276,8 @@ def rotations_in(extraction: ColumnExtraction) -> Turns | None:
 
 
 _GUESSED_TURNS, _GUESSED_VALUES = 2.0, 3.5
-"""Costs of a reading in which a column of unknown meaning has rotations: if its cells are yes and no, or quarter turns
-in degrees; and if they are two other values."""
+"""Costs of a reading in which a column of unknown meaning has rotations: ``_GUESSED_TURNS`` if its cells are yes and
+no, or quarter turns in degrees; ``_GUESSED_VALUES`` if its cells are two other values."""
 
 
 def _rotations_of(extraction: ColumnExtraction, index: int, guess_cost: float = 0.0) -> Turns | None:

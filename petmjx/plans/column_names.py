@@ -30,7 +30,7 @@ of the corners with the smallest and the largest x, y and z, and ``corners`` are
 about one axis."""
 
 OWN_COLUMNS: Final = ("length_mm", "width_mm", "height_mm", "weight_kg")
-"""petmjx's own names for the sizes and the weight of items, which contain the units."""
+"""petmjx's own names for columns of the sizes and the weight of items. The names contain the units."""
 
 LENGTH_UNITS: Final = {
     "mm": 1.0, "millimeter": 1.0, "millimeters": 1.0, "millimetre": 1.0, "millimetres": 1.0, "milimetry": 1.0,
@@ -506,9 +506,12 @@ def _meanings_of(names: tuple[str, ...]) -> list[ColumnMeaning | None]:
 
 
 def _with_corners(meanings: list[ColumnMeaning | None]) -> list[ColumnMeaning | None]:
-    """The meanings, after coordinates with the numbers 1 and 2 ("x1", "x2") have become those of the two corners of a
-    box. If only one of these numbers occurs, and other columns have coordinates without a number or with 0 ("x"), the
-    numbered coordinates are those of the high corner. If there are no other coordinates, they are those of a point."""
+    """The meanings of columns, in which coordinates with the numbers 1 and 2 ("x1", "x2") are coordinates of a corner.
+
+    If both numbers occur, 1 stands for the low corner of a box, and 2 for the high corner. If only one of them occurs,
+    it stands for the high corner, provided that other columns have coordinates without a number or with 0 ("x");
+    otherwise, it stands for a point of the box.
+    """
     kinds = {meaning.kind for meaning in meanings if meaning is not None}
     is_end = bool(kinds & {"low", "position", "positions"})
     ends: dict[Kind, Kind] = {"first": "low", "second": "high"}
@@ -607,7 +610,8 @@ def _meaning(name: str) -> ColumnMeaning | None:
         return None
     if {_X, _Y, _Z} <= set(words) and not index:  # three coordinates in one cell: "Position (x, y, z)"
         return ColumnMeaning("positions", unit=unit if unit in LENGTH_UNITS else "", anchor=_anchor_of(set(words)))
-    of_sharp = "ß" in name  # "Maße" are sizes, "Masse" is a mass
+    # without "ß", German "Maße" (sizes) and "Masse" (mass) would be the same word
+    of_sharp = "ß" in name
     tail = words_of(_INDEX.sub(" ", base.rpartition(".")[2])) or words
     path = words[: -len(tail)] if len(words) > len(tail) else []
     length_unit = unit if unit in LENGTH_UNITS else ""

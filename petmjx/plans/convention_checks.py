@@ -295,7 +295,7 @@ def with_conventions(plan_set: PlanSet, extent_mm: tuple[float, float] | None) -
     """
     odd = odd_layouts(plan_set.plans, extent_mm)
     readings = [f"{source}: {reading.line()}" for source, reading in plan_set.readings.items()]
-    # the places in plans of other tools have already been converted to petmjx's convention
+    # Plans of other tools are left out: their places have already been converted to petmjx's convention.
     own_odd = [layout for layout in odd if layout.source not in plan_set.readings]
     conventions = [*find_conventions(plan_set.plans, own_odd, extent_mm), *odd_boxes(plan_set.plans)]
     return replace(plan_set, warnings=odd, conventions=[*readings, *conventions])

@@ -193,7 +193,7 @@ def other_encoding(text: str) -> str:
         return ""  # the text has letters beyond ASCII that are valid UTF-8: it is damaged, not in another encoding
     try:
         read = text.encode("utf-8", "surrogateescape").decode("cp1252")
-    except UnicodeEncodeError:  # a JSON escape, "\\ud800", gives a surrogate that stands for no byte of the file
+    except UnicodeEncodeError:  # a surrogate of a JSON escape, "\\ud800", stands for no byte: the encoding is unknown
         return ""
     except UnicodeDecodeError:
         return ": save the file as UTF-8"

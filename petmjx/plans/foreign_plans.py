@@ -157,8 +157,8 @@ def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path |
         lacking = _lacking_axes(columns)
         what = f"the coordinate {joined_names(lacking)}" if lacking else "one of the sizes"
         example = f"{lacking[0] if lacking else 'length'}=NAME"
-        return NoGeometry(f"lacks {what} of boxes; {names}; say which with --columns {example}")
-    advice = "say which with --columns length=NAME,width=NAME,height=NAME,x=NAME,y=NAME,z=NAME"
+        return NoGeometry(f"lacks {what} of boxes; {names}; name the columns with --columns {example}")
+    advice = "name the columns with --columns length=NAME,width=NAME,height=NAME,x=NAME,y=NAME,z=NAME"
     if some_sizes:
         return NoGeometry(f"lacks some of the sizes, and places (x, y, z) of boxes; {names}; {advice}")
     table = boxes.table
@@ -168,7 +168,8 @@ def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path |
 
 
 def _lacking_axes(columns: BoxColumns) -> list[str]:
-    """The axes x, y and z without a column of coordinates; empty if no column at all has coordinates of one axis."""
+    """The axes x, y and z without a column of coordinates; empty if no column has coordinates along
+    a single axis."""
     known = filter(None, columns.source.boxes.meanings)
     axes = {one.axis for one in known if one.kind in ("position", "low")}
     named = axes | {AXIS_OF_WORD.get(axis, "") for axis in axes}

@@ -115,7 +115,8 @@ def with_groups(names: list[str], group: Sequence[Any]) -> list[str]:
         cell_text(group[index]) if index < len(group) and group[index] is not None else ""
         for index in range(len(names))
     ]
-    names = [name or cell for name, cell in zip(names, cells, strict=True)]  # a name may extend over both lines
+    # If a merged cell spans both lines of the header, its name is in the upper line, and the lower cell is empty.
+    names = [name or cell for name, cell in zip(names, cells, strict=True)]
     for name, cell in zip(names, cells, strict=True):
         heading = cell or heading
         joined.append(f"{heading} {name}".strip() if heading and name and name != cell else name)
@@ -221,7 +222,8 @@ def computed_row(table: RawTable, rows: Sequence[int]) -> str:
         if len(values) < len(rows) - 1 or not np.isfinite(values).all():
             return ""
         total, mean = float(values.sum()), float(values.mean())
-        # In columns of packing orders and running numbers, a row of sums may have any value, so they are not tested.
+        # In a row of sums, the cells in columns of packing orders and running numbers may have any value. So these
+        # columns are not tested.
         if kind not in ("sequence", "number"):
             sums &= _as_written(number.value, total)
             n_sums += total != 0.0

@@ -130,7 +130,7 @@ def with_items_of(best: BoxSource, items: BoxSource, name: str, by_number: bool 
     added = [index for index, column in enumerate(other.header) if column not in table.header]
     if by_number:
         added = [index for index in added if other.header[index].upper() == "WEIGHT"]
-    if not best.boxes.has_sizes:  # the sizes in a table of items are those before boxes are turned
+    if not best.boxes.has_sizes:  # tables of items have the sizes before boxes are turned, which the form then states
         best = replace(best, form=replace(best.form, sizes=best.form.sizes or "item"))
     return _with_columns(best, other, rows, added, f"{'' if by_number else 'sizes and '}weights from {name}")
 

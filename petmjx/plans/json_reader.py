@@ -53,7 +53,8 @@ def unpacked_bytes(path: Path) -> tuple[bytearray, str | None]:
         OSError, ValueError: as for :func:`read_text_bytes`.
     """
     data = read_regular(path, MOST_BYTES)
-    if data.startswith(_GZIP_MAGIC) and data[3:4] < b"\x20":  # no reserved flag is set (RFC 1952)
+    # If a reserved flag is set (in the fourth byte, RFC 1952), the file is not gzip.
+    if data.startswith(_GZIP_MAGIC) and data[3:4] < b"\x20":
         return _gunzip(data)
     return data, None
 
@@ -95,7 +96,7 @@ def _inflate_bytewise(inflate: zlib._Decompress, chunk: memoryview, plain: bytea
 
 
 # White space is listed, since JSON has fewer kinds of white space than the class "\s".
-# Possessive quantifiers keep matching linear in time, even for malicious text.
+# With possessive quantifiers, the time for matching is linear in the length of the text, even if the text is malicious.
 _SPACE: Final = re.compile(rb"[ \t\n\r]*+")
 _NUL_BYTES: Final = re.compile(rb"\0++")
 _KEY: Final = re.compile(rb'("[^"\\]*+(?:\\.[^"\\]*+)*+")[ \t\n\r]*+:[ \t\n\r]*+', re.DOTALL)

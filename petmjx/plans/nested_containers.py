@@ -89,9 +89,11 @@ def _numbers_in(holder: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def add_bottoms(members: Sequence[NestedBox], rows: Sequence[dict[str, Any]]) -> list[str]:
-    """Add z to boxes that have x and y, and no z, if the layers around the boxes have the heights of their bottoms: one
-    field of numbers with a word of ``_BOTTOMS`` in its name, which does not count the layers. Without such a field, the
-    boxes get all numbers of the layers, so that the user can name one as z. Returns a note about the field.
+    """Add z to boxes that have x and y, but no z, from the layers around the boxes.
+
+    z is the height of the bottom of a box's layer. This height is in the layers' only field of numbers that has a word
+    of ``_BOTTOMS`` in its name, and whose numbers do not count the layers. If there is no such field, or more than one,
+    the boxes get all numbers of their layers, so that the user can name one as z. Returns a note about the field.
 
     Args:
         rows: the fields of each member, which are changed.

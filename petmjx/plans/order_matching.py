@@ -250,7 +250,7 @@ def _has_properties(plan: Plan) -> bool:
 
 
 def item_has_properties(item: Item) -> bool:
-    """Whether an item has a centre of mass, a stiffness, or is a sheet."""
+    """Whether an item has a centre of mass or a stiffness, or is a sheet."""
     return item.com_mm is not None or item.stiffness_n_mm is not None or item.kind == SHEET
 
 

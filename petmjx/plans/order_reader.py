@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from petmjx.plans.item_units_and_quantities import ForeignOrders, OrderReading
 
 _CONVERT: Final = (
-    "petmjx convert {file} --orders -o orders.json takes this option, and writes orders that all commands read"
+    "the command 'petmjx convert {file} --orders -o orders.json' takes this option, and writes orders that all "
+    "commands read"
 )
 """Advice that is appended to an error about two possible readings, for commands that have no options for reading
 orders."""

@@ -50,7 +50,7 @@ def placed_boxes(
     plans were moved so that the origin is the deck's corner.
 
     Args:
-        faults: numbers of the rows that have faults, and do not show where a plan begins.
+        faults: numbers of the rows that have faults. These rows are ignored when the beginning of a plan is determined.
     """
     factor = LENGTH_UNITS[reading.length_units[1]]
     n = columns.n_boxes

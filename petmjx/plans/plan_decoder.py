@@ -113,7 +113,7 @@ def decode_entries(data: bytes | bytearray, options: DecoderOptions) -> list[Rea
         values = _PLANS.decode(data)
     except (msgspec.DecodeError, UnicodeError, RecursionError):
         return None
-    texts = list(values.values())  # these texts are views of the caller's memory
+    texts = list(values.values())  # the texts are views of the caller's memory, not copies
     colons = [bytes(text).count(b":") for text in texts]
     # Of entries with the same id, the decoder keeps only one. So an id is repeated if the text has more colons than the
     # decoded entries.

@@ -19,8 +19,8 @@ from petmjx.plans.file_formats import number_hint, other_encoding
 SMALLEST_MM: Final = 1.0
 LARGEST_MM: Final = 4_000.0
 """Limits of the sizes of items. A value outside these limits has the wrong unit or a damaged digit. The upper limit of
-4 m also keeps waiting boxes apart. Boxes that wait to be placed hang at least 8 m apart. The diagonal of a cube of 4 m
-is 6.9 m, so the bounding spheres of two such cubes do not touch."""
+4 m also separates boxes that wait to be placed, which hang at least 8 m apart. The diagonal of a cube of 4 m is 6.9 m,
+so the bounding spheres of two such cubes do not touch."""
 FARTHEST_MM: Final = 20_000.0
 """Largest absolute value of a coordinate. The limit keeps all places of a plan far below the boxes that wait to be
 placed, which hang at least 50 m high."""

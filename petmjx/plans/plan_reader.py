@@ -230,7 +230,7 @@ def _list_files(paths: list[Path]) -> list[Path]:
                 files.append(path)
                 continue
             if _is_run(path):
-                advice = "petmjx convert writes its plans to a file"
+                advice = "'petmjx convert' writes its plans to a file"
                 raise InputError(f"{printable(str(path))}: the folder of a run, not of plans: {advice}")
             members = plan_files_in(path)
         except (OSError, ValueError) as error:
@@ -611,7 +611,7 @@ def _kind_of_text(data: bytearray, named: bool) -> str | None:
             table is taken for damaged JSON.
     """
     if looks_like_table(data):
-        return "looks like a table as text, but is read as one only if its name ends in .csv or .tsv"
+        return "looks like a table, but is read as a table only if its name ends in .csv or .tsv"
     first = data[: 1 << 16].split(b"\n", 1)[0].strip().lower()
     begins_so = not first or first[:1] in b'{["-0123456789' or first.startswith((b"true", b"false", b"null"))
     if named or begins_so:

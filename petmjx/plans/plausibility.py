@@ -85,7 +85,7 @@ def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]
         extent = float(((low + size).max(axis=0) - low.min(axis=0))[:2].max())
         offset = 1.0 if 0 < bottom < max(1.2 * float(np.median(size[:, 2])), _HIGHEST_DECK * extent) else 4.0
         if abs(bottom - float(np.median(size[heights <= tolerance, 2])) / 2) <= tolerance:
-            offset = 3.0  # heights are probably those of centres
+            offset = 3.0  # the lowest box is at half of its height, so heights are probably those of centres
         half = layout.container[2] / 2
         if not np.isnan(half) and abs(bottom + half) <= 2 * tolerance:
             offset = 0.8
@@ -248,8 +248,8 @@ def vote_for_other_points(layout: Layout, mm: float, point: FloatArray) -> int:
     for level in ((0, 1), (0, 2)):
         low, size = layout.low[:, level], layout.size[:, level]
         shifts = point[list(level)] - np.vstack([point[list(level)], _POINTS])
-        # (7, n, 2) low corners of the boxes, if coordinates describe the given point, and if they describe each of 6
-        # other points
+        # (7, n, 2) low corners of the boxes for each of 7 points that coordinates may describe: first the given point,
+        # then 6 others
         corners = low + size * shifts[:, None]
         begin, end = corners.min(axis=1), (corners + size).max(axis=1)
         is_symmetric = np.abs(begin + end).max(axis=1) <= tolerance

@@ -23,7 +23,7 @@ _ROW_AND_COLUMN: Final = re.compile(r"^(.*?)[\s_.]*[\[(]?([0-4])[\])\s_,.]*[\[(]
 _SHAPES: Final = {(3, 3): 9, (3, 4): 12, (4, 4): 16}
 """Shape of a matrix → its number of entries: a rotation; a rotation and a place; a rotation and a place, with a last
 row 0, 0, 0, 1."""
-# possessive quantifiers keep matching linear in time, even for malicious text
+# With possessive quantifiers, the time for matching is linear in the length of the text, even if the text is malicious.
 _NUMBER: Final = r"[-+]?+(?:\d++(?:\.\d*+)?+|\.\d++)(?:[eE][-+]?+\d++)?+"
 _ONLY_NUMBERS: Final = re.compile(rf"[\s\[\](),;]*+(?:{_NUMBER}[\s\[\](),;]*+)++")
 _FRAME: Final = re.compile(rf"\s*+\{{\s*+(?:\w++\s*+:\s*+)?+(?:\w++\s++{_NUMBER}\s*+,?+\s*+)++\}}\s*+")

@@ -62,7 +62,7 @@ _TEXT: Final = re.compile(
     r"[^,;\[\](){}\n]{0,1000}?(?=\s{0,9}(?:[,;\])}\n]|/\*|$)|\s{1,9}(?://|--(?=[\s\[]))"
     r"|\s{1,9}:?[A-Za-z_]\w{0,99}[:=](?:\S|\s{0,9}(?:[\])}\n]|$)|\s{1,9}[A-Za-z_]\w{0,99}[:=]))"
 )
-"""A value behind a name, which may have several words. The value ends before a separator, a bracket, a comment or the
+"""A value behind a name. The value may have several words. It ends before a separator, a bracket, a comment or the
 next name."""
 _CONSTANTS: Final = {"true": True, "false": False, **dict.fromkeys(("nil", "null", "none", "undefined"), None)}
 _NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?([fFdDL]?|[mM])")
@@ -328,7 +328,9 @@ def _inside(text: str, at: int, kind: str, close: str, depth: int) -> tuple[Any,
             if name[1]:  # EDN puts texts into quotation marks, so an unquoted value is one word
                 value, at = _value(text, _behind(_SPACE, text, name.end()), depth + 1, "M")
             else:
-                of_dotnet = close == "}" and name[0].endswith(" =")  # C# writes the record's name, F# does not
+                # C# and F# print records as "{ X = 0.4M }". C# writes the record's name (``kind``) before them, F# does
+                # not.
+                of_dotnet = close == "}" and name[0].endswith(" =")
                 marks = ("mM" if kind else "M") if of_dotnet else ""
                 value, at = _value_of_name(text, name.end(), depth + 1, marks)
             if key not in pairs:

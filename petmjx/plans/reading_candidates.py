@@ -136,8 +136,9 @@ def _sides_along_axes(turns: Turns, rule: str) -> NDArray[np.int64]:
 
 
 _TIPPED_COST, _TIPPED_NEXT_COST = 1.5, 1.0
-"""Costs of a reading in which some boxes are tipped on a side. The second cost holds if py3dbp's rotations are only 0
-and 1: if a box does not fit unturned, py3dbp tries rotation 1 next, whichever axis is the vertical."""
+"""Costs of a reading in which some boxes are tipped on a side: ``_TIPPED_NEXT_COST`` if py3dbp's rotations are only 0
+and 1, else ``_TIPPED_COST``. If a box does not fit unturned, py3dbp tries rotation 1 next, whichever axis is the
+vertical."""
 
 
 def tipping_cost(columns: BoxColumns, candidate: Candidate, rows: NDArray[np.int64]) -> float:
@@ -151,7 +152,7 @@ def tipping_cost(columns: BoxColumns, candidate: Candidate, rows: NDArray[np.int
     if turns is None or candidate.rule in ("none", "swap", "swap back", "degrees", *POSES):
         return 0.0
     sides = _sides_along_axes(turns, candidate.rule)[rows, axis_up(candidate.up)]
-    is_cube = np.ptp(sizes, axis=1) == 0  # its rotation shows nothing
+    is_cube = np.ptp(sizes, axis=1) == 0  # the rotation of a cube shows nothing
     if len(set(sides[~is_cube].tolist())) < 2:
         return 0.0
     codes = set(turns.codes[rows].tolist())
@@ -227,12 +228,13 @@ def candidates(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
                     for anchor, anchor_prior in _anchors(geometry, form.anchor, wishes):
                         prior = geometry.prior + up_prior + pair_prior + rule_prior + anchor_prior
                         if rule == "degrees":
-                            # angle 0 means that the length lies along x, so another pairing costs twice as much
+                            # An angle of 0 means that the length lies along x. So the cost of a reading with another
+                            # assignment of sizes to axes (``pair_prior``) is counted twice.
                             prior += pair_prior
                         if geometry.turn is not None and not wishes.rule:
                             if anchor == "centre" or (geometry.turn == np.eye(3)).all():
                                 if rule == POSES[1]:
-                                    continue  # both rules place all boxes alike
+                                    continue  # both rules place all boxes alike, so only the other rule is tried
                             elif rule == POSES[0]:
                                 prior += _PLACED_POINT_COST
                         yield Candidate(geometry, pair, up, anchor, rule, prior, scale)
@@ -255,7 +257,7 @@ def _ups(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tuple[
     usual = [("z", 0.0), ("y", 1.8 if listed == ("length", "width", "height") else 1.0)]
     if listed == ("length", "height", "width") or _is_of_scene(geometry):
         usual = [("y", 0.0), ("z", 0.7)]
-    # the container shows whether x is the vertical
+    # x is tried only if the size of the container is known, since it shows whether x is the vertical
     return [*usual, ("x", X_UP_COST)] if columns.source.boxes.containers else usual
 
 
@@ -450,7 +452,8 @@ def _sizes_by_length(columns: BoxColumns, geometry: Geometry) -> str:
     length, width = (geometry.size[:, geometry.axes.index(side)] for side in ("length", "width"))
     is_turned = turns.codes % 2 == 1 if turns.letters is None else turns.letters[:, 0] == geometry.axes.index("width")
     differ = np.isfinite(length - width) & (length != width)
-    kind = length * width + 1j * geometry.size.sum(axis=1)  # equal for boxes of equal sizes with the same side up
+    # boxes of equal sizes with the same side up have the same kind
+    kind = length * width + 1j * geometry.size.sum(axis=1)
     is_mixed = np.isin(kind[is_turned & differ], kind[~is_turned & differ]).any()
     shares = []
     for group in (is_turned & differ, ~is_turned & differ):

@@ -416,7 +416,7 @@ def _may_be_turned(best: _Judged, other: _Judged) -> bool:
     is_known = not np.isnan(best.layouts[0].container[:2]).any()
     firm, other_firm = (one.layout_cost + one.begin_cost + is_known * one.units[0].cost for one in (best, other))
     # A reading in which heights are counted downwards has a higher prior (a cost), even if no height is above 0. So its
-    # prior may exceed that of the best reading by more.
+    # prior may exceed that of the best reading by ``WEAK_LEAD`` instead of ``TIE``.
     rarer = WEAK_LEAD if other.candidate.up.startswith("-") else TIE
     return (
         other.candidate.up != best.candidate.up
@@ -532,7 +532,7 @@ def _likely_units(best: _Judged, wishes: Wishes) -> list[_Units]:
             likely = [cheapest[unit] for unit in other_units if cheapest[unit].cost < first.cost + WEAK_LEAD]
             rivals = [] if is_converted else likely
         elif most > 1:
-            rivals = []  # the load fills a pallet only if lengths are in this unit
+            rivals = []  # the load fills a pallet only if lengths are in the first unit, so no other unit is possible
     return [first, *rivals[:1]]
 
 

@@ -49,7 +49,7 @@ def source_of_scene(text: str) -> BoxSource:
     import mujoco  # MuJoCo itself interprets all of MJCF: defaults, angles, densities
 
     plain = _COMMENT.sub(lambda comment: blanked(comment[0]), text)
-    # MuJoCo treats attributes without a number as if they were not given
+    # MuJoCo would treat attributes without a number as if they were not given, so they are refused here
     if (bad := _NO_NUMBER.search(plain)) is not None:
         fault = "must be finite, got nan" if bad[2] else "is missing"
         raise InputError(f"line {1 + text.count(chr(10), 0, bad.start(1))}: {bad[1]} {fault}")

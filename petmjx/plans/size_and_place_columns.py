@@ -216,7 +216,8 @@ def places_in(extraction: ColumnExtraction) -> Places | None:
                 named_up="z" if "height" in words else ""
             )
     if {"", "centre"} <= by_name.keys() and not (by_name["centre"].place <= by_name[""].place).any():
-        return by_name[""]._replace(anchor="corner")  # corners are exact; centres may be rounded (17.5 to 18)
+        # columns with corners are preferred, since centres may be rounded (17.5 to 18)
+        return by_name[""]._replace(anchor="corner")
     if by_name:
         return next(iter(by_name.values()))
     for index, meaning in enumerate(extraction.meanings):

@@ -383,7 +383,7 @@ def _without_header(
     if [len(row) for _, row in used[:4]] == [1, 2, 3, 1]:
         raise InputError(
             "looks like Bischoff and Ratcliff's orders (thpack), which have types of boxes with quantities, but no "
-            "places; pack them first with petmjx samples --orders"
+            "places; pack them first with 'petmjx samples --orders'"
         )
     if width < 6 or numeric < 0.8 * max(len(good_rows), 1):
         raise NoBoxes("has no header with known names of columns")

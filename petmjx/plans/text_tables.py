@@ -120,8 +120,8 @@ def tables_of_text(data: bytes | bytearray) -> list[RawTable]:
 
 
 def _may_begin(words: Sequence[str], words_above: Sequence[str]) -> bool:
-    """Whether the words of a line may be the beginning of a row like the row above. This is so if it is a single word,
-    or if its numbers stand where the row above has numbers, and its other words where that row has words."""
+    """Whether the words of a line may be the beginning of a row like the row above. This is so if the line is a single
+    word, or if its numbers stand where the row above has numbers, and its other words where that row has words."""
     are_numbers = [*map(is_number, words)]
     return len(words) == 1 or (any(are_numbers) and are_numbers == [*map(is_number, words_above)][: len(words)])
 

@@ -130,7 +130,7 @@ _TURNED: Final = word_set(
 """Words in names of columns of rotations whose cells are numbers of quarter turns (``_QUARTERS``), or yes and no
 (``_TURNED``)."""
 _DAMAGED_SHARE: Final = 0.05
-"""Largest share of the cells of a column that may be damaged, if the other cells are two words."""
+"""Largest share of damaged cells of a column, if all other cells have one of only two words (such as yes and no)."""
 
 
 def _words_in(texts: Sequence[str]) -> tuple[str, ...]:

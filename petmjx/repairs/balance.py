@@ -28,9 +28,9 @@ AT_ONCE: Final = 128
 """Number of drafts whose balances are computed at once."""
 
 LARGE: Final = 80
-"""Plans with at least this number of boxes are large: their drafts take over the loads after placements that are as in
-the draft from which they were made. For smaller plans, to take loads over takes more time than to compute them: 13 %
-more with 15 to 50 boxes, and 30 % less with 168 boxes."""
+"""Plans with at least this number of boxes are large. A draft of a large plan begins with the same placements as the
+draft from which it was made, and takes over the loads after these placements. To take loads over, instead of computing
+them, takes 13 % more time for plans of 15 to 50 boxes, and 30 % less time for plans of 168 boxes."""
 
 DEEP_MM: Final = 50.0
 """The weight of a load in ``Balance.trouble`` is 1 if the load acts on the edge of its supports, and increases to 2 at

@@ -149,8 +149,9 @@ class Node:
 
     @property
     def n_promised(self) -> float:
-        """Expected number of changes of a repair that begins with the next change of this plan. The number is larger if
-        changes were judged in vain, and if the next change hardly helps according to statics."""
+        """Expected number of changes of a repair that begins with the next change of this plan. The number grows with
+        each round in which changes of the plan were judged in vain. It is also larger if the next change hardly helps
+        according to statics."""
         unsolved = self.queue[0].unsolved if self.queue else 0.0
         return self.n_expected + PER_ROUND * self.n_rounds + unsolved
 

@@ -72,7 +72,8 @@ MANY_FAULTS: Final = 6.0
 built anew, too, and their repairs would have more changes."""
 
 ALONE_IF_MANY: Final = 0.04
-"""As ``ALONE``, for plans with many faults. On a GPU, these trials are two rounds."""
+"""Share of all trials in which only single changes are tried, for plans with many faults (``MANY_FAULTS``). On a GPU,
+these trials are two rounds."""
 
 LATE_AT_ONCE: Final = 2 * AT_ONCE
 """Number of changed plans that are judged at once after single changes alone (``ALONE``) were in vain."""
@@ -302,7 +303,7 @@ class Search(Candidates):
             (trial,) = yield from self._simulated([draft])
             if trial.stands:
                 best, high = [State(draft, (film,), trial)], turns
-                self.repairs = tuple(best)  # the result if the trials are spent, or the time is up
+                self.repairs = tuple(best)  # this is the result if the trials are spent, or the time is up
             else:
                 low = turns
             turns = (low + high) // 2

@@ -159,7 +159,7 @@ class SearchProcesses:
     Args:
         n_searches: largest number of searches. If there are fewer than ``LEAST_PLANS``, this process runs all searches.
             Otherwise, on systems that can copy processes, a first process starts at once, while this process can do
-            other work. The number of the further processes follows from the searches.
+            other work. The number of further processes follows from the number of searches.
         most: largest number of processes (``most_processes``).
     """
 

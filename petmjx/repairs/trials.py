@@ -575,7 +575,8 @@ class TrialStream:
         stream.close()  # drafts that are requested later enter the stream as jobs that follow from an outcome
         self._feed(stream, queue, lane)
         progress = self._question.progress
-        compiled_s = self._limit.compiled_s - progress.compile_s  # both numbers contain the times of earlier runs
+        # both numbers contain the times of earlier runs; below, only the increase of ``compile_s`` is added
+        compiled_s = self._limit.compiled_s - progress.compile_s
         with closing(outcomes_of_stream(lane.engine, stream, lane.sim, progress, MOST_LISTED)) as outcomes:
             for outcome in outcomes:
                 self._limit.compiled_s = compiled_s + progress.compile_s
@@ -587,7 +588,8 @@ class TrialStream:
                     if outcome.state is not None and queue.common is not None:
                         for following in queue.common.go_on(placement, outcome):
                             stream.put(following.job, following)
-                    else:  # final for all worlds of the placement: a fall before their first different box
+                    # the outcome is final for all worlds of the placement: a box fell before the worlds begin to differ
+                    else:
                         for world in placement.worlds:
                             request, number = world.tag
                             trial = self._question.judged(outcome, request.drafts[number], world.job, lane.sim)

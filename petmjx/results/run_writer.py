@@ -404,8 +404,8 @@ class RunWriter(RunInfo):
             raise failure
 
     def _write_part(self, begin: int) -> None:
-        """Write waiting rows, from row ``begin`` on, as one part (one file of each table). If writing fails, the worlds
-        keep waiting."""
+        """Write waiting rows, from row ``begin`` on, as one part (one file of each table). If writing fails, the rows
+        are kept for the next try."""
         rows = self._rows[begin : begin + self._worlds_per_part]
         number = self.parts.next_number(*OF_WORLDS)
         digests: dict[Path, str] = {}
@@ -488,8 +488,8 @@ class RunWriter(RunInfo):
         self.earlier_s = dict(info["timings"])
         self.head |= {"started": info["started"], "resumed": [*info["resumed"], now()]}
         self._tables = Tables(self.out_dir, parts.without("summary"))
-        # run.json is written before the files that the old run.json lists are deleted, because otherwise, a killed run
-        # might look finished.
+        # First, run.json is written; then the files that it no longer lists are deleted. In the other order, a run that
+        # is killed in between might look finished.
         self._write_info()
         self._tables.drop_others()
         ranked = is_ranked(parts, list(self._manifest.plans if self._manifest else ()))

@@ -113,11 +113,11 @@ def confidence_sweep(
 def _error_sweep_fault(sweep: Sweep) -> str:
     """An error text about the first forbidden entry of a sweep file of errors; "" if all entries are allowed."""
     if sweep.search is not None:
-        return "[search] contradicts confidence, which computes a share of worlds: use petmjx sweep"
+        return "[search] contradicts confidence, which computes a share of worlds: use 'petmjx sweep'"
     if sweep.legs:
-        return f"legs contradict {option('--errors')}, which is about pallets at rest: use petmjx score with --chain"
+        return f"legs contradict {option('--errors')}, which is about pallets at rest: use 'petmjx score' with --chain"
     if sweep.has_drives:
-        return "axes.profile contradicts confidence, which is about pallets at rest: use petmjx sweep"
+        return "axes.profile contradicts confidence, which is about pallets at rest: use 'petmjx sweep'"
     if sweep.sample is not None:
         return 'mode = "sample" contradicts confidence, in which all worlds have errors from the same distributions'
     for name, axis in sweep.axes.items():

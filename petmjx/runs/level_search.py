@@ -24,9 +24,10 @@ def failure_mode(outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG) -> str:
     """How the first box failed, as one of the words "slide", "tilt" and "drop".
 
     The mode is "drop" if the box dropped, else "tilt" if it tilted by more than ``tilt_deg``, else "slide". A search
-    reports the mode at the lowest level that fails. At a level just above the largest survived level, the mode usually
-    shows how the failure began. At a much larger level, a box that slides also falls, so the mode is usually "drop".
-    For an invalid world, the mode is the reason why the world is invalid. For a stable world, the mode is "".
+    reports the mode at the lowest level that fails. At a level just above the largest level that the pallet survives,
+    the mode usually shows how the failure began. At a much larger level, a box that slides also falls, so the mode is
+    usually "drop". For an invalid world, the mode is the reason why the world is invalid. For a stable world, the mode
+    is "".
     """
     if outcome.verdict is not Verdict.UNSTABLE or outcome.culprit < 0:
         return MODES.get(outcome.reason, str(outcome.reason))
@@ -107,8 +108,8 @@ class Bisection:
 
     All items share one grid of levels. So the answer for an item is wrong by at most one step of the grid, and the
     tested levels do not depend on the order in which simulations end. In each round, up to ``sections`` levels of an
-    item are tested at the same time, evenly spread between the largest survived and the smallest failed level. The
-    rounds of one item do not wait for the rounds of other items.
+    item are tested at the same time, evenly spread between the largest level that the pallet survived and the smallest
+    level at which it failed. The rounds of one item do not wait for the rounds of other items.
 
     The search assumes that a pallet that survives a level also survives all lower levels. The assumption can be wrong:
     a stronger push may press a box against its neighbour, so that the box jams. If a level above a failed level was
@@ -193,7 +194,8 @@ class Bisection:
             elif level < bracket.failed:
                 bracket.failed = level
                 bracket.box, bracket.mode = world.culprit, world.mode
-        # Survived levels are recorded last, because a survived level above a failed level must not raise the answer.
+        # Levels that the pallet survived are recorded last: such a level must not raise the answer if it is above a
+        # level at which the pallet failed.
         for bracket, level in survivors:
             bracket.highest = max(bracket.highest, level)
             if level < bracket.failed:

@@ -95,7 +95,7 @@ class Design:
 
     @property
     def n_placements(self) -> int:
-        """Number of placements that are simulated per plan, without the placement of the nominal world."""
+        """Number of placements that are simulated per plan, not counting the placement of the nominal world."""
         if self.sweep.sample is not None:
             return len({variant.placement_key for variant in self._sampled()})
         return sum(points * repeats for points, repeats in self._placement_counts())

@@ -64,7 +64,7 @@ class Search(CheckedRecord):
     tolerance: StrictFloat | None = Field(
         None,
         ge=MIN_TOLERANCE,
-        description="accuracy with which the largest survived level or scale is found; by default 0.01 g for levels "
+        description="accuracy of the largest level or scale that a pallet survives; by default 0.01 g for levels "
         "and 0.02 for scales",
     )
     sections: StrictInt = Field(
@@ -481,7 +481,7 @@ def chain_sweep(file: str | Path, n_worlds: int | None, simulation: Mapping[str,
     path = find_sweep(file)
     tables = read_toml(path)
     if not tables.get("legs"):
-        raise InputError(f"{path}: has no [[legs]], which a chain needs; for other sweeps use petmjx sweep")
+        raise InputError(f"{path}: has no [[legs]], which a chain needs; for other sweeps, use 'petmjx sweep'")
     sweep = sweep_of_tables(tables, path, plans_given=True, simulation=simulation)
     if (n_worlds or 1) > 1 and not sweep.is_random:
         raise InputError(

@@ -436,8 +436,8 @@ class SweepRun:
                 if missing_now := [test for test in tests if test not in probes]:
                     missing[which] = set(missing_now)
                     return [self._driving(searches[which][0], variant(*test), test) for test in missing_now]
-                # Only the results at the largest survived and the smallest failed level can still become the answer for
-                # a search item. All other results are dropped.
+                # Only two results can still become the answer for a search item: the result at the largest level that
+                # the pallet survived, and the result at the smallest level at which it failed. The others are dropped.
                 now = {test: tested.pop(test) for test in {*tests, *bisection.bounds(which)} if test in tested}
                 bisection.record(tests, [now[test] for test in tests])
                 tested.update((test, now[test]) for test in bisection.bounds(which) if test in now)

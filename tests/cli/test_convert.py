@@ -53,7 +53,7 @@ def test_convert_refuses(arguments: list[str], message: str, capsys: pytest.Capt
 def test_samples_are_not_written_under_the_name_of_a_table(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("samples", "-n", "1", "-o", "plans.csv") == 2
     line = only_line(capsys.readouterr().err)
-    assert line == "petmjx: plans.csv: samples are written as JSON; use petmjx convert to make a table"
+    assert line == "petmjx: plans.csv: samples are written as JSON; use 'petmjx convert' to make a table"
     assert not Path("plans.csv").exists()
 
 

@@ -561,7 +561,7 @@ def test_orders_are_written_as_bed_bpps(
     options for other formats."""
     monkeypatch.chdir(tmp_path)
     Path("items.csv").write_text("sku,length,width,height,qty\na,30,20,15.1,4\nb,20,20,20,1\n")
-    hint = "items.csv: can be read in two ways: .*; petmjx convert items.csv --orders -o orders.json takes this option"
+    hint = "items.csv: can be read in two ways: .*; the command 'petmjx convert items.csv --orders -o orders.json'"
     with pytest.raises(InputError, match=hint):
         list(read_orders(Path("items.csv")))
     convert = ["convert", "items.csv", "--orders", "-o", "orders.json", "--units", "cm", "--target", "1200x1000"]

@@ -244,7 +244,7 @@ def test_stability_comes_from_runs(runs: dict[str, Path]) -> None:
     assert alone.summary["rating_by_verdict"] == 0.5
     assert alone.notes == (
         "kpi_6 needs a run with --check static, but the run one-by-one was made with --check one-by-one: "
-        "give also --run DIR with a run made by petmjx score PLANS --check static --out DIR",
+        "give also --run DIR with a run made by 'petmjx score PLANS --check static --out DIR'",
     )
 
 

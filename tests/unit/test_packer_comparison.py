@@ -217,7 +217,7 @@ def test_what_cannot_be_compared_is_one_line(tmp_path: Path) -> None:
         ([a], "at least two runs"),
         (str(a), "at least two runs"),
         ([a, a], "given twice"),
-        ([a, swept], "is a sweep; packers are compared by runs of petmjx score"),
+        ([a, swept], "is a sweep; packers are compared by runs of 'petmjx score'"),
         ([a, tmp_path / "none"], "no such folder"),
     ):
         with pytest.raises(InputError, match=text):

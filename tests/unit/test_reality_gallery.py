@@ -202,7 +202,7 @@ def test_the_table_replaces_the_one_in_a_page(
     assert "stale rows" not in text
     assert text.startswith("before\n")
     assert text.endswith("after\n")
-    assert "| 8 tosses: share that ends with the same face up as in the film | 100.0 % | 100.0 % |" in text
+    assert "| 8 tosses: share that ends with the measured face up | 100.0 % | 100.0 % |" in text
     assert '"between_runs_median_mm"' in out.read_text()
 
 

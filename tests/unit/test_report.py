@@ -414,7 +414,7 @@ def test_a_page_to_send_is_about_each_plan_of_a_chain(tmp_path: Path) -> None:
     held_n = 0.3 * 4 * 2 * 50 * 8 * height_m / 0.5
     assert "Film of 500 mm width, with a tension of 50 N in each turn: 8 turns from film on." in facts
     slides_g = 0.5 + held_n / (mass_kg * 9.81)
-    assert f"Held to its carrier by 8 turns, the load slides from {slides_g:.2f} g on." in facts
+    assert f"Held to its carrier by 8 turns of film, the load slides from {slides_g:.2f} g on." in facts
     assert "Walls stand on the front, back; there are no straps" in _assumed(run)[-1]
     assert "more than 20 mm from its planned place, and no box is tilted by more than 20°" in _assumed(run)[-1]
     counts = {**run.info["counts"], "worlds": 1}

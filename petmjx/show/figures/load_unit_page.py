@@ -70,7 +70,8 @@ def write_load_unit_pages(run: RunResults, plans: Mapping[str, Plan], path: Path
         )
     if not is_chain(run.info) or run.summary is None:
         raise InputError(
-            f"{run.path}: is not the run of a chain, so it has no PDF pages; petmjx score PLANS --chain NAME makes one"
+            f"{run.path}: is not the run of a chain, so it has no PDF pages; 'petmjx score PLANS --chain NAME' "
+            "makes such a run"
         )
     rows = [row for row in arrivals(run.summary).to_dict("records") if row["plan_id"] in plans]
     if not rows:
@@ -211,7 +212,7 @@ def _film(run: RunResults, plan: Plan, slides_g: float) -> str:
     film = film_of(build_scene(plan, sim.changed(wrap=wrap)))
     weight_n = float(plan.mass_kg.sum()) * sim.physics.gravity_m_s2
     held_g = slides_g * (1 + wrap.hat_n / weight_n) + float(film.hold.sum()) / weight_n
-    return f"{text} Held to its carrier by {most:g} turns, the load slides from {held_g:.2f} g on."
+    return f"{text} Held to its carrier by {most:g} turns of film, the load slides from {held_g:.2f} g on."
 
 
 def _most_loaded(run: RunResults, plan: Plan) -> Iterator[str]:

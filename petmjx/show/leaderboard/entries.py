@@ -32,7 +32,7 @@ REPAIRED: Final = "-repaired"
 """Suffix in the names of entries whose plans were repaired."""
 
 OF_REPAIR: Final = (*OF_RUN, *OF_READING)
-"""Names of the options of runs that repairs also have."""
+"""Names of the options that runs and repairs have in common."""
 
 Watch = Callable[[str], AbstractContextManager[Watcher]]
 """A function that returns, for the name of a packer, a context with an object that watches the progress of the packer's

@@ -100,7 +100,7 @@ def _won_and_lost(runs: Sequence[ReportRun], common: pd.DataFrame) -> tuple[Mark
     )
     more_text = f"{len(pairs) - MOST_PAIRS:,} more pairs are not drawn." if len(pairs) > MOST_PAIRS else ""
     picture = stacked_bars("Plans won and lost", rows)
-    test = "95 %: Newcombe’s interval of paired shares. petmjx compare --packers also tests these differences."
+    test = "95 %: Newcombe’s interval of paired shares. 'petmjx compare --packers' also tests these differences."
     drawn = element("div", figure("Plans won and lost, pair by pair", picture, more_text), key)
     listed = table(["difference, points", "", "95 %"], differences)
     return drawn, joined_markup(listed, element("p", test, class_="hint"))

@@ -131,7 +131,9 @@ def _notes(runs: Sequence[ReportRun], left_out: int, without_boxes: int, not_pla
         notes.append(f"{count_text(without_boxes, 'world')} have no 3D picture: the page would be too large.")
     if not_played:
         worlds = count_text(not_played, "recorded world")
-        notes.append(f"{worlds} cannot be played here: the page would be too large. petmjx show plays them.")
+        notes.append(
+            f"{worlds} cannot be played here: the page would be too large. The command 'petmjx show' plays them."
+        )
     return notes
 
 

@@ -22,8 +22,8 @@ _NOTES: Final = {
     Kind.SCORE: _DRAWN,
     Kind.CONFIDENCE: _DRAWN + " Verdicts are from worlds without errors.",
     Kind.GRID: "Worlds of one plan depend on each other, so their shares have no interval.",
-    Kind.CHAIN: "These are the worlds with errors and without remedies. Worlds of one plan are alike, so these shares "
-    "have no interval.",
+    Kind.CHAIN: "These are the worlds with errors and without remedies. Worlds of one plan depend on each other, so "
+    "their shares have no interval.",
     Kind.SEARCH: "Each world is a tested level: the shares show where the search looked, not how often pallets stand.",
 }
 

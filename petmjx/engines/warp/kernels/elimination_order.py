@@ -76,11 +76,11 @@ def _find_components(
     # Data out:
     work: Ref[Workspace],
 ) -> None:
-    """Find the component of each box: the first of all boxes with which it is joined by contacts. Contacts with the
-    carrier do not count.
+    """Find the number of the component of each box. A component is a set of boxes that are joined by contacts, and its
+    number is the number of its first box. Contacts with the carrier do not count.
 
-    Two threads may write the component of the same box at the same time, and the larger number may remain. This does
-    no harm: the next round finds the smaller number again.
+    Two threads may write the component's number of the same box at the same time, and the larger number may remain.
+    This does no harm: the next round finds the smaller number again.
     """
     block = at.block
     for body in range(at.thread, at.placed + 1, at.threads):

@@ -15,7 +15,7 @@ _TINY = wp.constant(1.0e-30)
 
 @wp.func
 def _limited(vector: wp.vec3, most: float) -> wp.vec3:
-    """A vector, shortened to this length if it is longer."""
+    """The vector ``vector``, shortened to the length ``most`` if it is longer."""
     length = wp.length(vector)
     if length <= most:
         return vector

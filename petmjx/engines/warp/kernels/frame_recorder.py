@@ -12,7 +12,7 @@ from petmjx.engines.warp.world_arrays import FrameBuffer, Ref, State, Thread, Wo
 
 @wp.func
 def no_room(frames: Ref[FrameBuffer], blocks: int) -> bool:
-    """Whether the buffer might overflow if every block wrote a frame. While it might, no block may step a recorded
+    """Whether the buffer might overflow if every block wrote a frame. While this is so, no block may step a recorded
     world. Called by one thread.
 
     An atomic addition reads the writes of all blocks; a plain load might read an old value from a multiprocessor's own
