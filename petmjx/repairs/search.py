@@ -433,9 +433,8 @@ class Search(Candidates):
         different = [*{key_of(state.draft): state for state in (*judged, *scored)}.values()]
         chosen = [different[k] for k in self._safest(different)[:MOST_COMPARED]]
         counted: list[State] = []
-        at_once = MOST_COMPARED if self.is_wide else MOST_FINALISTS
-        for begin in range(0, len(chosen), at_once):
-            counted += yield from self._judged_in(chosen[begin : begin + at_once], COMPARED_IN)
+        for begin in range(0, len(chosen), MOST_FINALISTS):
+            counted += yield from self._judged_in(chosen[begin : begin + MOST_FINALISTS], COMPARED_IN)
             if sum(state.n_good == len(COMPARED_IN) for state in counted) >= _n_finalists(counted):
                 break  # enough repairs stand in all compared worlds, and no other repair can stand more often
         counted.sort(key=lambda state: -state.n_good)
@@ -612,10 +611,9 @@ class Search(Candidates):
         options = self.options
         wanted = math.ceil(options.share * ERROR_WORLDS)
         compared: list[State] = []
-        at_once = len(self.repairs) if self.is_wide else 1
-        for begin in range(0, len(self.repairs), at_once):
-            compared += yield from self._judged_in(self.repairs[begin : begin + at_once], ALL_WORLDS)
-            if compared[-1].n_good == ERROR_WORLDS:
+        for begin in range(0, len(self.repairs), self._scale):
+            compared += yield from self._judged_in(self.repairs[begin : begin + self._scale], ALL_WORLDS)
+            if any(state.n_good == ERROR_WORLDS for state in compared):
                 break
         compared.sort(key=lambda state: -state.n_good)
         self.repairs = tuple(compared)
@@ -664,7 +662,7 @@ class Search(Candidates):
         falling = [standing[k] for k in self._safest(standing)[: self._scale * MOST_COMPARED]]
         worlds, good = [*weak.lost][:MOST_LOST], list[State]()
         for world in worlds:
-            states = yield from self._judged_in(falling, worlds if self.is_wide else [world])
+            states = yield from self._judged_in(falling, [world])
             good += [state for state in states if state.errors[world].stands]
             falling = [state for state in states if not state.errors[world].stands]
             if len(good) >= MOST_FINALISTS:
@@ -672,7 +670,7 @@ class Search(Candidates):
         good = yield from self._judged_in(good[: self._scale * 2 * MOST_FINALISTS], worlds)
         good.sort(key=lambda state: -state.n_good)
         better: list[State] = []
-        at_once = WIDE * MOST_FINALISTS if self.is_wide else 1
+        at_once = MOST_FINALISTS if self.is_wide else 1
         for begin in range(0, self._scale * MOST_FINALISTS, at_once):
             states = yield from self._judged_in(good[begin : begin + at_once], ALL_WORLDS)
             better += [state for state in states if state.n_good > weak.n_good]
