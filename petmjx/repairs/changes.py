@@ -141,13 +141,6 @@ class Move(_OfBox):
     def cost(self) -> float:
         return COST[self.kind] + COST_PER_MM * self.length_mm + COST_PER_BOX * len(self.others)
 
-    def joined(self, other: Move) -> Move | None:
-        """This move and another one as one move; None if the moves are of different boxes, or cancel out."""
-        if self.boxes != other.boxes:
-            return None
-        sum_of_moves = replace(self, dx_mm=self.dx_mm + other.dx_mm, dy_mm=self.dy_mm + other.dy_mm)
-        return sum_of_moves if sum_of_moves.length_mm > 0 else None
-
 
 @dataclass(frozen=True)
 class Turn(_OfBox):
@@ -162,6 +155,11 @@ class Turn(_OfBox):
             return None
         corner = np.array([[self.x_mm, self.y_mm, draft.corner_mm[self.box, 2]]])
         return draft.with_turn(self.box, not draft.turned[self.box]).with_places([self.box], corner)
+
+    def way_mm(self, draft: Draft) -> tuple[float, float]:
+        """The way of the box's corner along x and y, from its place in a draft to its place after the turn, mm."""
+        x, y = draft.corner_mm[self.box, :2].tolist()
+        return self.x_mm - x, self.y_mm - y
 
     @property
     def words(self) -> str:
@@ -329,17 +327,31 @@ def with_turns_told(draft: Draft, changes: Sequence[Change]) -> tuple[Change, ..
     return tuple(told)
 
 
-def with_change(changes: Sequence[Change], change: Change) -> tuple[Change, ...]:
-    """A list of changes with one more change. A move becomes part of an earlier change of the same boxes. Of two
-    changes of a box's order, only the second one is kept. If a box is put elsewhere or left out, its earlier changes
-    are dropped. Applying the returned list may give another draft than applying all changes in turn, because a later
-    change of other boxes may depend on a dropped change."""
+def with_change(changes: Sequence[Change], change: Change, start: Draft) -> tuple[Change, ...]:
+    """A list of changes with one more change. A move becomes part of an earlier change of the same boxes, and a turn
+    becomes part of an earlier turn or place of the same box. Of two changes of a box's order, only the second one is
+    kept. If a box is put elsewhere or left out, its earlier changes are dropped. Two changes that cancel out are both
+    dropped. Applying the returned list may give another draft than applying all changes in turn, because a later change
+    of other boxes may depend on a dropped change.
+
+    Args:
+        start: the draft to which the changes are applied.
+    """
     for at in reversed(range(len(changes))):
-        earlier = changes[at]
+        earlier, others = changes[at], (*changes[:at], *changes[at + 1 :])
         if isinstance(change, Order) and isinstance(earlier, Order) and earlier.box == change.box:
-            return (*changes[:at], *changes[at + 1 :], change)
+            return (*others, change)
         if isinstance(change, Move) and (joined := _moved(earlier, change)) is not None:
-            return (*changes[:at], joined, *changes[at + 1 :])
+            cancels = isinstance(joined, Move) and not joined.length_mm
+            return others if cancels else (*changes[:at], joined, *changes[at + 1 :])
+        if isinstance(change, Turn) and earlier.boxes == change.boxes:
+            if isinstance(earlier, Turn) and (before := applied(start, others)) is not None:
+                move = Move(change.box, *change.way_mm(before))
+                return with_change(others, move, start) if move.length_mm else others
+            if isinstance(earlier, Place) and (before := applied(start, changes)) is not None:
+                dx_mm, dy_mm = change.way_mm(before)
+                turned = replace(_shifted(earlier, dx_mm, dy_mm), turned=not earlier.turned)
+                return (*changes[:at], turned, *changes[at + 1 :])
     if isinstance(change, Film):
         return (*(old for old in changes if old.kind is not Kind.FILM), change)
     if isinstance(change, Place | LeaveOut):
@@ -348,18 +360,22 @@ def with_change(changes: Sequence[Change], change: Change) -> tuple[Change, ...]
 
 
 def _moved(change: Change, move: Move) -> Change | None:
-    """A change and a later move of the same boxes, as one change; None if the two are of different boxes, or cancel
-    out."""
-    if isinstance(change, Move):
-        return change.joined(move)
+    """A change and a later move of the same boxes, as one change; None if the two are of different boxes, or cannot be
+    one change."""
     if change.boxes != move.boxes:
         return None
+    if isinstance(change, Move):
+        return replace(change, dx_mm=change.dx_mm + move.dx_mm, dy_mm=change.dy_mm + move.dy_mm)
     if isinstance(change, Place):
-        x, y, z = change.corner_mm
-        return replace(change, corner_mm=(x + move.dx_mm, y + move.dy_mm, z))
+        return _shifted(change, move.dx_mm, move.dy_mm)
     if isinstance(change, Turn):
         return replace(change, x_mm=change.x_mm + move.dx_mm, y_mm=change.y_mm + move.dy_mm)
     return None
+
+
+def _shifted(place: Place, dx_mm: float, dy_mm: float) -> Place:
+    x, y, z = place.corner_mm
+    return replace(place, corner_mm=(x + dx_mm, y + dy_mm, z))
 
 
 def cost_of(changes: Sequence[Change]) -> float:

@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -361,19 +362,38 @@ def test_odd_plans_may_stay_as_odd() -> None:
 
 
 def test_changes_of_one_box_become_one() -> None:
+    joined = partial(with_change, start=Draft.of(make_plan(boxes=COUNTERWEIGHT)))
     first, second = Move(1, 20.0, 0.0), Move(1, 0.0, -5.0)
-    assert with_change((first,), second) == (Move(1, 20.0, -5.0),)
+    assert joined((first,), second) == (Move(1, 20.0, -5.0),)
     assert Move(1, 20.0, -5.0).words == "move box 1 by 20 mm to the right and 5 mm to the front"
-    assert with_change((first, Order(2, 3)), second) == (Move(1, 20.0, -5.0), Order(2, 3))
+    assert joined((first, Order(2, 3)), second) == (Move(1, 20.0, -5.0), Order(2, 3))
     place = Place(1, (0.0, 0.0, 200.0), False, others=(2,))
-    assert with_change((place,), Move(1, 4.0, 0.0, (2,))) == (replace(place, corner_mm=(4.0, 0.0, 200.0)),)
-    assert with_change((place,), first) == (place, first), "the box on it stays"
-    assert with_change((Turn(1, 5.0, 6.0),), second) == (Turn(1, 5.0, 1.0),)
-    assert with_change((first,), LeaveOut(1)) == (LeaveOut(1),)
-    assert with_change((Film(4.0),), Film(3.0)) == (Film(3.0),)
-    assert with_change((first,), Move(2, 1.0, 0.0)) == (first, Move(2, 1.0, 0.0))
-    assert with_change((Order(1, 4),), Order(1, 3, after=True)) == (Order(1, 3, after=True),)
-    assert with_change((Order(1, 4),), Order(2, 3)) == (Order(1, 4), Order(2, 3))
+    assert joined((place,), Move(1, 4.0, 0.0, (2,))) == (replace(place, corner_mm=(4.0, 0.0, 200.0)),)
+    assert joined((place,), first) == (place, first), "the box on it stays"
+    assert joined((Turn(1, 5.0, 6.0),), second) == (Turn(1, 5.0, 1.0),)
+    assert joined((first,), LeaveOut(1)) == (LeaveOut(1),)
+    assert joined((Film(4.0),), Film(3.0)) == (Film(3.0),)
+    assert joined((first,), Move(2, 1.0, 0.0)) == (first, Move(2, 1.0, 0.0))
+    assert joined((Order(1, 4),), Order(1, 3, after=True)) == (Order(1, 3, after=True),)
+    assert joined((Order(1, 4),), Order(2, 3)) == (Order(1, 4), Order(2, 3))
+    assert joined((first, Order(2, 3)), Move(1, -20.0, 0.0)) == (Order(2, 3),), "back where it was"
+
+
+def test_two_turns_of_a_box_are_a_move() -> None:
+    """The user forbids moves, and the search turned a box by 90° twice, so that it stood 100 mm further left."""
+    plan = make_plan(boxes=COUNTERWEIGHT)
+    joined = partial(with_change, start=Draft.of(plan))
+    there, back = Turn(3, -100.0, 0.0), Turn(3, -50.0, 0.0)
+    assert joined((there, Order(3, 2)), back) == (Order(3, 2), Move(3, -50.0, 0.0))
+    assert joined((Move(3, 20.0, 5.0), there), back) == (Move(3, -50.0, 0.0),)
+    assert joined((there,), Turn(3, 0.0, 0.0)) == ()
+    place = Place(3, (0.0, 0.0, 0.0), turned=True)
+    assert joined((place,), back) == (replace(place, corner_mm=(-50.0, 0.0, 0.0), turned=False),)
+    for forbid, n_candidates in (((), 1), (("move",), 0)):
+        search = Search(plan, Simulation(), RepairOptions(forbid=forbid, worlds=0))
+        draft = applied(Draft.of(plan), [there])
+        assert draft is not None
+        assert len(search._ranked(Node(State(draft, (there,), FALLS)), [], [(Turn(3, 5.0, 0.0),)])) == n_candidates
 
 
 def test_exchanged_boxes_have_each_others_place_and_time() -> None:
@@ -1531,7 +1551,7 @@ def test_a_change_says_that_it_turns_a_box_although_an_earlier_turn_was_dropped(
     draft = Draft.of(make_plan(boxes=[*stack(2), *stack(2, at_mm=(600.0, 0.0))]))
     turn, place = Turn(1, 0.0, 0.0), Place(1, (600.0, 300.0, 0.0), turned=True)
     exchange = Exchange(1, 3, ((600.0, 0.0, 100.0), (0.0, 0.0, 100.0)), (True, True))
-    changes = with_change((turn,), place)
+    changes = with_change((turn,), place, draft)
     assert changes == (place,)
     assert [change.words for change in with_turns_told(draft, changes)] == [replace(place, differs=True).words]
     first, second, third = with_turns_told(draft, (turn, replace(place, differs=True), exchange))
