@@ -17,9 +17,9 @@ from petmjx.engines.verdict import Verdict
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.repairs.balance import SAFE_MM, Balance, balances
-from petmjx.repairs.changes import Change, Kind, Turn, applied, cost_of, with_change
+from petmjx.repairs.changes import Change, Kind, Turn, applied, cost_of, longest_move_mm, with_change
 from petmjx.repairs.draft_rules import Rules
-from petmjx.repairs.drafts import Draft, key_of, keys_of
+from petmjx.repairs.drafts import TOLERANCE_MM, Draft, key_of, keys_of
 from petmjx.repairs.proposals import MOST_TARGETS, Proposal, Target, proposals, targets
 from petmjx.repairs.rebuilds import Failure, rebuilds
 from petmjx.repairs.repair_options import RepairOptions
@@ -341,7 +341,12 @@ class Candidates:
             and n_counted(changes) <= self.options.most_changes
             and has_allowed_kinds
             and len(turned) == len({*turned})
+            and self._moves_little(changes)
         )
+
+    def _moves_little(self, changes: Sequence[Change]) -> bool:
+        """Whether no box is moved farther than the options allow."""
+        return longest_move_mm(changes, self._start) <= self.options.most_move_mm + TOLERANCE_MM
 
     def _unsolved(self, after: Balance, failing: Mapping[int, float], culprit: int | None) -> float:
         """How much of a failure remains after a change, from 0 to 2. The plan fails because loads are beyond an edge of
@@ -493,9 +498,13 @@ class Candidates:
         return [State(c.draft, c.changes, trial) for c, trial in zip(batch, trials, strict=True)]
 
     def _trials_of(self, lists: Sequence[tuple[Change, ...]], *, judged: bool = False) -> Steps[list[State]]:
-        """The simulated states with these lists of changes. Lists with an impossible change, and lists whose result is
-        not allowed, are left out."""
-        made = [(draft, changes) for changes in lists if (draft := applied(self._start, changes)) is not None]
+        """The simulated states with these lists of changes. Lists with an impossible change, lists whose result is
+        not allowed, and lists that move a box too far, are left out."""
+        made = [
+            (draft, changes)
+            for changes in lists
+            if (draft := applied(self._start, changes)) is not None and self._moves_little(changes)
+        ]
         allowed = self.rules.allow([draft for draft, _ in made])
         made = [pair for pair, is_allowed in zip(made, allowed, strict=True) if is_allowed]
         if not made:

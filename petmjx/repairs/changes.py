@@ -161,6 +161,14 @@ class Turn(_OfBox):
         x, y = draft.corner_mm[self.box, :2].tolist()
         return self.x_mm - x, self.y_mm - y
 
+    def shift_mm(self, draft: Draft) -> tuple[float, float]:
+        """The part of the way that is more than the turn needs, along x and y, mm: (0, 0) if the box is turned about
+        its middle or about one of its corners. A turn that became one change with a move has such a part."""
+        length, width = draft.size_mm[self.box, :2].tolist()
+        x, y = self.way_mm(draft)
+        low, high = sorted((0.0, length - width))
+        return x - min(max(x, low), high), y - min(max(y, -high), -low)
+
     @property
     def words(self) -> str:
         return f"turn box {self.box} by 90°: its front-left corner is then at x {_mm(self.x_mm)}, y {_mm(self.y_mm)} mm"
@@ -376,6 +384,27 @@ def _moved(change: Change, move: Move) -> Change | None:
 def _shifted(place: Place, dx_mm: float, dy_mm: float) -> Place:
     x, y, z = place.corner_mm
     return replace(place, corner_mm=(x + dx_mm, y + dy_mm, z))
+
+
+def longest_move_mm(changes: Sequence[Change], start: Draft) -> float:
+    """Largest distance along x or along y by which a box is moved by all changes together, mm. A turn counts as a move,
+    too, if it does not leave the box at its place (``Turn.shift_mm``).
+
+    Args:
+        start: the draft to which the changes are applied.
+    """
+    ways: dict[int, tuple[float, float]] = {}
+    for number, change in enumerate(changes):
+        if isinstance(change, Move):
+            dx, dy = change.dx_mm, change.dy_mm
+        elif isinstance(change, Turn) and (before := applied(start, changes[:number])) is not None:
+            dx, dy = change.shift_mm(before)
+        else:
+            continue
+        for box in change.boxes:
+            x, y = ways.get(box, (0.0, 0.0))
+            ways[box] = x + dx, y + dy
+    return max((max(abs(x), abs(y)) for x, y in ways.values()), default=0.0)
 
 
 def cost_of(changes: Sequence[Change]) -> float:

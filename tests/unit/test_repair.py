@@ -31,6 +31,7 @@ from petmjx.plans.plan import Plan
 from petmjx.repairs.balance import ROOM_MM, balances
 from petmjx.repairs.candidates import AT_ONCE, HELD, Candidate, Fault, Node, State, batch_of, spread
 from petmjx.repairs.changes import (
+    Change,
     Exchange,
     Film,
     Kind,
@@ -41,6 +42,7 @@ from petmjx.repairs.changes import (
     Sheet,
     Turn,
     applied,
+    longest_move_mm,
     with_change,
     with_turns_told,
 )
@@ -394,6 +396,24 @@ def test_two_turns_of_a_box_are_a_move() -> None:
         draft = applied(Draft.of(plan), [there])
         assert draft is not None
         assert len(search._ranked(Node(State(draft, (there,), FALLS)), [], [(Turn(3, 5.0, 0.0),)])) == n_candidates
+
+
+def test_all_moves_of_a_box_together_keep_the_limit() -> None:
+    """Each move kept the limit, but moves of one box became one move that was longer."""
+    plan = make_plan(boxes=COUNTERWEIGHT)
+    start, first = Draft.of(plan), Move(2, -6.0, 0.0)
+    search = Search(plan, Simulation(), RepairOptions(most_move_mm=8.0, worlds=0))
+    draft = applied(start, [first])
+    assert draft is not None
+    second, too_far = Move(2, -1.0, 0.0), Move(2, -3.0, 0.0)
+    ranked = search._ranked(Node(State(draft, (first,), FALLS)), [], [(second,), (too_far,)])
+    assert [candidate.changes for candidate in ranked] == [(Move(2, -7.0, 0.0),)]
+    lists: list[tuple[Change, ...]] = [(first, too_far), (first,)]
+    states = result_of(search._trials_of(lists), lambda drafts: [FALLS for _ in drafts])
+    assert [state.changes for state in states] == [(first,)]
+    assert longest_move_mm([Move(2, 80.0, -90.0), Move(3, 50.0, 0.0, (2,)), Turn(1, 0.0, 0.0)], start) == 130
+    assert longest_move_mm([Turn(2, 60.0, 150.0)], start) == 0, "about its back-left corner"
+    assert longest_move_mm([Turn(2, 40.0, 155.0)], start) == 20
 
 
 def test_exchanged_boxes_have_each_others_place_and_time() -> None:
