@@ -507,6 +507,8 @@ def test_drafts_join_the_worlds_that_are_being_simulated(monkeypatch: pytest.Mon
     assert sorted(tickets) == ["first", "score", "second"]
     assert sorted(runs) == ["judged", "scored"]
     assert tickets.index("first") < tickets.index("second")
+    assert question.progress.shown_message == "4 trials"
+    assert question.progress.message == "", "engines set the message back to an earlier one"
 
 
 Ask = Callable[[list[Asked]], list[Trial]]
