@@ -75,6 +75,11 @@ class Change(ABC):
         return ()
 
     @property
+    def named(self) -> tuple[int, ...]:
+        """Numbers of the boxes that the words name."""
+        return self.boxes
+
+    @property
     def cost(self) -> float:
         """The cost of the change."""
         return COST[self.kind]
@@ -105,6 +110,10 @@ class Order(_OfBox):
     @property
     def words(self) -> str:
         return f"place box {self.box} {'after' if self.after else 'before'} box {self.neighbour}"
+
+    @property
+    def named(self) -> tuple[int, ...]:
+        return (self.box, self.neighbour)
 
 
 @dataclass(frozen=True)
@@ -216,6 +225,10 @@ class Place(_OfBox):
         return (self.box, *self.others)
 
     @property
+    def named(self) -> tuple[int, ...]:
+        return self.boxes if self.neighbour is None else (*self.boxes, self.neighbour)
+
+    @property
     def cost(self) -> float:
         return COST[self.kind] + COST_PER_BOX * len(self.others)
 
@@ -275,6 +288,10 @@ class Sheet(Change):
         x, y, thick = map(_mm, self.size_mm)
         height = _mm(self.corner_mm[2])
         return f"lay a tie sheet of {x} × {y} × {thick} mm at the height {height} mm, before box {self.before}"
+
+    @property
+    def named(self) -> tuple[int, ...]:
+        return (self.before,)
 
 
 @dataclass(frozen=True)

@@ -1517,7 +1517,10 @@ def test_the_command_writes_plans_and_a_page(tmp_path: Path, capsys: pytest.Capt
     assert "late: unstable (tilt, first box 1); stands after 1 change\n  1. place box 2 before box 1" in printed
     assert verdict(petmjx.load_plans(out).plans[0]) == "stable"
     page = html.read_text(encoding="utf-8")
-    assert page.count("<svg") == 2
+    carriers = re.findall(r"<title>carrier</title>(.*?)</g>", page)
+    assert len(carriers) == page.count("<svg") == 2
+    assert carriers[0] == carriers[1], "both pictures have the same scale"
+    assert sorted(re.findall(r'<text class="number".*?>(.*?)<', page)) == ["1", "1", "2", "2"]
     assert "place box 2 before box 1" in page
     assert main(["repair", str(source), "-o", str(out), *options]) == 2
     assert "--overwrite" in capsys.readouterr().err
