@@ -262,7 +262,8 @@ class Exchange(Change):
     @property
     def words(self) -> str:
         turned = [box for box, differs in zip(self.boxes, self.differ, strict=True) if differs]
-        return f"exchange boxes {self.first} and {self.second}" + (f", with {_boxes(turned)} turned" if turned else "")
+        turns = f", with {_boxes(turned)} turned" if turned else ""
+        return f"exchange boxes {self.first} and {self.second}, also in the packing order{turns}"
 
     @property
     def boxes(self) -> tuple[int, ...]:

@@ -61,6 +61,18 @@ SHOWN: Final = (
 """Columns of ``Repairs.table`` in a notebook."""
 
 
+_CHANGE_COLUMNS: Final = (
+    *("plan_id", "number", "kind", "boxes", "words", "cost"),
+    *("x_mm", "y_mm", "z_mm", "turned", "position"),
+)
+"""Columns of ``Repairs.changes``."""
+
+_FRAME: Final = (
+    "places are those of front-left-bottom corners, mm, in the coordinates of the plans that petmjx writes: "
+    "x = 0 and y = 0 are usually the left and the front edge of the load, z = 0 is the top of the carrier"
+)
+
+
 @dataclass(frozen=True, eq=False)
 class Repaired:
     """One plan and its repair.
@@ -172,6 +184,21 @@ class Repaired:
         """What ended a search that is not complete."""
         return "the trials" if self.trials_spent else "the seconds"
 
+    def change_rows(self) -> Iterator[dict[str, Any]]:
+        """The rows of ``Repairs.changes``."""
+        draft = Draft.of(self.before)
+        for number, change in enumerate(self.changes):
+            draft = change.applied(draft) or draft
+            boxes = [len(draft.size_mm) - 1] if change.kind is Kind.SHEET else change.boxes
+            placed = [box for box in boxes if box in draft.order]
+            x_mm, y_mm, z_mm = (tuple(column) for column in draft.corner_mm[placed].T.tolist())
+            turned, position = draft.turned[placed].tolist(), draft.rank[placed].astype(int).tolist()
+            values = (
+                *(self.before.plan_id, number, str(change.kind), change.boxes, change.words, change.cost),
+                *(x_mm, y_mm, z_mm, tuple(turned), tuple(position)),
+            )
+            yield dict(zip(_CHANGE_COLUMNS, values, strict=True))
+
     def row(self) -> dict[str, Any]:
         """The row of ``Repairs.table``."""
         row: dict[str, Any] = {
@@ -225,15 +252,15 @@ class Repairs:
 
     @property
     def changes(self) -> pd.DataFrame:
-        """A table with one row for each change. Columns: ``plan_id``; ``number`` of the change in its plan, from 0;
-        ``kind`` of the change; ``boxes``, the numbers of the changed boxes; ``words``, the change in plain words;
-        ``cost`` of the change (docs/repair.md)."""
-        rows = [
-            (repaired.before.plan_id, number, str(change.kind), change.boxes, change.words, change.cost)
-            for repaired in self.each
-            for number, change in enumerate(repaired.changes)
-        ]
-        return pd.DataFrame(rows, columns=["plan_id", "number", "kind", "boxes", "words", "cost"])
+        """A table with one row for each change; docs/repair.md has the columns."""
+        rows = [row for repaired in self.each for row in repaired.change_rows()]
+        return pd.DataFrame(rows, columns=[*_CHANGE_COLUMNS])
+
+    @property
+    def frame(self) -> str:
+        """A sentence about the coordinates in the words of the changes; empty if no words have coordinates."""
+        kinds = {change.kind for repaired in self.each for change in repaired.changes}
+        return _FRAME if kinds & {Kind.TURN, Kind.PLACE} else ""
 
     @property
     def summary(self) -> str:

@@ -423,7 +423,25 @@ def test_exchanged_boxes_have_each_others_place_and_time() -> None:
     assert draft is not None
     assert draft.order == (0, 1, 3, 2)
     assert draft.corner_mm[2].tolist() == [0, 0, 400]
-    assert change.words == "exchange boxes 2 and 3"
+    assert change.words == "exchange boxes 2 and 3, also in the packing order"
+
+
+def test_each_change_has_its_places_in_numbers() -> None:
+    plan = make_plan(boxes=COUNTERWEIGHT)
+    sheet = Sheet((0.0, 0.0, 400.0), (360.0, 300.0, 3.0), 0.5, before=2)
+    exchange = Exchange(2, 3, ((0.0, 0.0, 400.0), (210.0, 0.0, 400.0)), (False, False))
+    changes = (exchange, Turn(2, 30.0, 5.0), sheet, Film(2.0), LeaveOut(3))
+    result = Repaired(plan, plan, changes, FALLS, FALLS, None, None, 1)
+    table = Repairs((result,)).changes
+    assert [table[name].tolist() for name in ("x_mm", "y_mm", "z_mm", "turned", "position")] == [
+        [(0.0, 210.0), (30.0,), (0.0,), (), ()],
+        [(0.0, 0.0), (5.0,), (0.0,), (), ()],
+        [(400.0, 400.0), (400.0,), (400.0,), (), ()],
+        [(False, False), (True,), (False,), (), ()],
+        [(3, 2), (3,), (3,), (), ()],
+    ]
+    assert "places are those of front-left-bottom corners, mm" in Repairs((result,)).frame
+    assert Repairs((replace(result, changes=(exchange,)),)).frame == ""
 
 
 def test_statics_names_the_box_that_is_too_much() -> None:

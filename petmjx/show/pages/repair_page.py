@@ -42,11 +42,12 @@ def repair_page(repairs: Repairs) -> str:
         if standing and fell
         else ""
     )
+    frame = f" {repairs.frame[0].upper()}{repairs.frame[1:]}." if repairs.frame else ""
     body = (
         f"<header><h1>Repairs</h1><p>{escaped_html(repairs.summary)}.</p>{also}"
         '<p class="small faint">In both plans, boxes have the numbers of the original plan, from 0. '
         "Left is −x, front −y. The first box to fail, and the boxes that are changed, are outlined. Boxes "
-        "that the text names have their numbers, in parentheses if other boxes hide them.</p></header><main>"
+        f"that the text names have their numbers, in parentheses if other boxes hide them.{frame}</p></header><main>"
         f"{''.join(_section(repaired, dict(repairs.how or {})) for repaired in fell)}</main>"
         f'<footer class="small faint">petmjx {escaped_html(__version__)}; units mm, kg</footer>'
     )
