@@ -21,6 +21,7 @@ from petmjx.options.sorted_options import sorted_options
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.plan_sources import PathArgument, PlanSource, usable_plans, without_built_plans
+from petmjx.plans.plan_warnings import odd_layouts
 from petmjx.plans.plan_writer import save_plans
 from petmjx.repairs.candidates import State
 from petmjx.repairs.changes import Change, Film, Kind, applied, cost_of, with_turns_told
@@ -364,8 +365,8 @@ def repair(
 
     def repairs() -> Repairs:
         skipped = tuple(str(line) for line in plan_set.skipped)
-        weak = _weak_note(results, repair_options.share)
-        return Repairs(tuple(results), skipped, shown, (*plan_set.notes, *_odd_notes(plan_set), *about, *weak))
+        of_results = *_still_odd_note(results), *_weak_note(results, repair_options.share)
+        return Repairs(tuple(results), skipped, shown, (*plan_set.notes, *_odd_notes(plan_set), *about, *of_results))
 
     waiting = {plan.plan_id for plan in plan_set.plans}  # plans whose search has not ended
     try:
@@ -490,6 +491,20 @@ def _odd_notes(plan_set: PlanSet) -> list[str]:
 
 _MOST_ODD_PLANS: Final = 5
 """Largest number of plans with odd boxes that have a note of their own."""
+
+
+def _still_odd_note(results: Sequence[Repaired]) -> list[str]:
+    """A line about repaired plans in which boxes overlap or float, as they do in the given plans; an empty list if
+    there are no such plans."""
+    odd = odd_layouts([one.plan for one in results if one.stands and one.changes])
+    names = [one.plan_id for one in odd if one.n_overlapping_pairs or one.n_floating]
+    if not names:
+        return []
+    still = "still has" if len(names) == 1 else "still have"
+    return [
+        f"{count_text(len(names), 'repaired plan')} {still} overlapping or floating boxes, "
+        f"because the {'given plan has' if len(names) == 1 else 'given plans have'} such boxes: {first_names(names)}"
+    ]
 
 
 def _weak_note(results: Sequence[Repaired], share: float) -> list[str]:

@@ -50,7 +50,7 @@ from petmjx.repairs.draft_rules import Rules
 from petmjx.repairs.drafts import Draft, key_of
 from petmjx.repairs.proposals import Target, proposals
 from petmjx.repairs.rebuilds import Failure, rebuilds
-from petmjx.repairs.repair import Repaired, Repairs, _weak_note
+from petmjx.repairs.repair import Repaired, Repairs, _still_odd_note, _weak_note
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.requests import Asked, OutOfTime, Steps, Together, Trial, TrialAnswer
 from petmjx.repairs.search import ALONE, ALONE_IF_MANY, BUILT_ANEW, MANY_FAULTS, SURPLUS, WIDE_AT_ONCE, Search
@@ -212,6 +212,15 @@ def test_odd_plans_are_noted_once_under_their_ids() -> None:
     (text,) = {str(one.message) for one in issued}
     assert "in plan high the lowest box" in text
     assert len(issued) == 1
+
+
+def test_repaired_plans_that_are_still_odd_are_noted() -> None:
+    plan = make_plan("high", [((400, 300, 200), (0, 0, 0), 5), ((400, 300, 200), (0, 0, 230), 5)])
+    high = Repaired(plan, plan, (Film(2.0),), FALLS, FALLS, None, None, 1)
+    (note,) = _still_odd_note([high, replace(high, plan=make_plan())])
+    assert note.startswith("1 repaired plan still has overlapping or floating boxes")
+    assert note.endswith(": high")
+    assert _still_odd_note([replace(high, changes=()), replace(high, trial_after=None)]) == []
 
 
 def test_nothing_helps_where_all_is_forbidden_that_would() -> None:
