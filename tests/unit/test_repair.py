@@ -1556,6 +1556,10 @@ def test_the_command_writes_plans_and_a_page(tmp_path: Path, capsys: pytest.Capt
         assert "is not a folder" in capsys.readouterr().err
     assert main(["repair", str(source), "--without", "moves"]) == 2
     assert capsys.readouterr().err.startswith("petmjx: --without must be one of order, move")
+    assert main(["repair", str(source), "--forbid", "move"]) == 2
+    assert "(Possible options: --without)" in capsys.readouterr().err
+    assert main(["show", "late", str(source), "--repair"]) == 2
+    assert capsys.readouterr().err.startswith("petmjx: --repair needs --html FILE")
 
 
 @pytest.mark.parametrize(("n_calls", "names"), [(0, []), (3, ["stands"]), (None, ["stands", "falls"])])
