@@ -220,7 +220,13 @@ def _run(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[str] 
 
 def _usage_text(error: Exception) -> str:
     """The text that explains an error of usage. If pydantic has refused the value of an option, the text is petmjx's
-    description of the fault in one line, because typer's text would contain pydantic's message of several lines."""
+    description of the fault in one line, because typer's text would contain pydantic's message of several lines. If an
+    unknown option has the name of an argument in Python, such as ``--forbid``, the text names the option that sets this
+    argument."""
+    argument = getattr(error, "option_name", "").lstrip("-").replace("-", "_")
+    known = getattr(getattr(getattr(error, "ctx", None), "command", None), "params", ())
+    if meant := [one.opts[0] for one in known if one.name == argument]:
+        vars(error)["possibilities"] = meant
     names = getattr(getattr(error, "param", None), "opts", None)
     if not names or not isinstance(error.__cause__, ValidationError):
         return str(getattr(error, "format_message", error.__str__)())

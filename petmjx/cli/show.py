@@ -108,7 +108,9 @@ def _show_repair(
     from petmjx.show.repair_tables import repair_tables
     from petmjx.show.table_layout import print_renderables
 
-    if set(files) != {"html"} or has_more:
+    if "html" not in files:
+        raise InputError("--repair needs --html FILE: it writes a page")
+    if len(files) > 1 or has_more:
         raise InputError("--repair writes only the page --html FILE; drop films, pictures and --variant")
     of_simulation, of_run = sorted_options(options)
     reading = RunOptions(**{name: value for name, value in of_run.items() if name in OF_READING})

@@ -31,6 +31,7 @@ class Progress:
     Attributes:
         thread_s: CPU time that the threads of the engine ``mujoco`` spent on finished worlds, s.
         message: what the engine does at the moment, such as "compiling".
+        caller_message: message of the caller of the engine, which is shown while ``message`` is empty.
         work_share: share of the run's work that is done, from 0 to 1. The run, not the engine, sets ``work_share``. If
             ``work_share`` is None, the share of finished worlds is used.
         at_hand: at least this number of outcomes will follow the last outcome without delay; None if the engine does
@@ -44,11 +45,17 @@ class Progress:
     thread_s: float = 0.0
     compile_s: float = 0.0
     message: str = ""
+    caller_message: str = ""
     work_share: float | None = None
     at_hand: int | None = None
     pauses: bool = False
     extra: dict[str, float] = field(default_factory=dict)
     notes: dict[str, None] = field(default_factory=dict)
+
+    @property
+    def shown_message(self) -> str:
+        """The message that a display of the progress shows."""
+        return self.message or self.caller_message
 
 
 Run = TypeVar("Run", bound=Callable[..., Iterator[Outcome]])

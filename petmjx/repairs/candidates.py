@@ -17,9 +17,9 @@ from petmjx.engines.verdict import Verdict
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.repairs.balance import SAFE_MM, Balance, balances
-from petmjx.repairs.changes import Change, Kind, applied, cost_of, with_change
+from petmjx.repairs.changes import Change, Kind, Turn, applied, cost_of, longest_move_mm, with_change
 from petmjx.repairs.draft_rules import Rules
-from petmjx.repairs.drafts import Draft, key_of, keys_of
+from petmjx.repairs.drafts import TOLERANCE_MM, Draft, key_of, keys_of
 from petmjx.repairs.proposals import MOST_TARGETS, Proposal, Target, proposals, targets
 from petmjx.repairs.rebuilds import Failure, rebuilds
 from petmjx.repairs.repair_options import RepairOptions
@@ -302,23 +302,23 @@ class Candidates:
         boxes = [{box for change in proposal for box in change.boxes} for _, proposal in pairs]
         allowed = self.rules.allow([draft for draft, _ in pairs], boxes, state.draft)
         pairs = [pairs[number] for number in np.flatnonzero(allowed).tolist()]
-        new: dict[bytes, tuple[Draft, Proposal]] = {}
-        for key, pair in zip(keys_of([draft for draft, _ in pairs]), pairs, strict=True):
-            new.setdefault(key, pair)
-        new = {key: pair for key, pair in new.items() if key not in self._seen and not self._falls_early(key)}
-        self._seen.update(new)
-        ranked = []
-        balances_of_new = balances([draft for draft, _ in new.values()], self.sim, parent=state.draft)
-        for (draft, proposal), after in zip(new.values(), balances_of_new, strict=True):
+        new: dict[bytes, tuple[Draft, Proposal, tuple[Change, ...]]] = {}
+        for key, (draft, proposal) in zip(keys_of([draft for draft, _ in pairs]), pairs, strict=True):
+            if key in new or key in self._seen or self._falls_early(key):
+                continue
             changes = state.changes
             for change in proposal:
-                changes = with_change(changes, change)
+                changes = with_change(changes, change, self._start)
             if len(changes) < len(state.changes) + len(proposal):  # several changes became one
                 merged = applied(self._start, changes)
-                if merged is None or key_of(merged) != key_of(draft):
+                if merged is None or key_of(merged) != key:
                     changes = (*state.changes, *proposal)
-            if n_counted(changes) > self.options.most_changes:
-                continue
+            if self._may_make(changes):
+                new[key] = draft, proposal, changes
+        self._seen.update(new)
+        ranked = []
+        balances_of_new = balances([draft for draft, *_ in new.values()], self.sim, parent=state.draft)
+        for (draft, proposal, changes), after in zip(new.values(), balances_of_new, strict=True):
             unsolved = self._unsolved(after, failing, state.trial.culprit)
             risk = self._expected_trouble(after, {box for change in proposal for box in change.boxes})
             rank = risk + PER_WEAKNESS * after.weakness + UNSOLVED * unsolved + PER_COST * cost_of(proposal)
@@ -330,6 +330,23 @@ class Candidates:
         of_key = dict(zip(new, balances_of_new, strict=True))
         self._balances.update((key, of_key[key]) for one in ranked[:MOST_RANKED] for key in [key_of(one.draft)])
         return ranked[:MOST_RANKED]
+
+    def _may_make(self, changes: Sequence[Change]) -> bool:
+        """Whether the options allow these changes together. Two changes of one box may have become a change of another
+        kind. A box that is turned twice is only moved, so it is a move that was not recognised."""
+        turned = [change.box for change in changes if isinstance(change, Turn)]
+        has_allowed_kinds = self.options.kinds.issuperset(change.kind for change in changes)
+        return (
+            len(changes) > 0
+            and n_counted(changes) <= self.options.most_changes
+            and has_allowed_kinds
+            and len(turned) == len({*turned})
+            and self._moves_little(changes)
+        )
+
+    def _moves_little(self, changes: Sequence[Change]) -> bool:
+        """Whether no box is moved farther than the options allow."""
+        return longest_move_mm(changes, self._start) <= self.options.most_move_mm + TOLERANCE_MM
 
     def _unsolved(self, after: Balance, failing: Mapping[int, float], culprit: int | None) -> float:
         """How much of a failure remains after a change, from 0 to 2. The plan fails because loads are beyond an edge of
@@ -481,9 +498,13 @@ class Candidates:
         return [State(c.draft, c.changes, trial) for c, trial in zip(batch, trials, strict=True)]
 
     def _trials_of(self, lists: Sequence[tuple[Change, ...]], *, judged: bool = False) -> Steps[list[State]]:
-        """The simulated states with these lists of changes. Lists with an impossible change, and lists whose result is
-        not allowed, are left out."""
-        made = [(draft, changes) for changes in lists if (draft := applied(self._start, changes)) is not None]
+        """The simulated states with these lists of changes. Lists with an impossible change, lists whose result is
+        not allowed, and lists that move a box too far, are left out."""
+        made = [
+            (draft, changes)
+            for changes in lists
+            if (draft := applied(self._start, changes)) is not None and self._moves_little(changes)
+        ]
         allowed = self.rules.allow([draft for draft, _ in made])
         made = [pair for pair, is_allowed in zip(made, allowed, strict=True) if is_allowed]
         if not made:

@@ -75,6 +75,11 @@ class Change(ABC):
         return ()
 
     @property
+    def named(self) -> tuple[int, ...]:
+        """Numbers of the boxes that the words name."""
+        return self.boxes
+
+    @property
     def cost(self) -> float:
         """The cost of the change."""
         return COST[self.kind]
@@ -105,6 +110,10 @@ class Order(_OfBox):
     @property
     def words(self) -> str:
         return f"place box {self.box} {'after' if self.after else 'before'} box {self.neighbour}"
+
+    @property
+    def named(self) -> tuple[int, ...]:
+        return (self.box, self.neighbour)
 
 
 @dataclass(frozen=True)
@@ -141,13 +150,6 @@ class Move(_OfBox):
     def cost(self) -> float:
         return COST[self.kind] + COST_PER_MM * self.length_mm + COST_PER_BOX * len(self.others)
 
-    def joined(self, other: Move) -> Move | None:
-        """This move and another one as one move; None if the moves are of different boxes, or cancel out."""
-        if self.boxes != other.boxes:
-            return None
-        sum_of_moves = replace(self, dx_mm=self.dx_mm + other.dx_mm, dy_mm=self.dy_mm + other.dy_mm)
-        return sum_of_moves if sum_of_moves.length_mm > 0 else None
-
 
 @dataclass(frozen=True)
 class Turn(_OfBox):
@@ -162,6 +164,19 @@ class Turn(_OfBox):
             return None
         corner = np.array([[self.x_mm, self.y_mm, draft.corner_mm[self.box, 2]]])
         return draft.with_turn(self.box, not draft.turned[self.box]).with_places([self.box], corner)
+
+    def way_mm(self, draft: Draft) -> tuple[float, float]:
+        """The way of the box's corner along x and y, from its place in a draft to its place after the turn, mm."""
+        x, y = draft.corner_mm[self.box, :2].tolist()
+        return self.x_mm - x, self.y_mm - y
+
+    def shift_mm(self, draft: Draft) -> tuple[float, float]:
+        """The part of the way that is more than the turn needs, along x and y, mm: (0, 0) if the box is turned about
+        its middle or about one of its corners. A turn that became one change with a move has such a part."""
+        length, width = draft.size_mm[self.box, :2].tolist()
+        x, y = self.way_mm(draft)
+        low, high = sorted((0.0, length - width))
+        return x - min(max(x, low), high), y - min(max(y, -high), -low)
 
     @property
     def words(self) -> str:
@@ -210,6 +225,10 @@ class Place(_OfBox):
         return (self.box, *self.others)
 
     @property
+    def named(self) -> tuple[int, ...]:
+        return self.boxes if self.neighbour is None else (*self.boxes, self.neighbour)
+
+    @property
     def cost(self) -> float:
         return COST[self.kind] + COST_PER_BOX * len(self.others)
 
@@ -243,7 +262,8 @@ class Exchange(Change):
     @property
     def words(self) -> str:
         turned = [box for box, differs in zip(self.boxes, self.differ, strict=True) if differs]
-        return f"exchange boxes {self.first} and {self.second}" + (f", with {_boxes(turned)} turned" if turned else "")
+        turns = f", with {_boxes(turned)} turned" if turned else ""
+        return f"exchange boxes {self.first} and {self.second}, also in the packing order{turns}"
 
     @property
     def boxes(self) -> tuple[int, ...]:
@@ -269,6 +289,10 @@ class Sheet(Change):
         x, y, thick = map(_mm, self.size_mm)
         height = _mm(self.corner_mm[2])
         return f"lay a tie sheet of {x} × {y} × {thick} mm at the height {height} mm, before box {self.before}"
+
+    @property
+    def named(self) -> tuple[int, ...]:
+        return (self.before,)
 
 
 @dataclass(frozen=True)
@@ -329,17 +353,31 @@ def with_turns_told(draft: Draft, changes: Sequence[Change]) -> tuple[Change, ..
     return tuple(told)
 
 
-def with_change(changes: Sequence[Change], change: Change) -> tuple[Change, ...]:
-    """A list of changes with one more change. A move becomes part of an earlier change of the same boxes. Of two
-    changes of a box's order, only the second one is kept. If a box is put elsewhere or left out, its earlier changes
-    are dropped. Applying the returned list may give another draft than applying all changes in turn, because a later
-    change of other boxes may depend on a dropped change."""
+def with_change(changes: Sequence[Change], change: Change, start: Draft) -> tuple[Change, ...]:
+    """A list of changes with one more change. A move becomes part of an earlier change of the same boxes, and a turn
+    becomes part of an earlier turn or place of the same box. Of two changes of a box's order, only the second one is
+    kept. If a box is put elsewhere or left out, its earlier changes are dropped. Two changes that cancel out are both
+    dropped. Applying the returned list may give another draft than applying all changes in turn, because a later change
+    of other boxes may depend on a dropped change.
+
+    Args:
+        start: the draft to which the changes are applied.
+    """
     for at in reversed(range(len(changes))):
-        earlier = changes[at]
+        earlier, others = changes[at], (*changes[:at], *changes[at + 1 :])
         if isinstance(change, Order) and isinstance(earlier, Order) and earlier.box == change.box:
-            return (*changes[:at], *changes[at + 1 :], change)
+            return (*others, change)
         if isinstance(change, Move) and (joined := _moved(earlier, change)) is not None:
-            return (*changes[:at], joined, *changes[at + 1 :])
+            cancels = isinstance(joined, Move) and not joined.length_mm
+            return others if cancels else (*changes[:at], joined, *changes[at + 1 :])
+        if isinstance(change, Turn) and earlier.boxes == change.boxes:
+            if isinstance(earlier, Turn) and (before := applied(start, others)) is not None:
+                move = Move(change.box, *change.way_mm(before))
+                return with_change(others, move, start) if move.length_mm else others
+            if isinstance(earlier, Place) and (before := applied(start, changes)) is not None:
+                dx_mm, dy_mm = change.way_mm(before)
+                turned = replace(_shifted(earlier, dx_mm, dy_mm), turned=not earlier.turned)
+                return (*changes[:at], turned, *changes[at + 1 :])
     if isinstance(change, Film):
         return (*(old for old in changes if old.kind is not Kind.FILM), change)
     if isinstance(change, Place | LeaveOut):
@@ -348,18 +386,43 @@ def with_change(changes: Sequence[Change], change: Change) -> tuple[Change, ...]
 
 
 def _moved(change: Change, move: Move) -> Change | None:
-    """A change and a later move of the same boxes, as one change; None if the two are of different boxes, or cancel
-    out."""
-    if isinstance(change, Move):
-        return change.joined(move)
+    """A change and a later move of the same boxes, as one change; None if the two are of different boxes, or cannot be
+    one change."""
     if change.boxes != move.boxes:
         return None
+    if isinstance(change, Move):
+        return replace(change, dx_mm=change.dx_mm + move.dx_mm, dy_mm=change.dy_mm + move.dy_mm)
     if isinstance(change, Place):
-        x, y, z = change.corner_mm
-        return replace(change, corner_mm=(x + move.dx_mm, y + move.dy_mm, z))
+        return _shifted(change, move.dx_mm, move.dy_mm)
     if isinstance(change, Turn):
         return replace(change, x_mm=change.x_mm + move.dx_mm, y_mm=change.y_mm + move.dy_mm)
     return None
+
+
+def _shifted(place: Place, dx_mm: float, dy_mm: float) -> Place:
+    x, y, z = place.corner_mm
+    return replace(place, corner_mm=(x + dx_mm, y + dy_mm, z))
+
+
+def longest_move_mm(changes: Sequence[Change], start: Draft) -> float:
+    """Largest distance along x or along y by which a box is moved by all changes together, mm. A turn counts as a move,
+    too, if it does not leave the box at its place (``Turn.shift_mm``).
+
+    Args:
+        start: the draft to which the changes are applied.
+    """
+    ways: dict[int, tuple[float, float]] = {}
+    for number, change in enumerate(changes):
+        if isinstance(change, Move):
+            dx, dy = change.dx_mm, change.dy_mm
+        elif isinstance(change, Turn) and (before := applied(start, changes[:number])) is not None:
+            dx, dy = change.shift_mm(before)
+        else:
+            continue
+        for box in change.boxes:
+            x, y = ways.get(box, (0.0, 0.0))
+            ways[box] = x + dx, y + dy
+    return max((max(abs(x), abs(y)) for x, y in ways.values()), default=0.0)
 
 
 def cost_of(changes: Sequence[Change]) -> float:

@@ -249,7 +249,7 @@ def _moves(
 ) -> Iterator[Proposal]:
     """Moves of boxes along x, along y, and along both at once. Each box is moved alone, and together with the boxes on
     it. Boxes that are not in ``new`` are moved only by lengths that depend on the cause."""
-    needed = [math.ceil(target.depth_mm + spare) for spare in SPARE_MM] if target.depth_mm > 0 else []
+    needed = _needed_mm(target.depth_mm, SPARE_MM, most_mm) if target.depth_mm > 0 else []
     for box in near:
         riders = tuple(sorted(rider for rider in draft.above(box) if rider < draft.plan.n_boxes))
         for with_them in ((), riders) if riders else ((),):
@@ -271,10 +271,16 @@ def _moves(
                     yield (Move(box, dx, dy, with_them),)
 
 
+def _needed_mm(depth_mm: float, spares_mm: Sequence[float], most_mm: float) -> list[int]:
+    """Lengths of moves that bring a load inside its edge by the given distances. If a length is larger than allowed, it
+    is replaced by the largest allowed length: moves of two boxes, towards each other, may be enough."""
+    return [*dict.fromkeys(min(math.ceil(depth_mm + spare), math.floor(most_mm)) for spare in spares_mm)]
+
+
 def _pushes(draft: Draft, rules: Rules, target: Target, most_mm: float) -> Iterator[Proposal]:
     """Moves of boxes with the boxes on them and with all boxes in their way."""
     depth = target.depth_mm
-    lengths = [length for length in (*(math.ceil(depth + spare) for spare in SPARE_MM[:3]), 45.0) if length <= most_mm]
+    lengths = [length for length in (*_needed_mm(depth, SPARE_MM[:3], most_mm), 45) if length <= most_mm]
     supports = np.flatnonzero(draft.on_top[:, target.box]).tolist()
     for box in dict.fromkeys((target.box, target.cause, *supports)):
         for length, (along_x, along_y) in itertools.product(lengths, ((-1, 0), (1, 0), (0, -1), (0, 1))):

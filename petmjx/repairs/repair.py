@@ -21,6 +21,7 @@ from petmjx.options.sorted_options import sorted_options
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.plan_sources import PathArgument, PlanSource, usable_plans, without_built_plans
+from petmjx.plans.plan_warnings import odd_layouts
 from petmjx.plans.plan_writer import save_plans
 from petmjx.repairs.candidates import State
 from petmjx.repairs.changes import Change, Film, Kind, applied, cost_of, with_turns_told
@@ -59,6 +60,18 @@ SHOWN: Final = (
     ShownColumn("share_after", "after %", 1, 100.0),
 )
 """Columns of ``Repairs.table`` in a notebook."""
+
+
+_CHANGE_COLUMNS: Final = (
+    *("plan_id", "number", "kind", "boxes", "words", "cost"),
+    *("x_mm", "y_mm", "z_mm", "turned", "position"),
+)
+"""Columns of ``Repairs.changes``."""
+
+_FRAME: Final = (
+    "places are those of front-left-bottom corners, mm, in the coordinates of the plans that petmjx writes: "
+    "x = 0 and y = 0 are usually the left and the front edge of the load, z = 0 is the top of the carrier"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,6 +185,21 @@ class Repaired:
         """What ended a search that is not complete."""
         return "the trials" if self.trials_spent else "the seconds"
 
+    def change_rows(self) -> Iterator[dict[str, Any]]:
+        """The rows of ``Repairs.changes``."""
+        draft = Draft.of(self.before)
+        for number, change in enumerate(self.changes):
+            draft = change.applied(draft) or draft
+            boxes = [len(draft.size_mm) - 1] if change.kind is Kind.SHEET else change.boxes
+            placed = [box for box in boxes if box in draft.order]
+            x_mm, y_mm, z_mm = (tuple(column) for column in draft.corner_mm[placed].T.tolist())
+            turned, position = draft.turned[placed].tolist(), draft.rank[placed].astype(int).tolist()
+            values = (
+                *(self.before.plan_id, number, str(change.kind), change.boxes, change.words, change.cost),
+                *(x_mm, y_mm, z_mm, tuple(turned), tuple(position)),
+            )
+            yield dict(zip(_CHANGE_COLUMNS, values, strict=True))
+
     def row(self) -> dict[str, Any]:
         """The row of ``Repairs.table``."""
         row: dict[str, Any] = {
@@ -225,15 +253,15 @@ class Repairs:
 
     @property
     def changes(self) -> pd.DataFrame:
-        """A table with one row for each change. Columns: ``plan_id``; ``number`` of the change in its plan, from 0;
-        ``kind`` of the change; ``boxes``, the numbers of the changed boxes; ``words``, the change in plain words;
-        ``cost`` of the change (docs/repair.md)."""
-        rows = [
-            (repaired.before.plan_id, number, str(change.kind), change.boxes, change.words, change.cost)
-            for repaired in self.each
-            for number, change in enumerate(repaired.changes)
-        ]
-        return pd.DataFrame(rows, columns=["plan_id", "number", "kind", "boxes", "words", "cost"])
+        """A table with one row for each change; docs/repair.md has the columns."""
+        rows = [row for repaired in self.each for row in repaired.change_rows()]
+        return pd.DataFrame(rows, columns=[*_CHANGE_COLUMNS])
+
+    @property
+    def frame(self) -> str:
+        """A sentence about the coordinates in the words of the changes; empty if no words have coordinates."""
+        kinds = {change.kind for repaired in self.each for change in repaired.changes}
+        return _FRAME if kinds & {Kind.TURN, Kind.PLACE} else ""
 
     @property
     def summary(self) -> str:
@@ -337,8 +365,8 @@ def repair(
 
     def repairs() -> Repairs:
         skipped = tuple(str(line) for line in plan_set.skipped)
-        weak = _weak_note(results, repair_options.share)
-        return Repairs(tuple(results), skipped, shown, (*plan_set.notes, *_odd_notes(plan_set), *about, *weak))
+        of_results = *_still_odd_note(results), *_weak_note(results, repair_options.share)
+        return Repairs(tuple(results), skipped, shown, (*plan_set.notes, *_odd_notes(plan_set), *about, *of_results))
 
     waiting = {plan.plan_id for plan in plan_set.plans}  # plans whose search has not ended
     try:
@@ -463,6 +491,20 @@ def _odd_notes(plan_set: PlanSet) -> list[str]:
 
 _MOST_ODD_PLANS: Final = 5
 """Largest number of plans with odd boxes that have a note of their own."""
+
+
+def _still_odd_note(results: Sequence[Repaired]) -> list[str]:
+    """A line about repaired plans in which boxes overlap or float, as they do in the given plans; an empty list if
+    there are no such plans."""
+    odd = odd_layouts([one.plan for one in results if one.stands and one.changes])
+    names = [one.plan_id for one in odd if one.n_overlapping_pairs or one.n_floating]
+    if not names:
+        return []
+    still = "still has" if len(names) == 1 else "still have"
+    return [
+        f"{count_text(len(names), 'repaired plan')} {still} overlapping or floating boxes, "
+        f"because the {'given plan has' if len(names) == 1 else 'given plans have'} such boxes: {first_names(names)}"
+    ]
 
 
 def _weak_note(results: Sequence[Repaired], share: float) -> list[str]:

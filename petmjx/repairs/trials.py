@@ -150,7 +150,7 @@ class Question:
         sim: options of the simulation.
         threads: number of CPU threads of a run.
         choice: the engine of all trials, and the reason for its choice.
-        progress: progress of the engine while it judges drafts. The message is the number of trials.
+        progress: progress of the engine while it judges drafts. Its ``caller_message`` is the number of trials.
         n_trials: number of trials, including those of the plans themselves.
 
     Args:
@@ -618,7 +618,8 @@ class TrialStream:
     def _take(self, request: _Request, number: int, trial: Trial) -> None:
         request.trials[number] = trial
         self._question.n_trials += 1
-        self._question.progress.message = count_text(self._question.n_trials, "trial")
+        # the engine sets ``message`` back to what it was at the start of its run
+        self._question.progress.caller_message = count_text(self._question.n_trials, "trial")
         if len(request.trials) == len(request.drafts):
             self._complete.append(request)
 

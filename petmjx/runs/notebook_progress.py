@@ -68,8 +68,8 @@ class NotebookBar:
         share = start.progress.work_share
         self._texts.update(self._done, share)
         parts = self._texts.words
-        if self._done != left and start.progress.message:
-            parts.append(start.progress.message)
+        if self._done != left and start.progress.shown_message:
+            parts.append(start.progress.shown_message)
         drawn = self._done if share is None or left is None else round(share * left, 1)
         value = "" if left is None else f' value="{drawn}" max="{max(left, 1)}"'
         about = f"{start.size}; engine {start.choice.name} ({start.choice.reason})"
@@ -114,7 +114,7 @@ class ScriptLines:
 
     def _say_progress(self) -> None:
         self._texts.update(self._done, self._progress.work_share)
-        message = "" if self._done == self._total else self._progress.message
+        message = "" if self._done == self._total else self._progress.shown_message
         self._say(", ".join(filter(None, (*self._texts.words, message))))
 
     def _say(self, line: str) -> None:

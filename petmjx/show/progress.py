@@ -180,7 +180,7 @@ class BarWatcher(AbstractContextManager["BarWatcher"]):
             stopped = False
             while not stopped:
                 stopped = stop.wait(REFRESH_S)
-                shown.update(self._done, start.progress.message, start.progress.work_share)
+                shown.update(self._done, start.progress.shown_message, start.progress.work_share)
 
         refresher = threading.Thread(target=refresh, name="petmjx-progress", daemon=True)
         refresher.start()

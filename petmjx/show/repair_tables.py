@@ -36,6 +36,8 @@ def repair_tables(repairs: Repairs) -> Iterator[RenderableType]:
     yield line(repairs.summary, style="bold")
     if any(repaired.changes for repaired in repairs.each):
         yield line("boxes have the numbers of the original plan, from 0", style="dim")
+    if repairs.frame:
+        yield line(repairs.frame, style="dim")
     for note in repairs.notes:
         yield line(f"note: {note}", style="yellow")
 

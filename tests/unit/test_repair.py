@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -30,6 +31,7 @@ from petmjx.plans.plan import Plan
 from petmjx.repairs.balance import ROOM_MM, balances
 from petmjx.repairs.candidates import AT_ONCE, HELD, Candidate, Fault, Node, State, batch_of, spread
 from petmjx.repairs.changes import (
+    Change,
     Exchange,
     Film,
     Kind,
@@ -40,6 +42,7 @@ from petmjx.repairs.changes import (
     Sheet,
     Turn,
     applied,
+    longest_move_mm,
     with_change,
     with_turns_told,
 )
@@ -47,7 +50,7 @@ from petmjx.repairs.draft_rules import Rules
 from petmjx.repairs.drafts import Draft, key_of
 from petmjx.repairs.proposals import Target, proposals
 from petmjx.repairs.rebuilds import Failure, rebuilds
-from petmjx.repairs.repair import Repaired, Repairs, _weak_note
+from petmjx.repairs.repair import Repaired, Repairs, _still_odd_note, _weak_note
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.requests import Asked, OutOfTime, Steps, Together, Trial, TrialAnswer
 from petmjx.repairs.search import ALONE, ALONE_IF_MANY, BUILT_ANEW, MANY_FAULTS, SURPLUS, WIDE_AT_ONCE, Search
@@ -211,6 +214,15 @@ def test_odd_plans_are_noted_once_under_their_ids() -> None:
     assert len(issued) == 1
 
 
+def test_repaired_plans_that_are_still_odd_are_noted() -> None:
+    plan = make_plan("high", [((400, 300, 200), (0, 0, 0), 5), ((400, 300, 200), (0, 0, 230), 5)])
+    high = Repaired(plan, plan, (Film(2.0),), FALLS, FALLS, None, None, 1)
+    (note,) = _still_odd_note([high, replace(high, plan=make_plan())])
+    assert note.startswith("1 repaired plan still has overlapping or floating boxes")
+    assert note.endswith(": high")
+    assert _still_odd_note([replace(high, changes=()), replace(high, trial_after=None)]) == []
+
+
 def test_nothing_helps_where_all_is_forbidden_that_would() -> None:
     result = repaired(COUNTERWEIGHT, forbid=[kind for kind in Kind if kind is not Kind.SHEET], trials=4)
     assert not result.stands
@@ -361,19 +373,56 @@ def test_odd_plans_may_stay_as_odd() -> None:
 
 
 def test_changes_of_one_box_become_one() -> None:
+    joined = partial(with_change, start=Draft.of(make_plan(boxes=COUNTERWEIGHT)))
     first, second = Move(1, 20.0, 0.0), Move(1, 0.0, -5.0)
-    assert with_change((first,), second) == (Move(1, 20.0, -5.0),)
+    assert joined((first,), second) == (Move(1, 20.0, -5.0),)
     assert Move(1, 20.0, -5.0).words == "move box 1 by 20 mm to the right and 5 mm to the front"
-    assert with_change((first, Order(2, 3)), second) == (Move(1, 20.0, -5.0), Order(2, 3))
+    assert joined((first, Order(2, 3)), second) == (Move(1, 20.0, -5.0), Order(2, 3))
     place = Place(1, (0.0, 0.0, 200.0), False, others=(2,))
-    assert with_change((place,), Move(1, 4.0, 0.0, (2,))) == (replace(place, corner_mm=(4.0, 0.0, 200.0)),)
-    assert with_change((place,), first) == (place, first), "the box on it stays"
-    assert with_change((Turn(1, 5.0, 6.0),), second) == (Turn(1, 5.0, 1.0),)
-    assert with_change((first,), LeaveOut(1)) == (LeaveOut(1),)
-    assert with_change((Film(4.0),), Film(3.0)) == (Film(3.0),)
-    assert with_change((first,), Move(2, 1.0, 0.0)) == (first, Move(2, 1.0, 0.0))
-    assert with_change((Order(1, 4),), Order(1, 3, after=True)) == (Order(1, 3, after=True),)
-    assert with_change((Order(1, 4),), Order(2, 3)) == (Order(1, 4), Order(2, 3))
+    assert joined((place,), Move(1, 4.0, 0.0, (2,))) == (replace(place, corner_mm=(4.0, 0.0, 200.0)),)
+    assert joined((place,), first) == (place, first), "the box on it stays"
+    assert joined((Turn(1, 5.0, 6.0),), second) == (Turn(1, 5.0, 1.0),)
+    assert joined((first,), LeaveOut(1)) == (LeaveOut(1),)
+    assert joined((Film(4.0),), Film(3.0)) == (Film(3.0),)
+    assert joined((first,), Move(2, 1.0, 0.0)) == (first, Move(2, 1.0, 0.0))
+    assert joined((Order(1, 4),), Order(1, 3, after=True)) == (Order(1, 3, after=True),)
+    assert joined((Order(1, 4),), Order(2, 3)) == (Order(1, 4), Order(2, 3))
+    assert joined((first, Order(2, 3)), Move(1, -20.0, 0.0)) == (Order(2, 3),), "back where it was"
+
+
+def test_two_turns_of_a_box_are_a_move() -> None:
+    """The user forbids moves, and the search turned a box by 90° twice, so that it stood 100 mm further left."""
+    plan = make_plan(boxes=COUNTERWEIGHT)
+    joined = partial(with_change, start=Draft.of(plan))
+    there, back = Turn(3, -100.0, 0.0), Turn(3, -50.0, 0.0)
+    assert joined((there, Order(3, 2)), back) == (Order(3, 2), Move(3, -50.0, 0.0))
+    assert joined((Move(3, 20.0, 5.0), there), back) == (Move(3, -50.0, 0.0),)
+    assert joined((there,), Turn(3, 0.0, 0.0)) == ()
+    place = Place(3, (0.0, 0.0, 0.0), turned=True)
+    assert joined((place,), back) == (replace(place, corner_mm=(-50.0, 0.0, 0.0), turned=False),)
+    for forbid, n_candidates in (((), 1), (("move",), 0)):
+        search = Search(plan, Simulation(), RepairOptions(forbid=forbid, worlds=0))
+        draft = applied(Draft.of(plan), [there])
+        assert draft is not None
+        assert len(search._ranked(Node(State(draft, (there,), FALLS)), [], [(Turn(3, 5.0, 0.0),)])) == n_candidates
+
+
+def test_all_moves_of_a_box_together_keep_the_limit() -> None:
+    """Each move kept the limit, but moves of one box became one move that was longer."""
+    plan = make_plan(boxes=COUNTERWEIGHT)
+    start, first = Draft.of(plan), Move(2, -6.0, 0.0)
+    search = Search(plan, Simulation(), RepairOptions(most_move_mm=8.0, worlds=0))
+    draft = applied(start, [first])
+    assert draft is not None
+    second, too_far = Move(2, -1.0, 0.0), Move(2, -3.0, 0.0)
+    ranked = search._ranked(Node(State(draft, (first,), FALLS)), [], [(second,), (too_far,)])
+    assert [candidate.changes for candidate in ranked] == [(Move(2, -7.0, 0.0),)]
+    lists: list[tuple[Change, ...]] = [(first, too_far), (first,)]
+    states = result_of(search._trials_of(lists), lambda drafts: [FALLS for _ in drafts])
+    assert [state.changes for state in states] == [(first,)]
+    assert longest_move_mm([Move(2, 80.0, -90.0), Move(3, 50.0, 0.0, (2,)), Turn(1, 0.0, 0.0)], start) == 130
+    assert longest_move_mm([Turn(2, 60.0, 150.0)], start) == 0, "about its back-left corner"
+    assert longest_move_mm([Turn(2, 40.0, 155.0)], start) == 20
 
 
 def test_exchanged_boxes_have_each_others_place_and_time() -> None:
@@ -383,7 +432,25 @@ def test_exchanged_boxes_have_each_others_place_and_time() -> None:
     assert draft is not None
     assert draft.order == (0, 1, 3, 2)
     assert draft.corner_mm[2].tolist() == [0, 0, 400]
-    assert change.words == "exchange boxes 2 and 3"
+    assert change.words == "exchange boxes 2 and 3, also in the packing order"
+
+
+def test_each_change_has_its_places_in_numbers() -> None:
+    plan = make_plan(boxes=COUNTERWEIGHT)
+    sheet = Sheet((0.0, 0.0, 400.0), (360.0, 300.0, 3.0), 0.5, before=2)
+    exchange = Exchange(2, 3, ((0.0, 0.0, 400.0), (210.0, 0.0, 400.0)), (False, False))
+    changes = (exchange, Turn(2, 30.0, 5.0), sheet, Film(2.0), LeaveOut(3))
+    result = Repaired(plan, plan, changes, FALLS, FALLS, None, None, 1)
+    table = Repairs((result,)).changes
+    assert [table[name].tolist() for name in ("x_mm", "y_mm", "z_mm", "turned", "position")] == [
+        [(0.0, 210.0), (30.0,), (0.0,), (), ()],
+        [(0.0, 0.0), (5.0,), (0.0,), (), ()],
+        [(400.0, 400.0), (400.0,), (400.0,), (), ()],
+        [(False, False), (True,), (False,), (), ()],
+        [(3, 2), (3,), (3,), (), ()],
+    ]
+    assert "places are those of front-left-bottom corners, mm" in Repairs((result,)).frame
+    assert Repairs((replace(result, changes=(exchange,)),)).frame == ""
 
 
 def test_statics_names_the_box_that_is_too_much() -> None:
@@ -467,6 +534,8 @@ def test_drafts_join_the_worlds_that_are_being_simulated(monkeypatch: pytest.Mon
     assert sorted(tickets) == ["first", "score", "second"]
     assert sorted(runs) == ["judged", "scored"]
     assert tickets.index("first") < tickets.index("second")
+    assert question.progress.shown_message == "4 trials"
+    assert question.progress.message == "", "engines set the message back to an earlier one"
 
 
 Ask = Callable[[list[Asked]], list[Trial]]
@@ -1475,7 +1544,10 @@ def test_the_command_writes_plans_and_a_page(tmp_path: Path, capsys: pytest.Capt
     assert "late: unstable (tilt, first box 1); stands after 1 change\n  1. place box 2 before box 1" in printed
     assert verdict(petmjx.load_plans(out).plans[0]) == "stable"
     page = html.read_text(encoding="utf-8")
-    assert page.count("<svg") == 2
+    carriers = re.findall(r"<title>carrier</title>(.*?)</g>", page)
+    assert len(carriers) == page.count("<svg") == 2
+    assert carriers[0] == carriers[1], "both pictures have the same scale"
+    assert sorted(re.findall(r'<text class="number".*?>(.*?)<', page)) == ["1", "1", "2", "2"]
     assert "place box 2 before box 1" in page
     assert main(["repair", str(source), "-o", str(out), *options]) == 2
     assert "--overwrite" in capsys.readouterr().err
@@ -1484,6 +1556,10 @@ def test_the_command_writes_plans_and_a_page(tmp_path: Path, capsys: pytest.Capt
         assert "is not a folder" in capsys.readouterr().err
     assert main(["repair", str(source), "--without", "moves"]) == 2
     assert capsys.readouterr().err.startswith("petmjx: --without must be one of order, move")
+    assert main(["repair", str(source), "--forbid", "move"]) == 2
+    assert "(Possible options: --without)" in capsys.readouterr().err
+    assert main(["show", "late", str(source), "--repair"]) == 2
+    assert capsys.readouterr().err.startswith("petmjx: --repair needs --html FILE")
 
 
 @pytest.mark.parametrize(("n_calls", "names"), [(0, []), (3, ["stands"]), (None, ["stands", "falls"])])
@@ -1531,7 +1607,7 @@ def test_a_change_says_that_it_turns_a_box_although_an_earlier_turn_was_dropped(
     draft = Draft.of(make_plan(boxes=[*stack(2), *stack(2, at_mm=(600.0, 0.0))]))
     turn, place = Turn(1, 0.0, 0.0), Place(1, (600.0, 300.0, 0.0), turned=True)
     exchange = Exchange(1, 3, ((600.0, 0.0, 100.0), (0.0, 0.0, 100.0)), (True, True))
-    changes = with_change((turn,), place)
+    changes = with_change((turn,), place, draft)
     assert changes == (place,)
     assert [change.words for change in with_turns_told(draft, changes)] == [replace(place, differs=True).words]
     first, second, third = with_turns_told(draft, (turn, replace(place, differs=True), exchange))

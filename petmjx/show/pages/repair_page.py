@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -43,10 +42,12 @@ def repair_page(repairs: Repairs) -> str:
         if standing and fell
         else ""
     )
+    frame = f" {repairs.frame[0].upper()}{repairs.frame[1:]}." if repairs.frame else ""
     body = (
         f"<header><h1>Repairs</h1><p>{escaped_html(repairs.summary)}.</p>{also}"
         '<p class="small faint">In both plans, boxes have the numbers of the original plan, from 0. '
-        "Left is −x, front −y. The first box to fail, and the boxes that are changed, are outlined.</p></header><main>"
+        "Left is −x, front −y. The first box to fail, and the boxes that are changed, are outlined. Boxes "
+        f"that the text names have their numbers, in parentheses if other boxes hide them.{frame}</p></header><main>"
         f"{''.join(_section(repaired, dict(repairs.how or {})) for repaired in fell)}</main>"
         f'<footer class="small faint">petmjx {escaped_html(__version__)}; units mm, kg</footer>'
     )
@@ -57,15 +58,19 @@ def repair_page(repairs: Repairs) -> str:
 def _section(repaired: Repaired, how: dict[str, Any]) -> str:
     """The section about one plan: its pictures and its changes."""
     before = simulated_story(repaired.before, details=False, **how)
-    pictures = _picture("before", before, {before.outcome.culprit})
+    culprit = before.outcome.culprit
+    named = {culprit, *(box for change in repaired.changes for box in change.named)}
     if repaired.stands:
         changed = {box for change in repaired.changes for box in change.boxes}
         numbers = _numbers(repaired)
         if repaired.film_turns is not None:
             how = {**how, "wrap": Simulation(**how).wrap.changed(turns=repaired.film_turns)}
         after = simulated_story(repaired.plan, details=False, **how)
-        pictures += _picture("after", after, {row for row, box in enumerate(numbers) if box in changed}, numbers)
+        marked = {row for row, box in enumerate(numbers) if box in changed}
+        pictures = _picture("before", before, still_svg(before, {culprit}, None, named, [after]))
+        pictures += _picture("after", after, still_svg(after, marked, numbers, named, [before]))
     else:
+        pictures = _picture("before", before, still_svg(before, {culprit}, None, named))
         pictures += '<figure><figcaption class="note">No repair is known.</figcaption></figure>'
     changes = "".join(f"<li>{escaped_html(words)}</li>" for words in repaired.words)
     title = escaped_html(repaired.before.plan_id)
@@ -93,12 +98,12 @@ def _numbers(repaired: Repaired) -> list[int]:
     return list(draft.order)
 
 
-def _picture(title: str, story: Story, marked: Collection[int], numbers: list[int] | None = None) -> str:
+def _picture(title: str, story: Story, svg: str) -> str:
     verdict = escaped_html(story.outcome.verdict.value)
     words = first_box_in_words(story) or f"{reason_in_words(story).capitalize()}."
     return (
         f'<figure><figcaption><b>{title}</b> <span class="badge {verdict}">{verdict}</span></figcaption>'
-        f'{still_svg(story, marked, numbers)}<p class="small">{escaped_html(words)}</p></figure>'
+        f'{svg}<p class="small">{escaped_html(words)}</p></figure>'
     )
 
 
