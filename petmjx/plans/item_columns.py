@@ -429,7 +429,7 @@ class _ItemExtraction(ColumnExtraction):
         sizes = sizes_in(self)
         if sizes is None:
             return None
-        values, axes, unit, _, columns, _ = sizes
+        values, axes, unit, _, columns, *_ = sizes
         self._check_single(columns)
         upright = next((axis for axis in ("height", "z", "2", "depth") if axis in axes), axes[2])
         order = [index for index, axis in enumerate(axes) if axis != upright] + [axes.index(upright)]

@@ -24,7 +24,7 @@ from petmjx.common.text import count_text, printable, printable_name, three_digi
 from petmjx.common.toml_files import read_toml
 from petmjx.common.units import LENGTHS_MM, MASSES_KG
 from petmjx.options.run_options import RunOptions
-from petmjx.plans.column_extraction import LAST_CELLS, ROLES
+from petmjx.plans.column_extraction import LAST_CELLS, ROLES, SIZE_WORDS, XYZ, role_of
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, UNIT_WORDS
 from petmjx.plans.input_conventions import ANCHORS
 
@@ -157,6 +157,12 @@ class Reading:
         return name and f"{name} and columns like it hold {'the last grid cells' if are_cells else 'the ends'} of boxes"
 
     @property
+    def size_columns(self) -> str:
+        """The columns of sizes, as in the option ``columns``; "" if the option cannot choose them."""
+        roles = [role for role in self.columns if role == "sizes" or role in map(role_of, (*SIZE_WORDS, *XYZ))]
+        return ",".join(f"{role}={self.columns[role]}" for role in roles)
+
+    @property
     def size_words(self) -> str:
         """Which sizes the columns of sizes hold, in words."""
         return "sizes as placed" if self.sizes == "placed" else f"sizes before turning ({ROTATION_RULES[self.rule]})"
@@ -271,6 +277,7 @@ def _column_words(reading: Reading) -> str:
 
 
 _DIFFERENCES: Final = (
+    (("size_columns",), "--columns", lambda reading: reading.size_columns),
     (("units",), "--units", _length_words),
     (("masses",), "--units", lambda reading: f"weights in {UNIT_WORDS.get(reading.masses, reading.masses)}"),
     (("up",), "--up (x, y, z, -y or -z)", lambda reading: up_words(reading.up)),

@@ -592,3 +592,28 @@ def test_a_bad_cell_is_told_where_all_rows_are_bad_and_columns_are_missing(
     plan = "plan A, " if "plan_id" in row else ""
     name = " (box)" if "article" in row else ""
     assert str(skipped) == f"{tmp_path}/a.csv: {plan}row 2{name}: {fault}"
+
+
+TWO_SETS = (
+    "name,product_length,product_width,product_height,case_length,case_width,case_height,x,y,z,kg\n"
+    "a,380,280,180,400,300,200,0,0,0,9\nb,380,280,180,400,300,200,400,0,0,9\n"
+)
+"""The sizes of a product, and of the case in which it is packed. Without further boxes, both sets are plausible."""
+
+
+@pytest.mark.parametrize("words", [("product_", "case_"), ("inner ", "outer "), ("item.", ""), ("", "box")])
+def test_of_two_sets_of_sizes_the_one_without_floating_boxes_is_read(tmp_path: Path, words: tuple[str, str]) -> None:
+    content = f"{TWO_SETS}c,380,280,180,400,300,200,200,0,200,9\n"
+    content = content.replace("product_", words[0]).replace("case_", words[1])
+    (plan,) = load(tmp_path, "a.csv", content).plans
+    assert np.allclose(plan.size_mm, [400, 300, 200])
+    bad_cell = content.replace("c,380,280,180,400,300", "c,380,280,180,400,?")
+    assert f'{words[1]}width must be a number, got "?"' in refusal(load(tmp_path, "b.csv", bad_cell))
+
+
+def test_two_plausible_sets_of_sizes_are_refused_and_can_be_named(tmp_path: Path) -> None:
+    line = refusal(load(tmp_path, "a.csv", TWO_SETS))
+    for word in ("product", "case"):
+        assert f"length={word}_length,width={word}_width,height={word}_height (no box" in line
+    (plan,) = load(tmp_path, "a.csv", TWO_SETS, columns={"length": "case_length"}).plans
+    assert np.allclose(plan.size_mm, [400, 300, 200])
