@@ -494,6 +494,18 @@ def test_points_that_may_be_between_thousands_are_refused(tmp_path: Path, column
     assert f"{column} 1.125 may mean 1.125 or 1125: write 1.1250 or 1125" in line
 
 
+@pytest.mark.parametrize(("length", "grams"), [("400", 9500), ("4", 9.5)])
+def test_points_in_grams_are_between_thousands_if_boxes_would_be_lighter_than_foam(
+    tmp_path: Path, length: str, grams: float
+) -> None:
+    header = "Box;X mm;Y mm;Z mm;Länge mm;Breite mm;Höhe mm;Masse g\n"
+    content = f"{header}a;0;0;0;{length};300;200;9.500\nb;{length};0;0;{length};300;200;12.250\n"
+    plan_set = load(tmp_path, "a.csv", content)
+    (plan,) = plan_set.plans
+    assert np.isclose(plan.mass_kg[0], grams / 1000)
+    assert ("Masse g: 9.500 is read as 9500" in plan_set.conventions[0]) == (grams == 9500)
+
+
 def test_points_of_metres_are_decimal(tmp_path: Path) -> None:
     content = "Box;X;Y;Z;Length [m];Width [m];Height [m]\na;0;0;0;1.200;1;1.000\nb;0;0;1;1.200;1;1.000\n"
     (plan,) = load(tmp_path, "a.csv", content).plans
