@@ -2307,3 +2307,22 @@ def test_weights_that_are_small_whole_numbers_are_no_rotations(tmp_path: Path) -
     np.save(tmp_path / "boxes.npy", np.array(boxes, float))
     (plan,) = petmjx.load_plans(tmp_path / "boxes.npy", units="mm,kg")
     assert plan.mass_kg.tolist() == [3] * 12
+
+
+@pytest.mark.parametrize(
+    "footer",
+    [
+        "End of report. 0 cases could not be loaded.",
+        "*** end of report ***",
+        "End of report",
+        "Signature: ____ Date: __",
+    ],
+)
+def test_sentences_in_printed_reports_are_no_boxes(tmp_path: Path, footer: str) -> None:
+    title = "Pallet: PAL-{}  (8 cases, volume utilisation 61.2 %)"
+    text = "\n".join(f"{title.format(k)}\n\n{in_pages().split(chr(10), 3)[3].partition(chr(12))[0]}" for k in (1, 2))
+    first, second = load(tmp_path, "report.txt", f"{text}\n{footer}\n").plans
+    assert [plan.plan_id for plan in (first, second)] == [title.format(k).replace("  ", " ") for k in (1, 2)]
+    assert first.n_boxes == second.n_boxes == 5
+    line = load(tmp_path, "cut.txt", f"{text}{in_pages().splitlines()[-3][:30]}\n{footer}\n").skipped[0].message
+    assert "is missing" in line
