@@ -606,6 +606,21 @@ def test_a_bad_cell_is_told_where_all_rows_are_bad_and_columns_are_missing(
     assert str(skipped) == f"{tmp_path}/a.csv: {plan}row 2{name}: {fault}"
 
 
+def test_units_of_chosen_columns_count_even_if_their_words_are_unknown(tmp_path: Path) -> None:
+    lines = [NAMES.replace("[mm]", "[cm]").replace("x [cm],y [cm],z [cm]", "Q1 [mm],Q2 [mm],Q3 [mm]")]
+    lines += [f"b{k},{','.join(f'{v:g}' for v in (*box[:3], *box[3:] / 10))},6" for k, box in enumerate(BOXES)]
+    (tmp_path / "a.csv").write_text("\n".join(lines))
+    ((record,), _) = file_infos([tmp_path / "a.csv"], {})
+    assert "counts its boxes" not in record["orders"]
+    ((record,), plan_set) = file_infos([tmp_path / "a.csv"], {"columns": "x=Q1,y=Q2,z=Q3"})
+    assert not record["orders"]
+    np.testing.assert_allclose(plan_set.plans[0].corner_mm, BOXES[:, :3])
+    np.testing.assert_allclose(plan_set.plans[0].size_mm, BOXES[:, 3:])
+    ((record,), _) = file_infos([tmp_path / "a.csv"], {"columns": "x=Q1,y=Q2"})
+    assert not record["orders"]
+    assert record["skipped"]
+
+
 TWO_SETS = (
     "name,product_length,product_width,product_height,case_length,case_width,case_height,x,y,z,kg\n"
     "a,380,280,180,400,300,200,0,0,0,9\nb,380,280,180,400,300,200,400,0,0,9\n"
