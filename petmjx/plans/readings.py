@@ -98,6 +98,10 @@ class Evidence:
         return f"{odd}; {count_text(self.n_boxes, 'box', 'boxes')} in all"
 
 
+NOT_READ: Final = "not read: "
+"""First words of a note about a list of boxes that is not read."""
+
+
 @dataclass(frozen=True)
 class Reading:
     """How the numbers of a file are read.
@@ -172,8 +176,13 @@ class Reading:
         """How poses turn boxes, in words; "" if there are no poses."""
         return ROTATION_RULES[self.rule] if self.rule in POSES else ""
 
+    @property
+    def unread(self) -> tuple[str, ...]:
+        """Lines about lists of boxes that are not read."""
+        return tuple(note for note in self.notes if note.startswith(NOT_READ))
+
     def line(self) -> str:
-        """The reading as one line of text."""
+        """The reading as one line of text, without the lines about lists of boxes that are not read."""
         sizes, places = self.length_units
         lengths = sizes if sizes == places else f"sizes in {sizes}, coordinates in {places}"
         parts = [
@@ -192,7 +201,8 @@ class Reading:
                     self.origin
                 ]
             )
-        return f"read as {'; '.join([*filter(None, parts), *self.notes])}"
+        parts += [note for note in self.notes if note not in self.unread]
+        return f"read as {'; '.join(filter(None, parts))}"
 
 
 def up_words(up: str) -> str:

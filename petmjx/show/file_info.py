@@ -20,7 +20,7 @@ from petmjx.plans.item_units_and_quantities import OrderReading
 from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan_reader import REPEATED, load_plans
 from petmjx.plans.plan_set import PlanSet
-from petmjx.plans.readings import Reading
+from petmjx.plans.readings import NOT_READ, Reading
 
 _MOST_LINES: Final = 5
 """Largest number of lines of one kind that are shown for a file."""
@@ -175,6 +175,8 @@ def _lines(record: Mapping[str, Any]) -> Iterator[str]:
     reading = record["reading"]
     if reading is not None:
         yield _line("read", reading["line"].removeprefix("read as "))
+        for line in [note for note in reading["notes"] if note.startswith(NOT_READ)][:_MOST_LINES]:
+            yield _line("not read", line.removeprefix(NOT_READ))
         columns = ", ".join(f"{role} = {printable_name(name)}" for role, name in reading["columns"].items())
         yield _line("columns", columns)
         if reading["unused"]:

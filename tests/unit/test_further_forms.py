@@ -1608,9 +1608,15 @@ def test_no_list_of_boxes_is_lost_beside_another(
 def test_what_is_not_read_is_noted(tmp_path: Path) -> None:
     other = [["box", *(f"{name} [cm]" for name in FIELDS[:6])], *(row[:7] for row in BOX_ROWS[1:])]
     twice = [["box", "box", *FIELDS], *([row[0], *row] for row in BOX_ROWS[1:])]
-    line = notes_of(load(tmp_path, "load.xlsx", sheets(A=BOX_ROWS, B=other, C=twice)))
-    assert "not read: 8 boxes in B, because its columns differ from those of the boxes read" in line
+    plan_set = load(tmp_path, "load.xlsx", sheets(A=BOX_ROWS, B=other, C=twice))
+    line, of_list = plan_set.conventions
+    assert "load.xlsx: not read: 8 boxes in B, because its columns differ from those of the boxes read" in of_list
     assert "sheet C not read: column box occurs twice" in line
+    names = ("x", "y", "z", "length", "width", "height", "kg")
+    boxes = [dict(zip(names, box, strict=True)) for box in PILE[:4]]
+    boxes[0]["children"] = [dict(zip(names, (0, 0, 300, *PILE[4][3:]), strict=True))]
+    of_list = load(tmp_path, "inside.json", json.dumps({"boxes": boxes}), up="z").conventions[1]
+    assert "1 box in boxes[].children[], because they are inside other boxes" in of_list
     hidden = openpyxl.load_workbook(io.BytesIO(sheets(A=BOX_ROWS, B=BOX_ROWS)))
     hidden["B"].sheet_state = "hidden"
     hidden.save(content := io.BytesIO())
