@@ -41,7 +41,7 @@ from petmjx.plans.turn_columns import Turns, are_two_values, may_be_turns, turns
 GROSS: Final = word_set("gross brutto bruttogewicht bruttogew bruto brut lordo")
 """Words for gross weights, which are preferred to net weights."""
 _SECOND_SIZES: Final = 0.5
-"""A table may have two sets of columns for the sizes of boxes. A reading with the sizes of the second set costs this
+"""A table may have several sets of columns for the sizes of boxes. A reading with the sizes of a further set costs this
 much more than a reading with the sizes of the first set. A reading with a smaller cost is more plausible."""
 
 
@@ -110,9 +110,9 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str], units: str, masses
         places, sizes = places_in(extraction), sizes_in(extraction)
         geometry = corners_in(extraction) if places is None or sizes is None else _geometry_of(sizes, places)
         geometries = [] if geometry is None else [geometry]
-        second = None if places is None or sizes is None else other_sizes_in(extraction, sizes)
-        if second is not None and places is not None:
-            geometries.append(replace(_geometry_of(second, places), prior=_SECOND_SIZES))
+        if places is not None and sizes is not None:
+            further = other_sizes_in(extraction, sizes)
+            geometries += [replace(_geometry_of(other, places), prior=_SECOND_SIZES) for other in further]
         turns = rotations_in(extraction)
     for other_way in (with_half_extents, with_last_cells):
         geometries += [other for geometry in geometries if (other := other_way(geometry)) is not None]
@@ -207,13 +207,15 @@ def _leave_blank(extraction: ColumnExtraction, index: int, plan: Sequence[str] |
 
 def _geometry_of(sizes: Sizes, places: Places) -> Geometry:
     """Sizes and places, joined into one ``Geometry``. If their units differ, both are converted to millimetres."""
-    size, axes, size_unit, placed, columns, by_sizes = sizes
+    size, axes, size_unit, placed, columns, by_sizes, faults = sizes
     place, place_unit, anchor, more, up = places
     if size_unit and place_unit and size_unit != place_unit:
         size, place = size * LENGTH_UNITS[size_unit], place * LENGTH_UNITS[place_unit]
         size_unit = place_unit = "mm"
     anchor = anchor or by_sizes
-    return Geometry(size, place, axes, size_unit, place_unit, anchor, placed, {**columns, **more}, named_up=up)
+    return Geometry(
+        *(size, place, axes, size_unit, place_unit, anchor, placed, {**columns, **more}), named_up=up, faults=faults
+    )
 
 
 def distinct_names_in(extraction: ColumnExtraction) -> tuple[list[str] | None, str]:

@@ -227,6 +227,24 @@ _LEAST_LIKELY_MM: Final = 10.0
 thicker."""
 
 
+def _with_three_digits(cells: Sequence[Any], decimal: str) -> dict[int, str]:
+    """Row → text, for the numbers of a column that have a point, such as "1.200". The result is empty unless all points
+    of the column are followed by three digits, so that they may separate thousands."""
+    texts = {row: cell.strip() for row, cell in enumerate(cells) if isinstance(cell, str) and "." in cell}
+    return texts if decimal == "." and all(map(_WITH_THREE.match, texts.values())) else {}
+
+
+def grams_with_points(cells: Sequence[Any], decimal: str, unit: str) -> dict[int, str]:
+    """Row → text, for the numbers of a column such as "9.500" if they are grams, and could mean 9500.
+
+    Args:
+        unit: unit of numbers that have no unit in their cell.
+    """
+    texts = _with_three_digits(cells, decimal)
+    units = {(number.unit if number is not None else "") or unit for number in map(cell_number, texts.values())}
+    return texts if all(MASS_UNITS.get(name) == MASS_UNITS["g"] for name in units) else {}
+
+
 def thousands_faults(cells: Sequence[Any], decimal: str, unit: str, are_sizes: bool) -> dict[int, str]:
     """Row → fault, for numbers such as "1.200" that could mean 1200, in a column of lengths with decimal points.
 
@@ -239,8 +257,8 @@ def thousands_faults(cells: Sequence[Any], decimal: str, unit: str, are_sizes: b
         are_sizes: whether the lengths are sizes of boxes.
     """
     texts = {row: cell.strip() for row, cell in enumerate(cells) if isinstance(cell, str)}
-    pointed = {row: text for row, text in texts.items() if "." in text}
-    if decimal != "." or not pointed or not all(map(_WITH_THREE.match, pointed.values())):
+    pointed = _with_three_digits(cells, decimal)
+    if not pointed:
         return {}
     numbers = {row: number for row, text in pointed.items() if (number := cell_number(text)) is not None}
     mm = {row: abs(number.value) * LENGTH_UNITS.get(number.unit or unit, 1.0) for row, number in numbers.items()}

@@ -325,6 +325,9 @@ class ColumnExtraction:
             ]
         meaning, form = self.meanings[index], self.source.form
         of_name = meaning.unit if meaning is not None and meaning.unit in units else ""
+        if not of_name and index in self.fixed.values():  # the meaning of a chosen column may be unknown
+            unit = split_unit(self.table.header[index])[1]
+            of_name = unit if unit in units else ""
         of_name = of_name or (of_object[0] if of_object else "")
         wish = self.masses if is_mass else self.units
         wish = wish if wish in units else ""

@@ -90,6 +90,8 @@ _SIZES: Final = {
     "yukseklik vyska hojde hoyde hojd korkeus magassag inaltime visina",
     "depth": "depth depths deep tiefe profondeur prof profundidad fondo profondita glebokosc gleb diepte derinlik",
 }
+ALL_SIZE_WORDS: Final = word_set(" ".join(_SIZES.values())) | word_set("l w b h d t x y z lg boy en ht")
+"""Words and letters for sizes and axes."""
 _X, _Y, _Z = ("x", "y", "z")
 _AXES: Final = {_X: 0, _Y: 1, _Z: 2}
 _AXIS_WORDS: Final = {

@@ -294,7 +294,11 @@ def with_conventions(plan_set: PlanSet, extent_mm: tuple[float, float] | None) -
         extent_mm: extent of the carrier along x and y; None: the extent of the plan's bounding box.
     """
     odd = odd_layouts(plan_set.plans, extent_mm)
-    readings = [f"{source}: {reading.line()}" for source, reading in plan_set.readings.items()]
+    readings = [
+        f"{source}: {line}"
+        for source, reading in plan_set.readings.items()
+        for line in (reading.line(), *reading.unread)
+    ]
     # Plans of other tools are left out: their places have already been converted to petmjx's convention.
     own_odd = [layout for layout in odd if layout.source not in plan_set.readings]
     conventions = [*find_conventions(plan_set.plans, own_odd, extent_mm), *odd_boxes(plan_set.plans)]

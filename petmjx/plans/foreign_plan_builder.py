@@ -72,6 +72,8 @@ class PlanBuilder:
 
     def plans(self) -> ForeignPlans:
         names, lost, reading, candidate = self._choice()
+        if candidate.geometry.faults:
+            self.columns = replace(self.columns, faults={**candidate.geometry.faults, **self.columns.faults})
         plans, refused = self._plans_of_size(names)
         self.faults = {row: f"{column} {text}" for row, (column, text) in self.columns.faults.items()}
         if (turns := self.columns.turns) is not None and not turns.may_be_ignored(reading.rule):

@@ -25,7 +25,7 @@ from petmjx.plans.plan_fields import joined_names
 from petmjx.plans.plan_rows import plan_names
 from petmjx.plans.raw_tables import rows_by_name
 from petmjx.plans.reading_choice import TIE
-from petmjx.plans.readings import Wishes
+from petmjx.plans.readings import NOT_READ, Wishes
 from petmjx.plans.size_and_place_columns import AXIS_OF_WORD
 
 _NUMBERS_OF_A_BOX: Final = 6
@@ -78,9 +78,15 @@ def _other_plans(sources: Sequence[BoxSource]) -> list[str]:
         where = printable_name(boxes.table.title or boxes.path or "another table")
         count = count_text(len(boxes.table.rows), "box", "boxes")
         if boxes.has_places and boxes.has_sizes and boxes.table.has_header:
-            lines.append(f"not read: {count} in {where}, because its columns differ from those of the boxes read")
+            is_inside = first.path and boxes.path.startswith(f"{first.path}.")
+            reason = (
+                "because they are inside other boxes, and their places may be relative to these"
+                if is_inside
+                else "because its columns differ from those of the boxes read"
+            )
+            lines.append(f"{NOT_READ}{count} in {where}, {reason}")
         elif not (boxes.table.has_header or first.table.has_header) and boxes.table.header == first.table.header:
-            lines.append(f"not read: {count} in {where}, because only the list with the most boxes is read")
+            lines.append(f"{NOT_READ}{count} in {where}, because only the list with the most boxes is read")
     return lines
 
 

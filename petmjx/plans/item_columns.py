@@ -318,7 +318,8 @@ class _ItemExtraction(ColumnExtraction):
         ):
             return ""
         for index, name in enumerate(self.table.header):
-            is_other = name in BOX_PROPERTIES or set(words_of(name)) & _NO_QUANTITY or is_content(name)
+            is_other = name in BOX_PROPERTIES or bool(set(words_of(name)) & _NO_QUANTITY) or is_content(name)
+            is_other |= bool(split_unit(name)[1])  # a number with a unit of length or mass is no quantity
             if self.meanings[index] is not None or index in self.taken or is_other:
                 continue
             numbers = [cell_number(cell, self.table.decimal) for cell in self.cells(index)]
@@ -429,7 +430,7 @@ class _ItemExtraction(ColumnExtraction):
         sizes = sizes_in(self)
         if sizes is None:
             return None
-        values, axes, unit, _, columns, _ = sizes
+        values, axes, unit, _, columns, *_ = sizes
         self._check_single(columns)
         upright = next((axis for axis in ("height", "z", "2", "depth") if axis in axes), axes[2])
         order = [index for index, axis in enumerate(axes) if axis != upright] + [axes.index(upright)]

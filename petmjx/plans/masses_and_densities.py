@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.errors import InputError
-from petmjx.common.text import count_text, printable_name
+from petmjx.common.text import count_text, printable_name, three_digits
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
+from petmjx.plans.cell_numbers import grams_with_points
 from petmjx.plans.column_names import DENSITY_UNITS, LENGTH_UNITS, MASS_UNITS, limits_in
+from petmjx.plans.convention_checks import HEAVIEST_KG_M3, LIGHTEST_KG_M3
 from petmjx.plans.plan_fields import LARGEST_KG, SMALLEST_KG, positive_fault
 from petmjx.plans.readings import Wishes
 
@@ -76,6 +78,7 @@ def masses_kg(
         return np.asarray(volume * columns.weight * _density_factor(columns, length_unit, notes))
     name = columns.columns["total weight" if "total weight" in columns.columns else "weight"]
     mass = columns.weight * MASS_UNITS[unit]
+    mass = _with_thousands(columns, name, unit, mass, volume if counts is None else volume * counts, notes)
     if counts is not None:
         notes.append("the weight in a row is the weight of all boxes of the row")
         mass = mass / np.maximum(counts, 1)
@@ -97,6 +100,35 @@ def masses_kg(
         if fault is not None:
             faults.setdefault(row, fault)
     return np.asarray(mass)
+
+
+def _with_thousands(
+    columns: BoxColumns | ItemColumns, name: str, unit: str, mass: FloatArray, volume: FloatArray, notes: list[str]
+) -> FloatArray:
+    """(n,) masses of the rows, kg. If the column is in grams, "9.500" may mean 9500 g, with a point between thousands.
+    It does if the boxes would be lighter than any real box otherwise, and would not be too heavy with 9500 g. A note
+    tells so.
+
+    Args:
+        name: name of the column.
+        volume: (n,) volume of the boxes of a row, m³.
+    """
+    table = columns.source.boxes.table
+    texts = grams_with_points(table.column(name), table.decimal, unit) if name in table.header else {}
+    rows = [row for row in texts if mass[row] > 0 and volume[row] > 0]
+    if not rows:
+        return mass
+    density = float(np.median(mass[rows] / volume[rows]))
+    if density >= LIGHTEST_KG_M3 or density * 1000 > HEAVIEST_KG_M3:
+        return mass
+    text = texts[rows[0]]
+    notes.append(
+        f"{printable_name(name)}: {text} is read as {text.replace('.', '')}, with a point between thousands (boxes "
+        f"would have {three_digits(density)} kg/m³ otherwise)"
+    )
+    mass = mass.copy()
+    mass[rows] *= 1000
+    return mass
 
 
 def _density_factor(columns: BoxColumns | ItemColumns, length_unit: str, notes: list[str]) -> float:

@@ -55,7 +55,7 @@ def pose_choices(extraction: ColumnExtraction) -> list[Geometry]:
         rotations, scale = _without_scale(rotations)
         if sizes is None and np.allclose(scale, 1.0, equal_nan=True):
             return []
-        size, axes, unit, _, columns, anchor = sizes or Sizes(np.ones((n, 3)), XYZ, "", False, {})
+        size, axes, unit, _, columns, anchor, _ = sizes or Sizes(np.ones((n, 3)), XYZ, "", False, {})
         # if the scales of the matrices equal the sizes, they only repeat the sizes
         if not np.allclose(size, scale, rtol=1e-3, equal_nan=True):
             size = size * scale

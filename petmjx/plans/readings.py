@@ -24,7 +24,7 @@ from petmjx.common.text import count_text, printable, printable_name, three_digi
 from petmjx.common.toml_files import read_toml
 from petmjx.common.units import LENGTHS_MM, MASSES_KG
 from petmjx.options.run_options import RunOptions
-from petmjx.plans.column_extraction import LAST_CELLS, ROLES
+from petmjx.plans.column_extraction import LAST_CELLS, ROLES, SIZE_WORDS, XYZ, role_of
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, UNIT_WORDS
 from petmjx.plans.input_conventions import ANCHORS
 
@@ -98,6 +98,10 @@ class Evidence:
         return f"{odd}; {count_text(self.n_boxes, 'box', 'boxes')} in all"
 
 
+NOT_READ: Final = "not read: "
+"""First words of a note about a list of boxes that is not read."""
+
+
 @dataclass(frozen=True)
 class Reading:
     """How the numbers of a file are read.
@@ -157,6 +161,12 @@ class Reading:
         return name and f"{name} and columns like it hold {'the last grid cells' if are_cells else 'the ends'} of boxes"
 
     @property
+    def size_columns(self) -> str:
+        """The columns of sizes, as in the option ``columns``; "" if the option cannot choose them."""
+        roles = [role for role in self.columns if role == "sizes" or role in map(role_of, (*SIZE_WORDS, *XYZ))]
+        return ",".join(f"{role}={self.columns[role]}" for role in roles)
+
+    @property
     def size_words(self) -> str:
         """Which sizes the columns of sizes hold, in words."""
         return "sizes as placed" if self.sizes == "placed" else f"sizes before turning ({ROTATION_RULES[self.rule]})"
@@ -166,8 +176,13 @@ class Reading:
         """How poses turn boxes, in words; "" if there are no poses."""
         return ROTATION_RULES[self.rule] if self.rule in POSES else ""
 
+    @property
+    def unread(self) -> tuple[str, ...]:
+        """Lines about lists of boxes that are not read."""
+        return tuple(note for note in self.notes if note.startswith(NOT_READ))
+
     def line(self) -> str:
-        """The reading as one line of text."""
+        """The reading as one line of text, without the lines about lists of boxes that are not read."""
         sizes, places = self.length_units
         lengths = sizes if sizes == places else f"sizes in {sizes}, coordinates in {places}"
         parts = [
@@ -186,7 +201,8 @@ class Reading:
                     self.origin
                 ]
             )
-        return f"read as {'; '.join([*filter(None, parts), *self.notes])}"
+        parts += [note for note in self.notes if note not in self.unread]
+        return f"read as {'; '.join(filter(None, parts))}"
 
 
 def up_words(up: str) -> str:
@@ -271,6 +287,7 @@ def _column_words(reading: Reading) -> str:
 
 
 _DIFFERENCES: Final = (
+    (("size_columns",), "--columns", lambda reading: reading.size_columns),
     (("units",), "--units", _length_words),
     (("masses",), "--units", lambda reading: f"weights in {UNIT_WORDS.get(reading.masses, reading.masses)}"),
     (("up",), "--up (x, y, z, -y or -z)", lambda reading: up_words(reading.up)),

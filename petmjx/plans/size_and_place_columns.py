@@ -4,7 +4,7 @@ have no names, by their numbers."""
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from petmjx.common.units import FloatArray
 from petmjx.plans.column_extraction import HALF_EXTENTS, LAST_CELLS, SIZE_WORDS, XYZ, ColumnExtraction, role_of
 from petmjx.plans.column_names import (
+    ALL_SIZE_WORDS,
     BASE_WORDS,
     CENTRE_WORDS,
     HALF_WORDS,
@@ -73,6 +74,7 @@ class Geometry:
         prior: how unlikely this choice of columns is, before any numbers are considered; 0: usual.
         turn: (n, 3, 3) rotation matrices of poses, whose numbers are −1, 0 and 1; None: no poses.
         named_up: the vertical axis according to the names of places; "": none is given.
+        faults: row → (column, error text) of bad cells that matter only if this choice of columns is the right one.
     """
 
     size: FloatArray
@@ -86,6 +88,7 @@ class Geometry:
     prior: float = 0.0
     turn: FloatArray | None = None
     named_up: str = ""
+    faults: Mapping[int, tuple[str, str]] = field(default_factory=dict)
 
 
 class Sizes(NamedTuple):
@@ -99,6 +102,7 @@ class Sizes(NamedTuple):
     placed: bool
     columns: dict[str, str]
     anchor: str = ""
+    faults: Mapping[int, tuple[str, str]] = {}
 
 
 class Places(NamedTuple):
@@ -119,33 +123,58 @@ def sizes_in(extraction: ColumnExtraction) -> Sizes | None:
     if "sizes" in fixed:
         values, unit = extraction.triples(fixed["sizes"])
         return Sizes(values, ("0", "1", "2"), unit, False, {"sizes": header[fixed["sizes"]]})
-    columns, axes, placed = next(_columns_of_sizes(extraction), ((), ("", "", ""), False))
-    if columns:
-        return _sizes_of(extraction, columns, axes, placed)
+    return next(_all_sizes(extraction), None)
+
+
+def other_sizes_in(extraction: ColumnExtraction, first: Sizes) -> list[Sizes]:
+    """The further sets of sizes, such as those of a carton beside those of the product in it, or "sp_size_1" … beside
+    "size_1" …, if no name shows which set has the sizes of the placed boxes. A set is left out if one of its columns is
+    in an earlier set, if more than a few of its cells are bad, or if its sizes equal those of an earlier set. The
+    faults of bad cells are in ``Sizes.faults``, since they do not matter if the set is not chosen."""
+    if first.placed or any(role_of(axis) in extraction.fixed for axis in first.axes) or "sizes" in extraction.fixed:
+        return []
+    faults = dict(extraction.faults)
+    sets = [first]
+    used = {*first.columns.values()}
+    for sizes in _all_sizes(extraction, used):
+        further_faults = {row: fault for row, fault in extraction.faults.items() if row not in faults}
+        extraction.faults = dict(faults)
+        if _mostly(np.asarray((sizes.size > 0).all(axis=1))) and not any(_are_equal(sizes, other) for other in sets):
+            sets.append(sizes._replace(faults=further_faults))
+            used |= {*sizes.columns.values()}
+    return sets[1:]
+
+
+_ROUNDED: Final = 0.05
+"""If a file gives sizes in two units, the relative difference of the two is at most this value. It is due to
+rounding."""
+
+
+def _are_equal(one: Sizes, other: Sizes) -> bool:
+    if one.unit == other.unit or not (one.unit and other.unit):
+        return np.array_equal(one.size, other.size)
+    return np.allclose(
+        one.size * LENGTH_UNITS[one.unit], other.size * LENGTH_UNITS[other.unit], rtol=_ROUNDED, equal_nan=True
+    )
+
+
+def _all_sizes(extraction: ColumnExtraction, used: Collection[str] = ()) -> Iterator[Sizes]:
+    """Yield the sizes of each set of three columns, then those of each column with three sizes per cell.
+
+    Args:
+        used: names of columns; sets with one of these columns are left out. The names may change between two sets.
+    """
+    header = extraction.table.header
+    for columns, axes, placed in _columns_of_sizes(extraction):
+        if not any(header[index] in used for index in columns):
+            yield _sizes_of(extraction, columns, axes, placed)
     for index, meaning in enumerate(extraction.meanings):
-        if meaning is not None and meaning.kind == "sizes" and not meaning.of_container:
+        if meaning is not None and meaning.kind == "sizes" and not (meaning.of_container or header[index] in used):
             values, unit = extraction.triples(index)
             first, second, third = meaning.order if len(meaning.order) == 3 else ("0", "1", "2")
             factor, anchor = (2.0, "centre") if meaning.half else (1.0, "")
             names = {"sizes": header[index]}
-            return Sizes(values * factor, (first, second, third), unit, meaning.placed, names, anchor)
-    return None
-
-
-def other_sizes_in(extraction: ColumnExtraction, first: Sizes) -> Sizes | None:
-    """The second of two sets of sizes, such as "sp_size_1" … and "size_1" …, if no name shows which set has the sizes
-    of the placed boxes. The result is None if there is no second set, if a cell of the second set is bad, or if both
-    sets are equal."""
-    if first.placed or any(role_of(axis) in extraction.fixed for axis in first.axes) or "sizes" in extraction.fixed:
-        return None
-    faults = dict(extraction.faults)
-    for columns, axes, placed in _columns_of_sizes(extraction):
-        if not {extraction.table.header[index] for index in columns} & set(first.columns.values()):
-            sizes = _sizes_of(extraction, columns, axes, placed)
-            is_good = extraction.faults == faults and bool((sizes.size > 0).all())
-            extraction.faults = faults
-            return sizes if is_good and not np.array_equal(sizes.size, first.size) else None
-    return None
+            yield Sizes(values * factor, (first, second, third), unit, meaning.placed, names, anchor)
 
 
 def _sizes_of(extraction: ColumnExtraction, columns: Sequence[int], axes: tuple[str, str, str], placed: bool) -> Sizes:
@@ -172,8 +201,37 @@ def _columns_of_sizes(extraction: ColumnExtraction) -> Iterator[tuple[tuple[int,
                 for axis in axes
             ]
             if all(picked):
-                for columns in _same_stems(header, picked):
+                for columns in _sets_of_columns(header, picked):
                     yield columns, axes, placed
+
+
+def _sets_of_columns(header: Sequence[str], picked: Sequence[Sequence[int]]) -> Iterator[tuple[int, ...]]:
+    """Yield each set of three columns with sizes. Columns belong to the same set if their names have the same words
+    beside the words for sizes ("product_length" and "product_width"). If no three columns have the same words, but all
+    sizes have equally many columns, the first columns of the sizes are a set, and so on.
+
+    Args:
+        picked: indices of the columns of each size.
+    """
+    if all(len(columns) == 1 for columns in picked):
+        yield tuple(columns[0] for columns in picked)
+        return
+    by_words: dict[tuple[str, ...], dict[int, int]] = {}
+    for number, columns in enumerate(picked):
+        for index in columns:
+            by_words.setdefault(_words_beside_size(header[index]), {}).setdefault(number, index)
+    triples = [tuple(slots.values()) for slots in by_words.values() if len(slots) == len(picked)]
+    if not triples and len({*map(len, picked)}) == 1:
+        triples = list(zip(*picked, strict=True))
+    yield from triples or _same_stems(header, picked)
+
+
+def _words_beside_size(name: str) -> tuple[str, ...]:
+    """The part of a column's name that the columns of a set have in common: its ``_stem``, and the words of its last
+    part, without words for sizes, axes and numbers: "case_length [mm]" → "", "case"."""
+    base = split_unit(name)[0]
+    words = (word for word in words_of(base.rpartition(".")[2]) if word not in ALL_SIZE_WORDS and not word.isdecimal())
+    return (base.rpartition(".")[0], *(word.rstrip("xyz") for word in words))
 
 
 def places_in(extraction: ColumnExtraction) -> Places | None:

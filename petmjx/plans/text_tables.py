@@ -230,6 +230,8 @@ def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
                 yield []
             elif index < head:
                 yield line.split()
+            elif index > rule and line not in lines[head:rule] and _is_sentence(line, spans):
+                yield [" ".join(line.split())]
             else:
                 ends = [*(begin for begin, _ in spans[1:]), None]
                 starts = [0, *(begin for begin, _ in spans[1:])]
@@ -246,6 +248,10 @@ def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
         return max(counts.values(), default=0)
 
     rows = max(ways, key=alike)  # if both have equally many rows of one length, ``max`` returns the first
+    boxes = [row for row in rows if sum(map(is_number, row)) >= _NUMBERS_OF_A_BOX]
+    for index in range(rows.index(boxes[0]), len(rows)) if boxes else ():
+        if len(rows[index]) != len(boxes[0]) and _is_unlike(rows[index], boxes[0]):
+            rows[index] = [" ".join(lines[index].split())]
     first = next((index for index, line in enumerate(lines) if line.strip()), 0)
     if (
         lines
@@ -257,6 +263,36 @@ def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
         if len(rows[index]) < len(rows[index - 1]) and all(map(is_unit_cell, rows[index])):
             rows[index] = _below_names(rows[index], lines[index], rows[index - 1], lines[index - 1])
     yield from rows
+
+
+def _is_sentence(line: str, spans: Sequence[tuple[int, int]]) -> bool:
+    """Whether a line of a printed table is no row, but a sentence, such as a title or "End of report. 0 cases could not
+    be loaded.": it has fewer numbers than a box, and its words lie across the gaps between columns; or it has no
+    numbers at all, and only single spaces.
+
+    Args:
+        spans: where the columns begin and end.
+    """
+    if len(_DIGITS.findall(line)) >= _NUMBERS_OF_A_BOX or any(map(is_number, line.split()[:1])):
+        return False
+    is_across = any(line[begin - 1 : begin + 1].strip()[1:] for begin, _ in spans[1:])
+    has_single_spaces = " " in line.strip() and "  " not in line.strip()
+    return is_across or (has_single_spaces and not _DIGITS.search(line))
+
+
+def _is_unlike(words: Sequence[str], words_of_box: Sequence[str]) -> bool:
+    """Whether words are those of a sentence, and not those of a header or the first words of a row with a box: they
+    have at most one number, and not where boxes have numbers."""
+    if all(map(is_unit_cell, words)) or count_known_names(words) >= LEAST_KNOWN:
+        return False
+    are_numbers = [*map(is_number, words)]
+    of_box = [*map(is_number, words_of_box)][: len(words)]
+    return len(words) > 1 and sum(are_numbers) < 2 and are_numbers != of_box and not (are_numbers[0] and of_box[0])
+
+
+_DIGITS: Final = re.compile(r"\d+(?:[.,]\d+)?")
+_NUMBERS_OF_A_BOX: Final = 6
+"""Smallest number of numbers in the row of a box: three sizes and three coordinates."""
 
 
 def _below_names(units: list[str], line: str, names: Sequence[str], line_above: str) -> list[str]:

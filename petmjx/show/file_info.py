@@ -12,6 +12,7 @@ from petmjx.common.errors import InputError, PlanWarning
 from petmjx.common.text import count_text, first_names, printable, printable_name, three_digits
 from petmjx.options.run_options import OF_ORDERS, RunOptions
 from petmjx.plans.bedbpp_orders import OF_PLAN
+from petmjx.plans.column_extraction import XYZ
 from petmjx.plans.convention_checks import find_conventions, odd_boxes
 from petmjx.plans.item_columns import TWO_WAYS
 from petmjx.plans.item_joins import has_named_places
@@ -19,7 +20,7 @@ from petmjx.plans.item_units_and_quantities import OrderReading
 from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan_reader import REPEATED, load_plans
 from petmjx.plans.plan_set import PlanSet
-from petmjx.plans.readings import Reading
+from petmjx.plans.readings import NOT_READ, Reading
 
 _MOST_LINES: Final = 5
 """Largest number of lines of one kind that are shown for a file."""
@@ -47,8 +48,11 @@ def file_infos(paths: Sequence[Path], options: Mapping[str, Any]) -> tuple[list[
         [*(plan.source for plan in plan_set), *(skipped.source for skipped in plan_set.skipped), *plan_set.readings]
     )
     infos = [_info(plan_set, source) for source in sources]
+    names_places = not {*XYZ, "position"}.isdisjoint(RunOptions(columns=options.get("columns")).columns or ())
     for record in infos:
-        are_plans = record["plans"] or any(TWO_WAYS in line or REPEATED in line for line in record["skipped"])
+        are_plans = (
+            record["plans"] or names_places or any(TWO_WAYS in line or REPEATED in line for line in record["skipped"])
+        )
         record["orders"], fault = ("", "") if are_plans else _orders_line(Path(record["file"]), options)
         if fault:
             record["skipped"].append(fault)
@@ -171,6 +175,8 @@ def _lines(record: Mapping[str, Any]) -> Iterator[str]:
     reading = record["reading"]
     if reading is not None:
         yield _line("read", reading["line"].removeprefix("read as "))
+        for line in [note for note in reading["notes"] if note.startswith(NOT_READ)][:_MOST_LINES]:
+            yield _line("not read", line.removeprefix(NOT_READ))
         columns = ", ".join(f"{role} = {printable_name(name)}" for role, name in reading["columns"].items())
         yield _line("columns", columns)
         if reading["unused"]:

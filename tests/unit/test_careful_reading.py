@@ -494,6 +494,18 @@ def test_points_that_may_be_between_thousands_are_refused(tmp_path: Path, column
     assert f"{column} 1.125 may mean 1.125 or 1125: write 1.1250 or 1125" in line
 
 
+@pytest.mark.parametrize(("length", "grams"), [("400", 9500), ("4", 9.5)])
+def test_points_in_grams_are_between_thousands_if_boxes_would_be_lighter_than_foam(
+    tmp_path: Path, length: str, grams: float
+) -> None:
+    header = "Box;X mm;Y mm;Z mm;Länge mm;Breite mm;Höhe mm;Masse g\n"
+    content = f"{header}a;0;0;0;{length};300;200;9.500\nb;{length};0;0;{length};300;200;12.250\n"
+    plan_set = load(tmp_path, "a.csv", content)
+    (plan,) = plan_set.plans
+    assert np.isclose(plan.mass_kg[0], grams / 1000)
+    assert ("Masse g: 9.500 is read as 9500" in plan_set.conventions[0]) == (grams == 9500)
+
+
 def test_points_of_metres_are_decimal(tmp_path: Path) -> None:
     content = "Box;X;Y;Z;Length [m];Width [m];Height [m]\na;0;0;0;1.200;1;1.000\nb;0;0;1;1.200;1;1.000\n"
     (plan,) = load(tmp_path, "a.csv", content).plans
@@ -592,3 +604,43 @@ def test_a_bad_cell_is_told_where_all_rows_are_bad_and_columns_are_missing(
     plan = "plan A, " if "plan_id" in row else ""
     name = " (box)" if "article" in row else ""
     assert str(skipped) == f"{tmp_path}/a.csv: {plan}row 2{name}: {fault}"
+
+
+def test_units_of_chosen_columns_count_even_if_their_words_are_unknown(tmp_path: Path) -> None:
+    lines = [NAMES.replace("[mm]", "[cm]").replace("x [cm],y [cm],z [cm]", "Q1 [mm],Q2 [mm],Q3 [mm]")]
+    lines += [f"b{k},{','.join(f'{v:g}' for v in (*box[:3], *box[3:] / 10))},6" for k, box in enumerate(BOXES)]
+    (tmp_path / "a.csv").write_text("\n".join(lines))
+    ((record,), _) = file_infos([tmp_path / "a.csv"], {})
+    assert "counts its boxes" not in record["orders"]
+    ((record,), plan_set) = file_infos([tmp_path / "a.csv"], {"columns": "x=Q1,y=Q2,z=Q3"})
+    assert not record["orders"]
+    np.testing.assert_allclose(plan_set.plans[0].corner_mm, BOXES[:, :3])
+    np.testing.assert_allclose(plan_set.plans[0].size_mm, BOXES[:, 3:])
+    ((record,), _) = file_infos([tmp_path / "a.csv"], {"columns": "x=Q1,y=Q2"})
+    assert not record["orders"]
+    assert record["skipped"]
+
+
+TWO_SETS = (
+    "name,product_length,product_width,product_height,case_length,case_width,case_height,x,y,z,kg\n"
+    "a,380,280,180,400,300,200,0,0,0,9\nb,380,280,180,400,300,200,400,0,0,9\n"
+)
+"""The sizes of a product, and of the case in which it is packed. Without further boxes, both sets are plausible."""
+
+
+@pytest.mark.parametrize("words", [("product_", "case_"), ("inner ", "outer "), ("item.", ""), ("", "box")])
+def test_of_two_sets_of_sizes_the_one_without_floating_boxes_is_read(tmp_path: Path, words: tuple[str, str]) -> None:
+    content = f"{TWO_SETS}c,380,280,180,400,300,200,200,0,200,9\n"
+    content = content.replace("product_", words[0]).replace("case_", words[1])
+    (plan,) = load(tmp_path, "a.csv", content).plans
+    assert np.allclose(plan.size_mm, [400, 300, 200])
+    bad_cell = content.replace("c,380,280,180,400,300", "c,380,280,180,400,?")
+    assert f'{words[1]}width must be a number, got "?"' in refusal(load(tmp_path, "b.csv", bad_cell))
+
+
+def test_two_plausible_sets_of_sizes_are_refused_and_can_be_named(tmp_path: Path) -> None:
+    line = refusal(load(tmp_path, "a.csv", TWO_SETS))
+    for word in ("product", "case"):
+        assert f"length={word}_length,width={word}_width,height={word}_height (no box" in line
+    (plan,) = load(tmp_path, "a.csv", TWO_SETS, columns={"length": "case_length"}).plans
+    assert np.allclose(plan.size_mm, [400, 300, 200])

@@ -1608,9 +1608,15 @@ def test_no_list_of_boxes_is_lost_beside_another(
 def test_what_is_not_read_is_noted(tmp_path: Path) -> None:
     other = [["box", *(f"{name} [cm]" for name in FIELDS[:6])], *(row[:7] for row in BOX_ROWS[1:])]
     twice = [["box", "box", *FIELDS], *([row[0], *row] for row in BOX_ROWS[1:])]
-    line = notes_of(load(tmp_path, "load.xlsx", sheets(A=BOX_ROWS, B=other, C=twice)))
-    assert "not read: 8 boxes in B, because its columns differ from those of the boxes read" in line
+    plan_set = load(tmp_path, "load.xlsx", sheets(A=BOX_ROWS, B=other, C=twice))
+    line, of_list = plan_set.conventions
+    assert "load.xlsx: not read: 8 boxes in B, because its columns differ from those of the boxes read" in of_list
     assert "sheet C not read: column box occurs twice" in line
+    names = ("x", "y", "z", "length", "width", "height", "kg")
+    boxes = [dict(zip(names, box, strict=True)) for box in PILE[:4]]
+    boxes[0]["children"] = [dict(zip(names, (0, 0, 300, *PILE[4][3:]), strict=True))]
+    of_list = load(tmp_path, "inside.json", json.dumps({"boxes": boxes}), up="z").conventions[1]
+    assert "1 box in boxes[].children[], because they are inside other boxes" in of_list
     hidden = openpyxl.load_workbook(io.BytesIO(sheets(A=BOX_ROWS, B=BOX_ROWS)))
     hidden["B"].sheet_state = "hidden"
     hidden.save(content := io.BytesIO())
@@ -2307,3 +2313,22 @@ def test_weights_that_are_small_whole_numbers_are_no_rotations(tmp_path: Path) -
     np.save(tmp_path / "boxes.npy", np.array(boxes, float))
     (plan,) = petmjx.load_plans(tmp_path / "boxes.npy", units="mm,kg")
     assert plan.mass_kg.tolist() == [3] * 12
+
+
+@pytest.mark.parametrize(
+    "footer",
+    [
+        "End of report. 0 cases could not be loaded.",
+        "*** end of report ***",
+        "End of report",
+        "Signature: ____ Date: __",
+    ],
+)
+def test_sentences_in_printed_reports_are_no_boxes(tmp_path: Path, footer: str) -> None:
+    title = "Pallet: PAL-{}  (8 cases, volume utilisation 61.2 %)"
+    text = "\n".join(f"{title.format(k)}\n\n{in_pages().split(chr(10), 3)[3].partition(chr(12))[0]}" for k in (1, 2))
+    first, second = load(tmp_path, "report.txt", f"{text}\n{footer}\n").plans
+    assert [plan.plan_id for plan in (first, second)] == [title.format(k).replace("  ", " ") for k in (1, 2)]
+    assert first.n_boxes == second.n_boxes == 5
+    line = load(tmp_path, "cut.txt", f"{text}{in_pages().splitlines()[-3][:30]}\n{footer}\n").skipped[0].message
+    assert "is missing" in line
