@@ -155,7 +155,7 @@ class Bounds:
     def __init__(self, stock: BoxTable, friction: float) -> None:
         n = len(stock.count)
         self._stock, self._friction = stock, friction
-        # number of each pallet's boxes for which the tables below hold data
+        # for each pallet, the number of its boxes that the tables below have rows for
         self._boxes: NDArray[np.int64] = np.zeros(n, np.int64)
         # Each table below has the shape (n, k, …), with k rows for the boxes of each pallet. At first, k is 1, because
         # few pallets need more rows.

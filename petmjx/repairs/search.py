@@ -146,9 +146,9 @@ repairs."""
 
 MOST_UNDONE: Final = 8
 """Limit of the total number of changes in all repairs that are compared. For each change, the search judges the repair
-without this change, so the more changes repairs have, the fewer repairs are compared. For the chosen repair, each plan
-that lacks one of the repair's changes is also scored, unless the repair has more changes than the limit. On a GPU,
-these plans are only judged: scores of plans that fall would keep all searches waiting."""
+without this change, so the more changes repairs have, the fewer repairs are compared. If the chosen repair has at most
+``MOST_UNDONE`` changes, it is also scored without each of its changes in turn. On a GPU, these plans are only judged:
+scores of plans that fall would keep all searches waiting."""
 
 
 @dataclass(eq=False)

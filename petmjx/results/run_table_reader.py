@@ -139,7 +139,7 @@ class Parts:
         return self if self.files("frames") else self.without_numbers(missing)
 
     def lacking_boxes(self) -> list[int]:
-        """The numbers for which the run lists a file of ``worlds`` but no file of ``boxes``."""
+        """The numbers of the parts of the run that have a file of ``worlds`` but no file of ``boxes``."""
         have = {part_number(file) for file in self.files("boxes")}
         return [number for number in map(part_number, self.files("worlds")) if number not in have]
 

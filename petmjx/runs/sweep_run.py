@@ -503,9 +503,10 @@ class SweepRun:
 
     def _recorded_rest(self, group: PlacementGroup, number: int) -> Probe:
         """The result of a placement without a profile, according to the rows of completed worlds. If the pallet did not
-        stand, the result is the outcome in the row of the search item; otherwise, it is a stable outcome. If the pallet
-        did not stand, the search item has only one row, which is about the lowest level and has 0 steps. A failed test
-        at the lowest level may also have 0 steps, but then the search item also has rows about tests at higher levels.
+        stand, the result is the outcome in the row of the search of this plan; otherwise, it is a stable outcome. A
+        search whose pallet did not stand has written a single row: for the lowest level, with 0 simulated steps. A
+        failed test at the lowest level may also have 0 steps, but then the search has also written rows of tests at
+        higher levels.
         """
         row = self._row(group, number, 0)
         first = self._bisection([Probe(Verdict.STABLE)]).next_tests(0)

@@ -163,8 +163,8 @@ def kinetic_share(physics: Physics) -> float:
 
 
 def next_share(share: FloatArray, change: FloatArray, last: FloatArray) -> FloatArray:
-    """(k,) relaxation factor of the next iteration for each contact: the share of the change of the contact's slip
-    excess (see the module's docstring) that the iteration applies.
+    """(k,) relaxation factor of each contact for the next iteration. The iteration applies this share of the computed
+    change of the contact's slip excess (see the module's docstring).
 
     With the returned factor, the last iteration would have left no change, provided that the change is a linear
     function of the slip excess (Aitken's delta-squared process).

@@ -63,8 +63,8 @@ def started_states(jobs: Sequence[Job], fresh: State) -> State:
         fresh: the states of the worlds before their first step (``world_state.fresh_state``). If all jobs start from
             settled states, an argument with shapes and types but without values is enough.
     """
-    # Only the boxes of a kept state can be moved to ``Job.poses``. A drive (the motion of the carrier in a test) that
-    # directly follows its placement has no kept state: its state is on the device.
+    # Only the boxes of a kept state can be moved to the poses in ``Job.poses``. A drive (the motion of the carrier in a
+    # test) that directly follows its placement has no kept state: its state is on the device.
     assert all(job.poses is None or isinstance(job.start, State) for job in jobs)
     starts = list({id(job.start): job.start for job in jobs if isinstance(job.start, State)}.values())
     if not starts:

@@ -146,7 +146,7 @@ def run_metrics(
     thresholds: Thresholds,
 ) -> RunMetrics:
     """The metrics that are computed once a world has ended, for placed boxes: from their last poses and from
-    ``metrics``. Only worlds that reached their end have forces at rest."""
+    ``metrics``. Worlds that were stopped before their end have no forces at rest."""
     m = metrics
     shift = motion.shift(motion.middles(qpos, worlds.middle), worlds.target, thresholds.shift_floor_m, worlds.sinks)
     rested = (m.rest_samples > 0) & ended
