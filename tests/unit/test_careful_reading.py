@@ -644,3 +644,12 @@ def test_two_plausible_sets_of_sizes_are_refused_and_can_be_named(tmp_path: Path
         assert f"length={word}_length,width={word}_width,height={word}_height (no box" in line
     (plan,) = load(tmp_path, "a.csv", TWO_SETS, columns={"length": "case_length"}).plans
     assert np.allclose(plan.size_mm, [400, 300, 200])
+
+
+@pytest.mark.parametrize("mark", [",", ";"])
+def test_a_comment_above_a_table_is_not_part_of_its_header(tmp_path: Path, mark: str) -> None:
+    content = "# all sizes are HALF sizes, places are middles, in mm\nid,a,b,c,x,y,z\nk,3,2,1,3,2,1\nl,3,2,1,9,2,1\n"
+    head, _, table = content.partition("\n")
+    line = refusal(load(tmp_path, "a.csv", f"{head}\n{table.replace(',', mark)}"))
+    assert "no sizes: name their columns with --columns length=NAME,width=NAME,height=NAME" in line
+    assert "there are id, a, b, c, x, y, z" in line

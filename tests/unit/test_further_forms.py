@@ -1674,7 +1674,7 @@ def test_what_is_not_read_is_noted(tmp_path: Path) -> None:
                  lambda k, box, cells=(no, yes), odd=odd: [NAMES[k], *box[:3], *before_turn(k, box), box[6],
                                                            odd if k == 4 else cells[TURNED[k]]]),
            f"row 6 (e): {name} {fault}")
-          for name, no, yes, odd, fault in (("dönük", "no", "yes", "?", 'or none, got "?"'),
+          for name, no, yes, odd, fault in (("dönük", "no", "yes", "?", 'must be 0 or 1, or a word'),
                                             ("rotated", 0, 1, 2, 'must be 0 or 1, or a word'),
                                             ("rotated", "no", "yes", "", "is missing"))),
         (json.dumps(DOCUMENTS["zeros are not written"]).replace('"y": 400', '"y": 0', 1), "[0] (a): at.x is missing"),
