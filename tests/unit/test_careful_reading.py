@@ -653,3 +653,12 @@ def test_a_comment_above_a_table_is_not_part_of_its_header(tmp_path: Path, mark:
     line = refusal(load(tmp_path, "a.csv", f"{head}\n{table.replace(',', mark)}"))
     assert "no sizes: name their columns with --columns length=NAME,width=NAME,height=NAME" in line
     assert "there are id, a, b, c, x, y, z" in line
+
+
+def test_sizes_of_any_name_can_be_said_to_be_half_sizes(tmp_path: Path) -> None:
+    rows = [
+        f"b{k},{','.join(f'{v:g}' for v in (*box[3:] / 2, *(box[:3] + box[3:] / 2)))}" for k, box in enumerate(BOXES)
+    ]
+    columns = {"x size": "p", "y size": "q", "z size": "r", "half extents": "p"}
+    (plan,) = load(tmp_path, "a.csv", "\n".join(["box,p,q,r,x,y,z", *rows]), columns=columns, units="mm", up="z").plans
+    np.testing.assert_allclose(np.hstack([plan.corner_mm, plan.size_mm]), BOXES)
