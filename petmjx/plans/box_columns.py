@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -114,7 +115,8 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str], units: str, masses
             further = other_sizes_in(extraction, sizes)
             geometries += [replace(_geometry_of(other, places), prior=_SECOND_SIZES) for other in further]
         turns = rotations_in(extraction)
-    for other_way in (with_half_extents, with_last_cells):
+    chosen_half = chosen.get(HALF_EXTENTS, "")
+    for other_way in (partial(with_half_extents, chosen=chosen_half), with_last_cells):
         geometries += [other for geometry in geometries if (other := other_way(geometry)) is not None]
     for role in (HALF_EXTENTS, LAST_CELLS):
         if role in chosen:

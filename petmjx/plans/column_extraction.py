@@ -134,6 +134,11 @@ class ColumnExtraction:
                 names = ", ".join(map(printable_name, self.table.header[:20]))
                 raise InputError(f"has no column {printable_name(name)} ({role}); there are {names}")
             self.fixed[role] = self.table.header.index(name)
+        for axis in (*SIZE_WORDS, *XYZ):  # a column chosen for a size is no column of places ("bounds[0]")
+            column = self.fixed.get(role_of(axis))
+            if column is not None and ((meaning := self.meanings[column]) is None or meaning.kind != "size"):
+                unit = split_unit(self.table.header[column])[1]
+                self.meanings[column] = ColumnMeaning("size", axis, unit if unit in LENGTH_UNITS else "")
 
     def _mean_by_cells(self) -> None:
         """Determine meanings of columns from their cells.

@@ -153,10 +153,16 @@ def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path |
         content = "quantities and layers" if "layers" in kinds else "quantities"
         return NoGeometry(f"has types of boxes with {content}, but no places; {PACK.format(file=file)}")
     if places_named and not sized:
-        return NoGeometry(f"has places of boxes, but no sizes: name a file that has them with --items FILE; {names}")
+        can_name = _has_unknown_numbers(columns, "size")
+        way = "name their columns with --columns length=NAME,width=NAME,height=NAME, or " if can_name else ""
+        return NoGeometry(
+            f"has places of boxes, but no sizes: {way}name a file that has them with --items FILE; {names}"
+        )
     if sized and not places_named:
         advice = (
-            f"name their columns with --columns x=NAME,y=NAME,z=NAME, or {PACK}" if _may_have_places(columns) else PACK
+            f"name their columns with --columns x=NAME,y=NAME,z=NAME, or {PACK}"
+            if _has_unknown_numbers(columns)
+            else PACK
         )
         return NoGeometry(f"has sizes of boxes, but no places (x, y, z): {advice.format(file=file)}; {names}")
     if sized:
@@ -182,10 +188,11 @@ def _lacking_axes(columns: BoxColumns) -> list[str]:
     return [axis for axis in XYZ if axis not in named] if axes else []
 
 
-def _may_have_places(columns: BoxColumns) -> bool:
-    """Whether at least three columns of unknown meaning have numbers, so that they may be x, y and z."""
+def _has_unknown_numbers(columns: BoxColumns, *kinds: str) -> bool:
+    """Whether at least three columns of unknown meaning, or with one of some meanings, have numbers, so that they may
+    be places or sizes."""
     table = columns.source.boxes.table
     meanings = zip(table.header, columns.source.boxes.meanings, strict=True)
-    unknown = [table.column(name) for name, meaning in meanings if meaning is None]
+    unknown = [table.column(name) for name, meaning in meanings if meaning is None or meaning.kind in kinds]
     numeric = [cells for cells in unknown if all(cell_number(cell, table.decimal) is not None for cell in cells[:20])]
     return len(numeric) > 2

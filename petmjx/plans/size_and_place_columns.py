@@ -447,13 +447,13 @@ _EXTENTS: Final = word_set("extent extents")
 """Words that mean sizes in most files, but half sizes in the files of some programs (Unreal, Unity)."""
 
 
-def with_half_extents(geometry: Geometry) -> Geometry | None:
+def with_half_extents(geometry: Geometry, chosen: str = "") -> Geometry | None:
     """The geometry with its sizes read as half extents. This is possible if the name of a column of sizes has the word
-    "extent", which may mean half an extent. Otherwise, the result is None. It is also None if a name says "half" (the
-    sizes are then known to be half extents), or if the places are corners."""
+    "extent", which may mean half an extent, or is the name that the user has chosen. Otherwise, the result is None. It
+    is also None if a name says "half" (the sizes are then known to be half extents), or if the places are corners."""
     names = [name for role, name in geometry.columns.items() if role not in (*XYZ, "position")]
     words = {word for name in names for word in words_of(name)}
-    if not words & _EXTENTS or words & HALF_WORDS or geometry.anchor == "corner":
+    if not (words & _EXTENTS or chosen in names) or words & HALF_WORDS or geometry.anchor == "corner":
         return None
     columns = {**geometry.columns, HALF_EXTENTS: names[0]}
     return replace(geometry, size=2 * geometry.size, columns=columns, prior=geometry.prior + 0.8)

@@ -117,7 +117,8 @@ def _table_below(
     notes = [f"the header is row {head + begin}"] if head else []
     group = rows[head - 1] if head else ()
     filled = sum(cell is not None for cell in group)
-    if filled == 1 and group[0] is not None and not geometric_columns([cell_text(group[0])]):
+    first_cell = cell_text(group[0]) if filled and group[0] is not None else ""
+    if _COMMENT.match(first_cell) or (filled == 1 and first_cell and not geometric_columns([first_cell])):
         filled = 0  # a title or a comment above the table, not a heading of its columns
     if (filled >= 1 and count_known_names(rows[head]) < len(names)) or (filled > 1 and not has_places(names)):
         names = with_groups([*names, *_unnamed_below(rows, head, len(names))], group)
@@ -143,6 +144,10 @@ def _table_below(
         own_lost = lost if number == 1 else ()
         tables.append(RawTable(header, body, places, decimal, title, above, own_lost, tuple(notes), part=label))
     return tables or [RawTable(header, [], [], ".", title, above, lost, tuple(notes))], trailing if more else []
+
+
+_COMMENT: Final = re.compile(r"(?:#|//)\s*\w+\s+\w")
+"""The beginning of a comment of at least two words, as in programs."""
 
 
 def _unnamed_below(rows: Sequence[tuple[Any, ...]], head: int, width: int) -> list[str]:

@@ -98,7 +98,7 @@ def turns_of(
         if words_of_name & _QUARTERS:
             rules, kind, allowed = ("swap",), "0 to 3", range(4)
         elif max(integers, default=0) <= 1 or words_of_name & _TURNED or guess_cost:
-            rules, kind, allowed = ("swap", "py3dbp"), "0 or 1", range(2)
+            rules, kind, allowed = ("swap", "py3dbp"), f"0 or 1, or {_EXAMPLES}", range(2)
         elif 0 in integers or max(integers) <= 5:
             from_1 = () if 0 in integers else ("py3dbp from 1", "permutations from 1")
             rules, kind, allowed = ("py3dbp", "permutations", *from_1), "0 to 5", range(6)
@@ -122,6 +122,8 @@ def turns_of(
     return Turns(name, rules, codes, guess_cost=guess_cost)
 
 
+_EXAMPLES: Final = "a word such as yes, no, true, false, rotated, turned, x or none"
+"""Words that may stand in a column of rotations, for messages."""
 _QUARTERS: Final = word_set("quarter quarters quarterturn quarterturns")
 _TURNED: Final = word_set(
     "rotated turned swapped flipped gedreht gedr verdreht tourne girado girada ruotato ruotata obrocony gedraaid "

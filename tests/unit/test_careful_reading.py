@@ -644,3 +644,21 @@ def test_two_plausible_sets_of_sizes_are_refused_and_can_be_named(tmp_path: Path
         assert f"length={word}_length,width={word}_width,height={word}_height (no box" in line
     (plan,) = load(tmp_path, "a.csv", TWO_SETS, columns={"length": "case_length"}).plans
     assert np.allclose(plan.size_mm, [400, 300, 200])
+
+
+@pytest.mark.parametrize("mark", [",", ";"])
+def test_a_comment_above_a_table_is_not_part_of_its_header(tmp_path: Path, mark: str) -> None:
+    content = "# all sizes are HALF sizes, places are middles, in mm\nid,a,b,c,x,y,z\nk,3,2,1,3,2,1\nl,3,2,1,9,2,1\n"
+    head, _, table = content.partition("\n")
+    line = refusal(load(tmp_path, "a.csv", f"{head}\n{table.replace(',', mark)}"))
+    assert "no sizes: name their columns with --columns length=NAME,width=NAME,height=NAME" in line
+    assert "there are id, a, b, c, x, y, z" in line
+
+
+def test_sizes_of_any_name_can_be_said_to_be_half_sizes(tmp_path: Path) -> None:
+    rows = [
+        f"b{k},{','.join(f'{v:g}' for v in (*box[3:] / 2, *(box[:3] + box[3:] / 2)))}" for k, box in enumerate(BOXES)
+    ]
+    columns = {"x size": "p", "y size": "q", "z size": "r", "half extents": "p"}
+    (plan,) = load(tmp_path, "a.csv", "\n".join(["box,p,q,r,x,y,z", *rows]), columns=columns, units="mm", up="z").plans
+    np.testing.assert_allclose(np.hstack([plan.corner_mm, plan.size_mm]), BOXES)

@@ -1674,8 +1674,8 @@ def test_what_is_not_read_is_noted(tmp_path: Path) -> None:
                  lambda k, box, cells=(no, yes), odd=odd: [NAMES[k], *box[:3], *before_turn(k, box), box[6],
                                                            odd if k == 4 else cells[TURNED[k]]]),
            f"row 6 (e): {name} {fault}")
-          for name, no, yes, odd, fault in (("dönük", "no", "yes", "?", 'must be 0 or 1, got "?"'),
-                                            ("rotated", 0, 1, 2, 'must be 0 or 1, got "2"'),
+          for name, no, yes, odd, fault in (("dönük", "no", "yes", "?", 'must be 0 or 1, or a word'),
+                                            ("rotated", 0, 1, 2, 'must be 0 or 1, or a word'),
                                             ("rotated", "no", "yes", "", "is missing"))),
         (json.dumps(DOCUMENTS["zeros are not written"]).replace('"y": 400', '"y": 0', 1), "[0] (a): at.x is missing"),
         (json.dumps(by_columns(hole="4")), "plan pile, [4]: z is missing"),
@@ -2332,3 +2332,10 @@ def test_sentences_in_printed_reports_are_no_boxes(tmp_path: Path, footer: str) 
     assert first.n_boxes == second.n_boxes == 5
     line = load(tmp_path, "cut.txt", f"{text}{in_pages().splitlines()[-3][:30]}\n{footer}\n").skipped[0].message
     assert "is missing" in line
+
+
+def test_columns_chosen_for_sizes_hold_no_places(tmp_path: Path) -> None:
+    boxes = [{"translation": box[:3], "bounds": box[3:6], "kg": box[6]} for box in PILE]
+    columns = {f"{axis} size": f"bounds[{number}]" for number, axis in enumerate("xyz")}
+    (plan,) = load(tmp_path, "bounds.json", json.dumps(boxes), columns=columns).plans
+    check_pile(plan)
