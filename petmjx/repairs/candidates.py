@@ -313,6 +313,8 @@ class Candidates:
                 merged = applied(self._start, changes)
                 if merged is None or key_of(merged) != key:
                     changes = (*state.changes, *proposal)
+                else:  # a turn forgets the direction of approach of its box, but the move that it became does not
+                    draft = merged
             if self._may_make(changes):
                 new[key] = draft, proposal, changes
         self._seen.update(new)
