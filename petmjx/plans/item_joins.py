@@ -15,7 +15,7 @@ from petmjx.common.checked_records import reason
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable
 from petmjx.plans.cell_numbers import cell_number, cell_text
-from petmjx.plans.column_names import column_meanings, known_meanings, word_set
+from petmjx.plans.column_names import LENGTH_UNITS, column_meanings, known_meanings, split_unit, word_set
 from petmjx.plans.foreign_formats import sources_of_bytes
 from petmjx.plans.json_reader import unpacked_bytes
 from petmjx.plans.known_forms import PACKINGSOLVER, BoxSource
@@ -88,7 +88,8 @@ def bytes_of(path: Path) -> bytearray:
 
 
 def has_named_places(path: Path) -> bool:
-    """Whether a file has columns with the sizes of boxes and with at least two of their coordinates."""
+    """Whether a file has columns with the sizes of boxes and with at least two of their coordinates. Three columns of
+    lengths whose words are unknown ("Links (mm)") are probably coordinates, too."""
     try:
         boxes = sources_of_bytes(bytes_of(path), path)[0].boxes
     except InputError:
@@ -98,7 +99,9 @@ def has_named_places(path: Path) -> bool:
         for meaning in boxes.meanings
         if meaning is not None and meaning.kind in ("position", "low") and not meaning.of_container
     }
-    return boxes.has_sizes and (len(axes) > 1 or bool(boxes.kinds & {"positions", "matrix"}))
+    named = zip(boxes.table.header, boxes.meanings, strict=True)
+    n_lengths = sum(meaning is None and split_unit(name)[1] in LENGTH_UNITS for name, meaning in named)
+    return boxes.has_sizes and (len(axes) > 1 or n_lengths > 2 or bool(boxes.kinds & {"positions", "matrix"}))
 
 
 def _with_items_beside(best: BoxSource, path: Path) -> BoxSource:

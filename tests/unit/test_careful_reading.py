@@ -611,7 +611,8 @@ def test_units_of_chosen_columns_count_even_if_their_words_are_unknown(tmp_path:
     lines += [f"b{k},{','.join(f'{v:g}' for v in (*box[:3], *box[3:] / 10))},6" for k, box in enumerate(BOXES)]
     (tmp_path / "a.csv").write_text("\n".join(lines))
     ((record,), _) = file_infos([tmp_path / "a.csv"], {})
-    assert "counts its boxes" not in record["orders"]
+    assert not record["orders"]
+    assert "name their columns with --columns x=NAME" in record["skipped"][0]
     ((record,), plan_set) = file_infos([tmp_path / "a.csv"], {"columns": "x=Q1,y=Q2,z=Q3"})
     assert not record["orders"]
     np.testing.assert_allclose(plan_set.plans[0].corner_mm, BOXES[:, :3])
