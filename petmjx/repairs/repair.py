@@ -442,8 +442,8 @@ def _judge(searches: Sequence[Search], question: Question, processes: SearchProc
 
 
 _GROUPS: Final = 4
-"""Number of groups in which searches begin on a GPU while plans are being judged. The first changes of all plans take
-the CPU threads of a GPU machine some seconds, as long as the slowest plan is judged."""
+"""Number of groups in which searches begin on a GPU while plans are being judged. To propose the first changes of 200
+plans takes 16 CPU threads about two seconds. Meanwhile, the GPU judges the slowest plans."""
 
 
 def _score(searches: Sequence[Search], question: Question) -> None:
