@@ -435,8 +435,8 @@ def _ask(plans: Sequence[Plan], options: CriteriaOptions) -> list[Answers]:
 def _judging_worlds(run: RunResults, plans: Sequence[Plan], p_arrives: float) -> pd.DataFrame:
     """One row for each plan of the run, about its nominal world (the simulation without errors). In the run of a
     transport chain, the row is about all simulations of the plan. ``verdict`` says whether at least the share
-    ``p_arrives`` of these simulations reach the end of the chain. ``reason`` is the leg (stage of the transport) in
-    which most of the simulations fail. ``margin`` is the share of simulations that reach the end, minus ``p_arrives``.
+    ``p_arrives`` of these simulations reach the end of the chain. ``reason`` is the leg (stage of the transport) with
+    the most failures. ``margin`` is the share of simulations that reach the end, minus ``p_arrives``.
 
     Raises:
         InputError: the run has none of these plans, or a plan has a different number of boxes in the run.

@@ -142,8 +142,8 @@ def places_with_errors(job: Job) -> FloatArray:
     A box with errors often overlaps a neighbour that is millimetres higher, and is released on the strip in which the
     two overlap. The box does not stay on this strip: it tips and leans on the bodies beside the strip. So loads are
     computed at the places of release, and the bodies beside the strip count as supports, too. If the higher neighbour
-    were the only support, 75 of 167 unstable worlds with errors would be simulated again. With this rule, only a few
-    are.
+    were the only support, 75 of 167 unstable worlds with errors would be simulated again. Since the bodies beside the
+    strip count, too, only a few of these worlds are simulated again.
     """
     places: FloatArray = np.c_[job.scene.start_pos[:, :2], job.scene.target[:, 2]]
     return places

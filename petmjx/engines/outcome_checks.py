@@ -83,7 +83,8 @@ def contact_tilt_boxes(outcome: Outcome) -> np.ndarray[tuple[int], np.dtype[np.i
 
 
 def _leaning(outcomes: Sequence[Outcome]) -> list[NDArray[np.bool_]]:
-    """For each world, (n_placed,) whether each box leans or lies lower, by the rule of ``contact_tilt_boxes``."""
+    """For each world, (n_placed,) whether each box leans too much or lies too far below its planned place, by the rule
+    of ``contact_tilt_boxes``."""
     if not outcomes:
         return []
     placed = [outcome.n_placed for outcome in outcomes]
@@ -214,8 +215,9 @@ class _Joined:
         """Add a scene with all of its boxes in their last poses. Returns the number of the scene among all scenes, in
         the order ``planned``, ``elsewhere``.
 
-        Poses are rounded to float32, as in tables. Differences of micrometres determine where a box that leans touches
-        its support, and the same distances must follow from the poses of a table.
+        Poses are rounded to float32, as in tables. A difference of micrometres can change the place where a leaning box
+        touches its support. With rounded poses, distances from edges are the same as if they were computed from the
+        poses in a table.
         """
         pos, quat = (values.astype(np.float32).astype(float) for values in (boxes.pos, boxes.quat))
         w, x, y, z = quat.T

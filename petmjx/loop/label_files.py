@@ -85,18 +85,18 @@ def write_labels(
     resume: bool = False,
     progress: Callable[[int], object] = lambda n_written: None,
 ) -> dict[str, Any]:
-    """Make labels, and write the tables and the card. If the process ends before all labels are made, the labels of
-    finished episodes are kept as parts. The tables and the card are written at the end.
+    """Make labels, and write the tables and the card (``card.json``, which describes the tables). Both are written at
+    the end. If the process ends before all labels are made, the labels of finished episodes are kept as parts.
 
     Args:
-        source: the file of the orders, or ``endless``, as stated on the card.
+        source: the file of the orders, or ``endless``, as stated in ``card.json``.
         resume: whether to continue with the unfinished labels in the folder, if there are any. ``count`` may be larger
             than in the command that began the labels.
         progress: function that is called with the number of labels made so far, including the labels of unfinished
             episodes and of earlier commands.
 
     Returns:
-        The content of the card.
+        The content of ``card.json``.
 
     Raises:
         InputError: the files may not be written, another process writes into the folder, labels in the folder are
@@ -161,8 +161,8 @@ def write_labels(
 
 
 def _finished(folder: Path, head: Mapping[str, Any], count: int) -> dict[str, Any]:
-    """The card of the finished labels in a folder. Raises InputError if the folder has other labels than the requested
-    ones, or if a table is missing or damaged."""
+    """The content of ``card.json`` of the finished labels in a folder. Raises InputError if the folder has other labels
+    than the requested ones, or if a table is missing or damaged."""
     try:
         card: dict[str, Any] = json.loads(read_regular(folder / CARD, _MOST_CARD_BYTES))
         n_labels = {split: card["splits"][split]["labels"] for split in SPLITS}

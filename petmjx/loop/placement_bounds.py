@@ -5,9 +5,10 @@ The bearing of a box is the convex hull of its contacts with the boxes below it;
 is the whole carrier. Loads are passed from box to box by the pressure plane of ``petmjx.packers.pile_balance`` (a
 pressure that is a linear function of x and y). Rigid boxes stand if any forces exist that balance them. This is the
 safe theorem of statics (Livesley 1978, "Limit analysis of structures formed from rigid blocks", International Journal
-for Numerical Methods in Engineering 12, 1853–1871). So on a pallet that rests at its planned places, a box stands
-beyond doubt under two conditions. First, the weight of the new box, and the loads of all boxes that carry it, must act
-well inside the boxes' bearings. Second, no other load on the pallet may be near the edge of a bearing.
+for Numerical Methods in Engineering 12, 1853–1871). So if the boxes of a pallet rest at their planned places,
+a new box stands beyond doubt under two conditions. First, the weight of the new box, and the loads of all boxes that
+carry it, must act well inside the boxes' bearings. Second, no other load on the pallet may be near the edge of a
+bearing.
 
 A box falls beyond doubt if its weight acts well outside its bearing, and no body is near enough to catch the box before
 it has turned too far. Neighbours could hold the falling box only by friction. The friction at the neighbours is

@@ -233,7 +233,7 @@ def choose(judged: Sequence[Evaluation], options: PhysicalOptions) -> Evaluation
     chosen. If no packing is good, the packing that stands most often is chosen.
 
     Args:
-        judged: at least one evaluation.
+        judged: the evaluations of the packings; at least one.
         options: options of the packer.
     """
     good_packings = [packing for packing in judged if packing.is_good(options)]

@@ -34,8 +34,8 @@ class Orders(NamedTuple):
     """Numbers that limit how many orders and worlds are simulated at the same time.
 
     Attributes:
-        few: an idle engine waits until the search is complete for this number of orders. The worlds of later orders
-            join the running worlds.
+        few: number of orders for which the search must be complete before an idle engine begins. The worlds of later
+            orders join the running worlds.
         most: largest number of orders that are simulated at a time. More orders do not make an engine faster.
         worlds: an engine that simulates fewer worlds than this number has spare capacity. Spare capacity is used for
             worlds that may turn out not to be needed.

@@ -238,7 +238,8 @@ def tips(planes: FloatArray, load: FloatArray) -> bool:
 
 
 def margin_m(base_mm: tuple[float, float]) -> float:
-    """How far inside the hull of its supports the load of a box with the base ``base_mm`` must act, m."""
+    """Smallest distance, m, by which the load of a box with the base ``base_mm`` must act inside the hull of the box's
+    supports."""
     return min(MARGIN_M, MARGIN_SHARE * (min(base_mm) / MM_PER_M))
 
 

@@ -263,7 +263,8 @@ def counting_columns(extraction: ColumnExtraction, used: Collection[str]) -> dic
 
 def rotations_in(extraction: ColumnExtraction) -> Turns | None:
     """The column of rotations. If no column is known to have rotations, a column of unknown meaning may have them: the
-    only column whose cells are yes or no, or quarter turns in degrees; or else the only column with two values."""
+    only column whose cells are yes or no, or quarter turns in degrees. If there is no such column, or more than one, it
+    is the only column with two values."""
     index = extraction.first("rotation", "rotation")
     if index is not None:
         return _rotations_of(extraction, index)

@@ -152,7 +152,7 @@ def _with_weights_of(best: BoxSource, items: BoxSource) -> BoxSource | None:
 def _with_columns(
     best: BoxSource, other: RawTable, rows: Sequence[int | None], added: Sequence[int], note: str
 ) -> BoxSource:
-    """Boxes with columns of a table of items added.
+    """The boxes ``best``, with additional columns from a table of items.
 
     Args:
         other: the table of items.

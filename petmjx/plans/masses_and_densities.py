@@ -106,8 +106,8 @@ def _with_thousands(
     columns: BoxColumns | ItemColumns, name: str, unit: str, mass: FloatArray, volume: FloatArray, notes: list[str]
 ) -> FloatArray:
     """(n,) masses of the rows, kg. If the column is in grams, "9.500" may mean 9500 g, with a point between thousands.
-    It does if the boxes would be lighter than any real box otherwise, and would not be too heavy with 9500 g. A note
-    tells so.
+    It is read as 9500 g if a box of 9.5 g would be lighter than any real box, and a box of 9500 g would not be too
+    heavy. A note then states this.
 
     Args:
         name: name of the column.

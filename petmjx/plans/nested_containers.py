@@ -280,10 +280,11 @@ def plan_names_of(members: Sequence[NestedBox], articles: Collection[int]) -> li
 def _levels_of_plans(
     members: Sequence[NestedBox], articles: Collection[int]
 ) -> list[list[tuple[str, Mapping[str, Any]]]]:
-    """The levels of nesting at which members are in several objects that are no layers, stacks or articles. Each level
-    has the object around each member, and the object's path. Several levels may divide the members in the same way, as
-    in answers of GraphQL (``edges[0].node.placements``). Then a level counts only if all its objects have names. If
-    there is no such level, only the first one counts."""
+    """The levels of nesting at which the members of a list are in different objects that are no layers, stacks or
+    articles. A level is given as a pair for each member: the last part of the path of the object around the member, and
+    this object. Several levels may divide the members in the same way, as in answers of GraphQL
+    (``edges[0].node.placements``). Then a level counts only if all its objects have names. If there is no such level,
+    only the first one counts."""
     depth = max((len(member.around) for member in members), default=0)
     levels = [
         [member.around[level] if level < len(member.around) else ("", {}) for member in members]
@@ -437,8 +438,8 @@ _LENGTHS: Final = _PLACES | {"size", "sizes", "high"}
 
 
 def _unit_of(flat: Mapping[str, Any]) -> str:
-    """The unit of lengths that the name of a length, or a field of units, gives in the fields of an object; "" if there
-    is none."""
+    """The unit of the lengths in an object: from the name of a field with a length, or from a field of units; "" if
+    neither gives a unit."""
     units = [meaning.unit for meaning in known_meanings(flat).values() if meaning.kind in _LENGTHS]
     units += [str(cell).lower() for name, cell in flat.items() if words_of(name)[-1:] in (["unit"], ["units"], ["uom"])]
     return next((unit for unit in units if unit in LENGTH_UNITS), "")

@@ -328,7 +328,7 @@ def _is_plan_key(value: Mapping[str, Any]) -> bool:
     """Whether the names of an object's fields are names of plans. Every field must hold a list. All lists must have
     similar members, with the same fields for sizes and places: if only some lists have places, the other lists are
     lists of items, and not plans. A list may be empty if its name differs from the name of another list only in its
-    number. No name may say that boxes are not placed. If only one list is not empty, or if the lists have rows of
+    number. No name may say that boxes are not placed. If all lists but one are empty, or if the lists have rows of
     numbers, no name may have a word of ``_FORM_WORDS``."""
     lists = [inner for inner in value.values() if isinstance(inner, list) and inner]
     if not lists or not all(isinstance(inner, list) for inner in value.values()):

@@ -50,7 +50,7 @@ class Matching:
     """How the n boxes of a plan match the m items of its order.
 
     Attributes:
-        item: (n,) the item of each box; −1: the box was not ordered, or its items are already matched by other boxes.
+        item: (n,) the item of each box; −1: the box was not ordered, or other boxes already have all items that fit it.
         resized: (n,) whether the box differs from its item in size, mass, centre of mass, stiffness or kind.
         same_size: (n,) whether a ``resized`` box has the size and mass of its item, so that the box differs only in
             other properties.

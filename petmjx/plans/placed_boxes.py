@@ -270,8 +270,8 @@ def height_fault(reading: Reading, candidate: Candidate, row: int) -> str:
 _FAR_MM: Final = 1000.0
 """Smallest distance, mm, of a box that is far from all others."""
 _ALONG_EDGE: Final = 3
-"""Least number of boxes that must begin at coordinate 0 if an edge of the load is to be assumed at 0. If the container
-is known, one box less is enough."""
+"""An edge of the load is assumed at coordinate 0 only if at least this number of boxes begin there. If the container is
+known, one box less is enough."""
 
 
 def _touches_next(low: FloatArray, size: FloatArray, box: int, axis: int, tolerance: float) -> bool:

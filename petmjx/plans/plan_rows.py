@@ -1,5 +1,5 @@
 """Which rows of another tool's file make a plan (``PalletSearch``, ``plan_names``), and the packing order of these
-rows: from a column, from the order of rows, or from the ground up."""
+rows: from a column, from the order of rows, or by height, the lowest boxes first."""
 
 from __future__ import annotations
 
@@ -119,8 +119,8 @@ class PalletSearch:
             )
 
     def are_parts_of_one(self) -> bool:
-        """Whether the parts of a file, such as sections with titles, are parts of one plan: together, no box overlaps
-        or floats, and no column names plans."""
+        """Whether the parts of a file, such as sections with titles, are parts of one plan. This is so if no column
+        names plans, and if no box overlaps or floats when all parts are read as one plan."""
         rows = np.arange(self.columns.n_boxes)
         return self.columns.plan is None and not self.columns.faults and not self._overlaps({"": rows}, 0.0)
 

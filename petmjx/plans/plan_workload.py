@@ -1,6 +1,6 @@
 """Properties of plans from which simulation times are estimated: loose boxes, ties, and how far piles of compliant
-boxes sway. A box is loose if its centre of mass is not over its supports. The ties of a box are its supports without
-the first."""
+boxes sway. A box is loose if its centre of mass is not over its supports. The ties of a box are its second and further
+supports."""
 
 from __future__ import annotations
 

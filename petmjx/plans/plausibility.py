@@ -419,7 +419,7 @@ def footprint_cost(footprint_mm: FloatArray, free_mm: float, unit: str) -> float
     """Cost of an unusual footprint of a load whose deck is not known. A footprint may be smaller than the deck.
 
     Args:
-        free_mm: smallest level side of the boxes.
+        free_mm: shortest horizontal side of any box.
         unit: unit of lengths.
     """
     long, short = float(footprint_mm.max()), float(footprint_mm.min())
@@ -481,7 +481,7 @@ def load_fit(side_mm: float, load_mm: FloatArray, deck_mm: FloatArray, known: bo
         side_mm: geometric mean of the boxes' sides.
         load_mm: extents of the load along x, y and z.
         deck_mm: extents along x and y of the carrier if it is ``known``, else of the load.
-        free_mm: smallest level side of the boxes.
+        free_mm: shortest horizontal side of any box.
         unit: unit of lengths.
     """
     if not _SMALLEST_SIDE_MM <= side_mm <= _LARGEST_SIDE_MM or load_mm[2] > _HIGHEST_MM:

@@ -58,7 +58,7 @@ _UP: Final = {"z": (0, 1, 2), "y": (0, 2, 1), "x": (1, 2, 0), "-z": (0, 1, 2), "
 
 
 def axis_up(up: str) -> int:
-    """The number of the file's vertical axis."""
+    """The number of the file's vertical axis: 0 for x, 1 for y, 2 for z."""
     return _UP[up][2]
 
 

@@ -217,7 +217,7 @@ def _begin_and_order_cost(judged: _Judged, mm: float, weight: float, knows_ancho
     """How implausible it is that the loads begin where they do, and that boxes are listed in this order.
 
     Args:
-        mm: millimetres of a unit of the layouts.
+        mm: number of millimetres in the layouts' unit of length.
         weight: weight with which the order of boxes counts.
         knows_anchor: whether column names or the caller give the anchor, the point of a box that coordinates describe.
     """
@@ -293,7 +293,8 @@ def choose_reading(
 
     Raises:
         AmbiguousFile: two readings are almost equally plausible, or no reading is plausible.
-        InputError: no row is usable, or sizes are said to be those before turning, and no column has rotations.
+        InputError: no row is usable; or the option ``--sizes item`` states that sizes are those before turning, but no
+            column has rotations.
     """
     if wishes.sizes == "item" and columns.turns is None and all(one.turn is None for one in columns.geometries):
         raise InputError("--sizes item: no column of rotations is known; say which with --columns rotation=NAME")
@@ -378,9 +379,9 @@ def _lies_better(best: _Judged, other: _Judged) -> bool:
 
 
 def _along_further_axes(judged: Sequence[_Judged], two: Sequence[_Judged]) -> list[_Judged]:
-    """Further readings beside two given readings: for each vertical axis that neither of the two readings has, the most
-    plausible reading. A reading is left out if more boxes are odd in it (overlap, float or are outside) than in the
-    two, or if its layout is less plausible."""
+    """For each vertical axis that neither of the readings ``two`` has, the most plausible reading with this axis. The
+    reading is left out if more of its boxes are odd (overlap, float or are outside) than in the readings ``two``, or if
+    its layout is less plausible."""
     axes = {"-y", "-z", *(one.candidate.up for one in two)}
     further = []
     for other in judged:  # most plausible first

@@ -460,8 +460,8 @@ def with_half_extents(geometry: Geometry, chosen: str = "") -> Geometry | None:
 
 
 _OF_LAST_CELLS: Final = 2.0
-"""Cost of reading far corners as the last cells of boxes on a grid (``with_last_cells``), which is added to
-``Geometry.prior``."""
+"""Cost of a reading in which coordinates are numbers of cells of a grid, and a box is given by its first and last cells
+(``with_last_cells``). The cost is added to ``Geometry.prior``."""
 
 
 def with_last_cells(geometry: Geometry) -> Geometry | None:

@@ -47,8 +47,8 @@ class Tables:
         self.parts = self.parts.plus(digests)
 
     def replace_worlds(self, digests: Mapping[Path, str]) -> None:
-        """Replace all files of ``worlds``, ``boxes`` and the other tables with rows about worlds by the files
-        ``digests``."""
+        """Put the files ``digests`` in place of all files of ``worlds``, ``boxes`` and the other tables whose rows are
+        about worlds."""
         self.parts = self.parts.without(*OF_WORLDS).plus(digests)
 
     def write_only(self, table: str, content: pa.Table) -> None:

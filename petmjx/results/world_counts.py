@@ -57,8 +57,8 @@ class WorldCounts:
         return WorldCounts(*(getattr(self, entry.name) + getattr(other, entry.name) for entry in fields(self)))
 
     def iteration_limit_warning(self, limit: int | None) -> str | None:
-        """The warning about worlds without a verdict that reached ``limit``, the largest number of solver iterations of
-        a world; None if there are no such worlds."""
+        """The warning about worlds that have no verdict because they reached ``limit``, the largest number of solver
+        iterations of a world; None if there are no such worlds."""
         count = self.verdicts[Verdict.INVALID, Reason.ITERATION_LIMIT]
         if not count:
             return None

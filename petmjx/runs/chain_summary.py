@@ -153,8 +153,8 @@ def _leg_counts(worlds: pd.DataFrame, legs: Sequence[str]) -> pd.DataFrame:
 
 
 def _weakest_legs(summary: pd.DataFrame, worlds: pd.DataFrame) -> pd.DataFrame:
-    """For each row about the whole journey, the leg in which most worlds failed, and the box that failed most often in
-    this leg. In a tie, the first leg or box is taken."""
+    """For each row about the whole journey, the leg with the most failures, and the box that failed most often in this
+    leg. In a tie, the first leg or box is taken."""
     way = _KEYS[:3]
     failed = summary.assign(n=summary["n_worlds"] - summary["n_standing"] - summary["n_invalid"])
     failed = failed[(failed["leg"] != WHOLE_WAY) & (failed["n"] > 0)]

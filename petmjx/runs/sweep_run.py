@@ -405,10 +405,10 @@ class SweepRun:
     def _search(self, settled: Sequence[SettledPlacement]) -> Iterator[FinishedWorld]:
         """Search for the largest level survived, for all given placements, profiles and directions at the same time.
 
-        A search item is one combination of a placement, a profile and a direction. When all tests of a search item have
-        ended, its next tests begin, while tests of other search items continue. If the pallet does not stand at the end
-        of a placement, no drive is simulated. The table ``worlds`` then has one row per profile and direction, at the
-        lowest level, with the outcome of the placement.
+        A search item is one combination of a placement, a profile and a direction. When all current tests of a search
+        item have ended, its next tests begin, while tests of other search items continue. If the pallet does not stand
+        at the end of a placement, no drive is simulated. The table ``worlds`` then has one row per profile and
+        direction, at the lowest level, with the outcome of the placement.
         """
         items, tilt_deg = self.plan.search_items(), self.sim.thresholds.tilt_deg
         searches = [(start, number) for start in settled for number in range(len(items))]

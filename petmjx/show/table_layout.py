@@ -201,5 +201,5 @@ def percent_of(column: str) -> Cell:
 
 
 def interval_cell(row: Row) -> str:
-    """The cell of a row with the interval of shares in the columns ``low`` and ``high``."""
+    """A table cell with an interval of shares, whose bounds are in the columns ``low`` and ``high`` of ``row``."""
     return interval(row["low"], row["high"])

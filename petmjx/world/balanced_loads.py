@@ -125,7 +125,7 @@ def _solved_loads(
     - the forces at the four corners of each contact in ``contacts``,
     - the distance by which each load is beyond an edge,
     - for each box with several supports, moments that no support balances,
-    - how far inside the edges the load that is nearest to an edge is.
+    - the distance by which the load nearest to an edge is inside all edges.
     """
     middle = load[changed, 1:].sum(axis=0) / load[changed, 0].sum()
     mean = load[changed, 0].mean()

@@ -431,9 +431,9 @@ class Bearing:
 
     @cached_property
     def shares(self) -> FloatArray:
-        """(k, 3, 3) a matrix for each contact whose upper box has several supports, in the order of ``together``. The
-        matrix maps the load of the upper box (mass and first moments) to the part of this load that the contact
-        carries."""
+        """(k, 3, 3) a matrix for each contact whose upper box has several supports, that is, for each of the contacts
+        ``together``. The matrix maps the load of the upper box (mass and first moments) to the part of this load that
+        the contact carries."""
         boxes, upper = self.boxes, self.upper[self.together]
         # Places are relative to the upper box's middle, in units of its half extents. Relative coordinates keep the 3 ×
         # 3 systems well conditioned.

@@ -162,8 +162,8 @@ def _parts(bearing: Bearing, among: NDArray[np.bool_], earliest: IntArray) -> tu
 
     Args:
         among: (n,) the boxes that are placed.
-        earliest: (n,) for each box, the first upper box of its scene. All boxes before this one count as parts of it,
-            so its pairs have the sum of their weights.
+        earliest: (n,) for each box, the first box of its scene that may be an upper box. All boxes before this first
+            box count as parts of it, so that a pair with this box has the sum of their weights.
     """
     n, boxes = len(among), np.flatnonzero(among)
     alone = bearing.n_supports == 1

@@ -114,8 +114,8 @@ def spring_law(physics: Physics, spring_n_m: float, inverse_mass: float) -> tupl
 
 
 def _spring_terms(physics: Physics, spring_n_m: Any, inverse_mass: Any) -> tuple[Any, Any, Any]:
-    """The two numbers of ``solref``, and the impedance, with which contacts act at rest like the given springs: three
-    numbers for one contact, three arrays (p,) for p contacts."""
+    """Three values with which a contact at rest acts like the given spring: the two numbers of ``solref``, and the
+    impedance. They are numbers for one contact, and arrays (p,) for p contacts."""
     time_s, damping = physics.solref
     time_s = time_s if time_s < 0 else max(time_s, 2 * physics.timestep_s)
     # ``stiffness`` has the unit 1/s². At rest, it equals spring_n_m · inverse_mass · (1 − impedance).

@@ -134,7 +134,7 @@ class Job:
         record: what to record as the world's history; recording changes no other result.
         has_errors: whether the boxes' places differ from the planned places, so that a box may stand on a neighbour
             that is a little higher (``petmjx.engines.contact_tilt``).
-        until_lost: whether the world ends when a box is lost. The verdict is the same as otherwise, but the reason is
+        until_lost: whether the world ends when a box is lost. This does not change the verdict, but the reason is
             ``tilt`` in some worlds in which a box would have dropped later.
         confirms: whether an earlier attempt found that the pallet falls, and this simulation only has to confirm the
             fall (``petmjx.engines.metrics.CONFIRM_S``).

@@ -79,7 +79,7 @@ class ContactRows(NamedTuple):
     """The rows of a world's contacts: normal and two tangents. The derivatives of the rows of open contacts are zero.
 
     Attributes:
-        jacobian: derivatives of the rows of each pair of geoms by the velocities of its two bodies.
+        jacobian: derivatives of the rows of each pair of geoms with respect to the velocities of the pair's two bodies.
         stiffness: inverse regularisation of each row (MuJoCo's efc_D).
         pull: reference accelerations (MuJoCo's efc_aref), m/s².
         depth: depths of closed contacts, m; 0 if open.

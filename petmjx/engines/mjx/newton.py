@@ -131,7 +131,7 @@ class Cones(NamedTuple):
         return jnp.where(self.sticks[:, None], sticking, jnp.where(self.slides[:, None], sliding, 0.0))
 
     def curvature(self, problem: Problem) -> Float[Array, "contact 3 3"]:
-        """The second derivatives s″ of the cost, by the three rows of each contact."""
+        """The second derivatives s″ of the cost with respect to the three rows of each contact."""
         mu = problem.mu[:, None, None]
         along = jnp.concatenate([jnp.ones_like(self.speed)[:, None], -self.slip], axis=1)
         # second derivative of ``speed``
@@ -343,8 +343,8 @@ def _couplings(sides: NDArray[np.integer], bodies: int) -> tuple[NDArray[np.int6
     Returns:
         (coupling, k): one row for each two moving bodies that may touch (a coupling), with the numbers of their pairs
             of geoms. Rows are padded with a number beyond the last pair.
-        (body, body): for two bodies, the index of the Hessian's block in this list: all bodies' own blocks, all
-            couplings, all couplings transposed, and a block of zeros.
+        (body, body): for two bodies, the index of their block of the Hessian in a list of blocks. The list consists of
+            the own blocks of all bodies, all couplings, all couplings transposed, and a block of zeros.
     """
     pairs_by_bodies: dict[tuple[int, int], list[int]] = {}
     for pair, (one, two) in enumerate(sides.tolist()):

@@ -28,10 +28,10 @@ def stay_mask(
 ) -> Bool[Array, "world box"]:
     """Whether each box counts as staying at its place. Two conditions must hold: in the last complete period of
     measurement, the box always was near the place that it had when the period began; and the same is true of the
-    present period so far. For some time after a placement, no box counts as staying, for the same reason as in
-    ``trembling_mask``. ``moved``: distances by which boxes moved in the last ``still_steps`` steps, m, if the world is
-    at its end; 0 if the caller only checks whether the pallet is quiet (a look). The larger of this distance and
-    ``tremble_away`` must be below the limit of ``_most_away``."""
+    present period so far. Right after a placement, no box counts as staying, since the boxes have been checked too few
+    times. ``moved``: distances by which boxes moved in the last ``still_steps`` steps, m, if the world is at its end; 0
+    if the caller only checks whether the pallet is quiet (a look). The larger of this distance and ``tremble_away``
+    must be below the limit of ``_most_away``."""
     stayed = (state.trembles != 0) & (state.tremble_looks > 2 * sim.quiet.tremble_looks)[:, None]
     return stayed & (jnp.maximum(state.tremble_away, moved) < _most_away(state.tremble_path, sim))
 

@@ -42,17 +42,17 @@ class Worlds(NamedTuple):
     ``shape_surface``, ``pair_friction``, ``pair_landing`` and ``pair_kinetic``, see petmjx/world/friction_pairs.py.
     petmjx/world/compliance.py explains ``shape_give`` (m³/N) and ``sinks``, the expected descent of boxes (m).
 
-    Drives: ``driven``: a drive follows the placement. ``held``: the drive holds the carrier fixed. ``drive_yaw`` is
-    (cos, sin) of the angle by which the drive is rotated about the vertical. ``profile_steps`` is the number of samples
-    of the drive. ``drive_steps`` is the number of steps from the beginning of the drive to the world's end, unless the
-    world rests earlier. In the drive, the culprit (the first box beyond a threshold) ends the world if it is tilted too
-    far and has moved sideways by at least ``allowed_sway``, m.
+    Drives: ``driven`` states whether a drive follows the placement, and ``held`` whether the drive holds the carrier
+    fixed. ``drive_yaw`` is (cos, sin) of the angle by which the drive is rotated about the vertical. ``profile_steps``
+    is the number of samples of the drive. ``drive_steps`` is the number of steps from the beginning of the drive to the
+    world's end, unless the world rests earlier. In the drive, the culprit (the first box beyond a threshold) ends the
+    world if it is tilted too far and has moved sideways by at least ``allowed_sway``, m.
 
-    Ends: ``settles``: the placement ends in a settled state, because a drive starts from this state, or because the
-    state is kept. ``ends_when_lost``: a box that is tilted too far at a check is lost at once, like a box that has
-    dropped (``petmjx.world.job.Job.ends_when_lost``). ``confirm_steps``: a fall is confirmed this number of steps after
-    the first sign of failure (``petmjx.engines.metrics.CONFIRM_S``); ``NEVER`` if the world does more than confirm a
-    fall.
+    Ends: ``settles`` states whether the placement ends in a settled state, because a drive starts from this state, or
+    because the state is kept. ``ends_when_lost``: a box that is tilted too far at a check is lost at once, like a box
+    that has dropped (``petmjx.world.job.Job.ends_when_lost``). ``confirm_steps``: a fall is confirmed this number of
+    steps after the first sign of failure (``petmjx.engines.metrics.CONFIRM_S``); ``NEVER`` if the world does more than
+    confirm a fall.
     ``pauses``: when its boxes are at rest, the world waits for further boxes (petmjx/engines/open_world_protocol.py).
     ``ends_when_gone``: the world is a trial, which ends when a box is gone (``petmjx.engines.metrics.GONE_TILT``).
     ``most_steps`` is the number of steps after which the world leaves a GPU (petmjx/engines/warp/long_worlds.py).

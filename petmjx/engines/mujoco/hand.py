@@ -25,7 +25,7 @@ class Hand:
         begin, end: (3,) positions of the box's frame at the two ends of the path, m.
         quat: (4,) quaternion of the orientation in which the hand holds the box.
         steps: number of steps of the path.
-        falls: whether the box falls from the end of the path, since the hand releases it there.
+        falls: whether the hand releases the box at the end of the path, so that the box falls from there.
         taken: number of steps since the path began.
         lowered_from: value of ``taken`` at which the hand begins to set the box down.
         short_m: distance of the box from the end of the path after the last step, m.

@@ -30,8 +30,8 @@ from petmjx.world.scene import IDENTITY_QUAT, Scene
 
 GROWTH_BLOCK = 8
 """Number of boxes that are added to the model at once. A box that waits in the model costs 0.5 µs per step, and
-compiling the model again costs about 1 ms. For a plan of 40 boxes and the adaptive schedule, the simulation takes 5 %
-longer if boxes are added one by one, or all at once, than if 8 boxes are added at once."""
+compiling the model again costs about 1 ms. For a plan of 40 boxes and the adaptive schedule, a simulation that adds
+boxes one by one, or all at once, takes 5 % longer than a simulation that adds 8 boxes at once."""
 
 ORDERED_FROM = 64
 """Smallest number of boxes of a plan whose bodies are sorted in elimination order. In elimination order, third-party

@@ -44,7 +44,8 @@ def add_waiting(spec: mujoco.MjSpec, physics: Physics) -> None:
 
 
 def press_waiting(model: mujoco.MjModel, data: mujoco.MjData, waiting_kg: float, gravity_m_s2: float) -> None:
-    """Press on the stop with a force that gives the stop the same cost as the waiting boxes on the floor would have.
+    """Press the small body on its stop. The force is chosen so that the solver's cost is the same as with the waiting
+    boxes on the floor.
 
     A mass m under the gravity g rests on constraints with the total weight D. In free fall, the solver's cost of the
     mass is larger than at rest, by (D + m)·g²/2. For the stop and for the boxes, D is proportional to m.

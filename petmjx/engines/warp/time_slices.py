@@ -177,7 +177,7 @@ class TableSlices:
         """The worlds that end in each slice.
 
         Args:
-            simulate: if False, memory has run out, and all worlds are given up.
+            simulate: whether to simulate the worlds. False: all worlds are given up, since memory has run out.
         """
         table = self._table
         self._queues.add(table.jobs, np.arange(len(table.jobs)), table.live, table.run.sim)

@@ -57,8 +57,8 @@ class TableRun:
         return cls(sim, build_timetable(sim, needs.most_boxes), needs, progress, progress.message, long_leave)
 
     def with_most_steps(self, worlds: Worlds, jobs: Sequence[Job]) -> Worlds:
-        """``worlds``, the constants of the jobs' worlds, completed by the number of steps after which each world leaves
-        the device."""
+        """The constants ``worlds`` of the jobs' worlds, in which the field ``most_steps`` is set: the number of steps
+        after which each world leaves the device."""
         if not self.long_leave:
             return worlds
         steps = np.full(len(worlds.most_steps), NEVER, np.int32)

@@ -88,8 +88,8 @@ def _heading(repaired: Repaired) -> str:
 
 
 def _numbers(repaired: Repaired) -> list[int]:
-    """The number in the original plan of each box of the repaired plan. Sheets that the repair added have numbers after
-    the last box of the original plan."""
+    """For each box of the repaired plan, its number in the original plan. Sheets that the repair added have numbers
+    after the last box of the original plan."""
     from petmjx.repairs.changes import applied
     from petmjx.repairs.drafts import Draft
 

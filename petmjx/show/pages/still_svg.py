@@ -59,7 +59,7 @@ def still_svg(
         marked: numbers of the boxes that are outlined. If ``marked`` is None, the first box to fail is outlined.
         numbers: the number that the picture shows for each box. If ``numbers`` is None, the picture shows the boxes'
             numbers in the plan.
-        numbered: those of these numbers that are written on their boxes.
+        numbered: those of ``numbers`` that are written on their boxes.
         beside: other stories whose pictures have the same scale as this one.
     """
     marked = (story.outcome.culprit,) if marked is None else marked

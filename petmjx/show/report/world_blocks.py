@@ -79,7 +79,7 @@ def box_blocks(runs: Sequence[ReportRun], table: pd.DataFrame, most: int = MOST_
 
 
 def _drawn_rows(runs: Sequence[ReportRun], table: pd.DataFrame, most: int) -> tuple[NDArray[np.int64], int]:
-    """The numbers of the rows of the table whose worlds are stored in blocks, and the number of worlds that are left
+    """The row numbers, in the table, of the worlds that are stored in blocks; and the number of worlds that are left
     out because there are too many boxes."""
     has_plan = np.zeros(len(table), dtype=bool)
     for at, run in enumerate(runs):

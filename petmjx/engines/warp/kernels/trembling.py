@@ -97,7 +97,8 @@ def has_stayed(model: Ref[Model], state: Ref[State], looks: int, world: int, box
 
     Args:
         looks: number of looks since the last placement.
-        moved: another distance by which the box has moved since, m.
+        moved: a distance by which the box has moved, m. The larger of ``moved`` and ``State.tremble_away`` must be
+            below the limit of ``_most_away``.
     """
     if looks <= 2 * model.tremble_looks or state.trembles[world, box] == 0:
         return False
