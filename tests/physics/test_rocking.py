@@ -110,7 +110,7 @@ def test_a_pulse_overturns_a_block_at_housner_s_level_but_for_what_its_edge_sink
 
 def test_tilts_are_late_by_what_closed_forms_say() -> None:
     rows = tilting("mujoco", frictions=(0.2,), blocks=(RockingBlock(0.15, 0.9),))
-    late = [row for row in rows if row.quantity.startswith("how far the carrier tilts beyond")]
+    late = [row for row in rows if row.quantity.startswith("further tilt of the carrier")]
     assert len(late) == 4
     for row in late:
         assert row.value == pytest.approx(row.expected, abs=LATE_DEG), row

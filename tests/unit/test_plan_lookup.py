@@ -148,5 +148,5 @@ def test_the_folder_of_a_run_stands_for_its_plans(tmp_path: Path, capsys: pytest
     assert main(["convert", str(folder), "--out", str(file)]) == 0
     assert [plan.plan_id for plan in petmjx.load_plans(file)] == names
     capsys.readouterr()
-    with pytest.raises(InputError, match=r"R: the folder of a run, not of plans: petmjx convert writes"):
+    with pytest.raises(InputError, match=r"R: the folder of a run, not of plans: 'petmjx convert' writes"):
         petmjx.load_plans(folder)
