@@ -161,8 +161,8 @@ def write_labels(
 
 
 def _finished(folder: Path, head: Mapping[str, Any], count: int) -> dict[str, Any]:
-    """The card of the finished labels in a folder. Raises InputError if the folder has other labels than the requested
-    ones, or if a table is missing or damaged."""
+    """The card (``card.json``) of the finished labels in a folder. Raises InputError if the folder has other labels
+    than the requested ones, or if a table is missing or damaged."""
     try:
         card: dict[str, Any] = json.loads(read_regular(folder / CARD, _MOST_CARD_BYTES))
         n_labels = {split: card["splits"][split]["labels"] for split in SPLITS}
@@ -280,8 +280,8 @@ class _Tally:
 
 
 def _head(labeller: Labeller, source: str | Path) -> dict[str, Any]:
-    """The part of the card that states how labels were made. If this part of the card is the same for two sets, the two
-    sets have the same labels."""
+    """The part of the card (``card.json``) that states how labels were made. If this part of the card is the same for
+    two sets, the two sets have the same labels."""
     is_file = isinstance(source, Path)
     reading = labeller.orders.reading
     return {

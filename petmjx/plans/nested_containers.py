@@ -282,8 +282,8 @@ def _levels_of_plans(
 ) -> list[list[tuple[str, Mapping[str, Any]]]]:
     """The levels of nesting at which members are in several objects that are no layers, stacks or articles. Each level
     has the object around each member, and the object's path. Several levels may divide the members in the same way, as
-    in answers of GraphQL (``edges[0].node.placements``). Then a level counts only if all its objects have names. If
-    there is no such level, only the first one counts."""
+    in answers of GraphQL (``edges[0].node.placements``). Then a level counts only if all its objects have names. If no
+    level has this property, only the first level counts."""
     depth = max((len(member.around) for member in members), default=0)
     levels = [
         [member.around[level] if level < len(member.around) else ("", {}) for member in members]
