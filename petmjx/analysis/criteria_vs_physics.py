@@ -132,9 +132,9 @@ def best_thresholds(
 
     Returns:
         One row per criterion: ``criterion``, ``number``, ``unit``, ``threshold`` (a lower limit) and ``published`` (the
-        published threshold). ``n_found_on`` and ``mcc_found_on`` are the number of plans, and the MCC, on the half on
-        which the threshold is fitted. The row also has the columns of ``judge`` and ``mcc_published`` (the MCC of the
-        published threshold), computed on the half on which the threshold is tested.
+        published threshold). ``n_found_on`` is the number of plans in the half with which the threshold is fitted, and
+        ``mcc_found_on`` is the MCC in this half. The row also has the columns of ``judge`` and ``mcc_published`` (the
+        MCC of the published threshold), computed on the half on which the threshold is tested.
     """
     joined_plans = with_physics(plans, worlds)
     stands = joined_plans["stands"].to_numpy(dtype=bool)

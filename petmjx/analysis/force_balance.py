@@ -368,7 +368,7 @@ def friction_slack(
 
     Args:
         structure: (n,) whether each box belongs to the structure. Each contact corner under these boxes must carry at
-            least the slack times its share of an even load (``even_share``).
+            least this force: the slack times the force of an even load on the corner (``even_share``).
         newest: number of the box placed last. Later boxes are ignored.
         sides: the places at which boxes may lean on each other or on walls. If ``sides`` is None, boxes may not lean.
     """

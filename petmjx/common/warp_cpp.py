@@ -8,10 +8,10 @@ from typing import Any, Final
 import warp as wp
 
 CPU_FLAGS: Final = "-vectorize-slp -Wno-psabi"
-"""Flags for Clang. Warp calls Clang's frontend without Clang's driver. Without the first flag, the frontend does not
-combine computations of several numbers into one vector instruction. The second flag turns off a warning about passing
-vectors between functions: all functions that pass vectors to one another are in one kernel, so it does not matter how
-other compilers pass vectors.
+"""Flags for Clang. Warp calls Clang's frontend directly, so Clang's driver, which usually adds the first flag, does not
+run. Without the first flag, the frontend does not combine computations of several numbers into one vector instruction.
+The second flag turns off a warning about passing vectors between functions: all functions that pass vectors to one
+another are in one kernel, so it does not matter how other compilers pass vectors.
 """
 
 

@@ -5,8 +5,9 @@ run", tells where they run.
 
 Attempts 1 to 4 follow the PET-Physics paper: two attempts with Newton's method (attempt 1 with the solver of the run),
 then two attempts with conjugate gradients (CG). In the paper's reference implementation, the second attempt with a
-solver only repeats the first, deterministic simulation. In petmjx, attempts 2 and 4 give the solver up to
-``CAREFUL_ITERATIONS`` iterations and the tolerance ``CAREFUL_TOLERANCE``, which help if the solver stopped too early.
+solver gives the same result as the first, because the simulation is deterministic. In petmjx, attempts 2 and 4 give the
+solver up to ``CAREFUL_ITERATIONS`` iterations and the tolerance ``CAREFUL_TOLERANCE``, which help if the solver stopped
+too early.
 
 C MuJoCo is the *fallback* of the MJX engines (``FALLBACKS``). It simulates the worlds that an MJX engine cannot
 simulate, and the worlds for which an MJX engine returned no outcome because of an error. ``mujoco`` itself and engines

@@ -99,9 +99,9 @@ def contact_penetration_m(scene: Scene, physics: Physics, top_force_n: FloatArra
     base = float(depth_m(physics, on_floor))
 
     def pulls(top_n: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Two arrays (n,), m/s², with the parts that each box contributes to the products A · f of its contacts: in a
-        contact on its top, and in a contact under its base. A · f is the sum of the inverse masses of the two bodies,
-        times the contact's force (petmjx.world.contact_laws).
+        """Each box's part in the products A · f of its contacts, m/s², as two arrays (n,): for a contact on the box's
+        top, and for a contact under its base. A · f is the sum of the inverse masses of the two bodies, times the
+        contact's force (petmjx.world.contact_laws).
         """
         return of_boxes * top_n / mass / CONTACTS_PER_FACE, own_per_kg * (top_n + mass * gravity)
 

@@ -62,8 +62,8 @@ that shakes boxes for many seconds takes up to ten times as long as expected."""
 GENTLE_COST = 0.25
 """Additional cost of a step of a gentle drive, divided by the additional cost of a step of a stronger drive. The
 acceleration of a gentle drive is at most ``STEADY_G``. In most of its steps, boxes neither slide nor fall. In
-measurements on ``mujoco`` with EUMOS's profile and 10 to 45 boxes, drives of 0.1 to 0.3 g had 0.1 to 0.25 times the
-additional cost of drives of 0.4 to 0.8 g."""
+measurements on ``mujoco`` with EUMOS's profile and 10 to 45 boxes, the additional cost of drives of 0.1 to 0.3 g was 10
+to 25 % of the additional cost of drives of 0.4 to 0.8 g."""
 
 STATIC_FALL_BOXES = 12
 """A fall in a static check of n boxes costs n / ``STATIC_FALL_BOXES`` times as much as a fall while boxes are placed
@@ -331,12 +331,12 @@ class Costs:
 def _displaced_cost(coupling: FloatArray) -> FloatArray:
     """(n,) cost of a placement whose boxes appear at places with errors, relative to a placement without errors. With
     errors, boxes that stand on several others lose some of these supports, and rock. On ``mujoco`` and on
-    ``mjx-warp-cpu``, the measured values are 1.6 for generated plans, and 2.6 to 3 for a third-party plan."""
+    ``mjx-warp-cpu``, the measured relative cost is 1.6 for generated plans, and 2.6 to 3 for a third-party plan."""
     return 1.3 + 1.9 * coupling
 
 
 def _expected_work(jobs: Sequence[Job], sim: Simulation) -> tuple[Work, FloatArray]:
-    """The work of all jobs if they are placed as planned, and (n,) steps of each job's drive."""
+    """The work of all jobs if all boxes are placed as planned; and (n,) the number of steps of each job's drive."""
     drive_steps = np.array([expected_drive_steps(job.drive, sim) if job.drive else 0.0 for job in jobs])
     work = Work(sim, [job.scene.n_boxes for job in jobs], drives=int(any(job.settles for job in jobs)))
     return work, drive_steps

@@ -25,9 +25,9 @@ QUIET_STEPS = 220
 """Steps until a pallet is quiet with the adaptive schedule, if boxes are not placed one by one. Static checks of 45 to
 241 boxes took 150 to 890 steps until the pallet was quiet."""
 DRIVEN_QUIET_STEPS = 115
-"""Steps after a profile until a pallet that stands is quiet. In drives of EUMOS's profile, pallets of 3 to 20 boxes
-that stood took 315 to 324 steps, of which the profile has 200. Drives in which most pallets of 3 to 60 boxes fell took
-160 to 610 steps on average."""
+"""Steps after a profile until a pallet that stands is quiet. In drives with EUMOS's profile, pallets of 3 to 20 boxes
+that stood took 315 to 324 steps. The profile itself has 200 of these steps. Drives in which most pallets of 3 to 60
+boxes fell took 160 to 610 steps on average."""
 COST_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.36}
 """The cost of a schedule on a device as a share of the fixed schedule's cost. On the same machine, 10,003 plans with
 the adaptive schedule took 17 s, and 4,000 plans with the fixed schedule took 21 s. The adaptive schedule leaves out
@@ -40,8 +40,8 @@ FALLING_FACTOR = 4.0
 plans of 24 boxes that fall took 4 s."""
 TYPICAL_TIES = 0.5
 """Assumed number of supports of a box beyond its first support, as a mean over the boxes of a plan, if the plan is
-unknown. The mean is 0.24 to 1.3 in 62 third-party plans of 45 to 241 boxes. In most generated plans, the mean is 0.1 or
-less, since their boxes have many different heights."""
+unknown. The mean is 0.24 to 1.3 in 62 third-party plans of 45 to 241 boxes. In most generated plans, boxes have many
+different heights, so few tops are level, and the mean is 0.1 or less."""
 STEADY_G, CREEPING = 0.35, 2.0
 """A drive with a horizontal acceleration above ``STEADY_G``, in units of 9.81 m/s², is expected to make unstable
 pallets fall soon. After a drive with a smaller acceleration, boxes may creep for a long time. So a weaker drive is
@@ -69,9 +69,9 @@ REFERENCE_STEPS = 2.8
 schedule."""
 WAY_STEPS = {Way.DROP: 3.1, Way.HAND: 4.0, Way.TINES: 7.0}
 """Number of steps of a placement whose boxes fall or are carried to their places, relative to a placement whose boxes
-appear at their places. Measurements with plans of 14 and of 40 boxes agree within a tenth. Placements by hand were
-compared with the fixed schedule: they take 0.285 times as many steps (0.45 times with few boxes, 0.24 times with many),
-which is about 4 × ``STEP_SHARE``."""
+appear at their places. Measurements with plans of 14 and of 40 boxes agree within a tenth. Placements by hand were also
+compared with the fixed schedule. They take 0.285 times as many steps: 0.45 times with few boxes, and 0.24 times with
+many boxes. The factor 0.285 is about 4 × ``STEP_SHARE``."""
 DISPLACED_STEPS, CARRIED_STEPS = 1.1, 5.0
 """Number of steps of a placement with errors of places or sizes, relative to a placement whose boxes appear exactly at
 their places. ``DISPLACED_STEPS`` is for boxes that appear at places with errors; boxes that would overlap are moved

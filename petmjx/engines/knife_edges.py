@@ -107,7 +107,8 @@ def sets_flag(edge_m: FloatArray, verdict: Verdict | None, *, rounding_m: float 
 
     Args:
         verdict: verdict of the world. If ``verdict`` is None, only ``KNIFE_EDGE_M`` is used.
-        rounding_m: largest rounding error of the distances, m. The rounding error is added to both limits.
+        rounding_m: largest rounding error of the distances, m. Both limits, ``KNIFE_EDGE_M`` and ``NEAR_M``, are
+            increased by the rounding error.
     """
     away_m = np.abs(edge_m) - rounding_m
     is_near = away_m <= KNIFE_EDGE_M

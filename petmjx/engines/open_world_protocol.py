@@ -203,8 +203,8 @@ class OpenWorlds(ABC):
         scenes: the scenes of the worlds. A scene may have no boxes yet.
 
     Raises:
-        ValueError: there are no scenes, or the schedule is fixed. The fixed schedule sets the end of a world before the
-            world's first box is placed.
+        ValueError: there are no scenes, or the schedule is ``fixed``. The fixed schedule sets the end of a world before
+            the world's first box is placed.
     """
 
     def __init__(self, scenes: Sequence[Scene], sim: Simulation) -> None:

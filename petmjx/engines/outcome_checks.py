@@ -78,7 +78,7 @@ def outcome_checks(
 
 def contact_tilt_boxes(outcome: Outcome) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
     """The numbers of the boxes that lean by more than ``LEANS_DEG``, or lie more than ``LOWER_M`` lower than planned,
-    in a world at rest. If the world has ``Flag.SINKING``, boxes that lie lower are not included."""
+    in a world at rest. If the world has ``Flag.SINKING``, only the boxes that lean are included."""
     return np.flatnonzero(_leaning([outcome])[0])
 
 
@@ -104,9 +104,9 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation
     that may have tipped over because contacts are soft.
 
     Distances at rest are computed for worlds that stand and were not shaken, because their carriers are still at their
-    places. Distances while the plan is built are computed for plans whose boxes are placed in order and without errors.
-    In a chain, a world that still stands after its second or a later shaken leg (part of the journey) is left out. Such
-    a world keeps the distances and the flag from its previous leg.
+    places. Distances during the building of a plan are computed only if the boxes are placed in order and without
+    errors. In a chain, a world that still stands after its second or a later shaken leg (part of the journey) is left
+    out. Such a world keeps the distances and the flag from its previous leg.
     """
     scenes, in_order = [job.scene for job in jobs], sim.check is not Check.STATIC
     valid = [

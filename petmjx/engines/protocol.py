@@ -74,8 +74,8 @@ def says_at_hand(run: Run) -> Run:
 
 def takes_stream(run: Run) -> Run:
     """Mark a method ``run`` that takes jobs from a ``JobStream`` while it simulates other jobs (``StreamEngine``). Any
-    other ``run`` gets lists of jobs. The method is marked, and not the engine's class, for the reason given at
-    ``says_at_hand``."""
+    other ``run`` gets lists of jobs. The method is marked, and not the engine's class. So if a user's engine inherits
+    from an engine of petmjx but has a ``run`` of its own, the user's ``run`` is not marked."""
     run.takes_stream = True  # type: ignore[attr-defined]  # functions accept further attributes
     return run
 
@@ -228,7 +228,7 @@ class Engine(MinimalEngine, Protocol):
 
         Raises:
             InputError: this engine has no open worlds.
-            ValueError: the schedule is fixed. The fixed schedule sets the end of a world before its first box is
+            ValueError: the schedule is ``fixed``. The fixed schedule sets the end of a world before its first box is
                 placed.
         """
         raise InputError(

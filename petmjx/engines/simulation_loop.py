@@ -138,8 +138,8 @@ class _AttemptRun(Generic[AnyWorld]):
     """All attempts at the worlds of one call of ``score_worlds``.
 
     At any time, each unfinished world is in one of four collections. Before its first attempt, a world is in
-    ``stream``. If the engine of the run cannot simulate the world, it is in ``for_fallback`` instead. Before each
-    further attempt, a world is in ``retry_queue`` or in ``attempt_tasks``, or again in ``stream``.
+    ``stream``. If the engine of the run cannot simulate the world, the world is in ``for_fallback`` instead. Before
+    each further attempt, a world is in ``retry_queue`` or in ``attempt_tasks``, or again in ``stream``.
 
     Attributes:
         first_runner: makes the first attempts, and further attempts that join them (``_join``).
@@ -287,10 +287,10 @@ class _AttemptRun(Generic[AnyWorld]):
             self.retry_queue.append((next_attempt, pending))
 
     def _join(self, attempt: AttemptRecipe, pending: Pending[AnyWorld]) -> bool:
-        """Put an attempt in stiffer contacts into the stream, where it runs together with first attempts. Returns False
-        if the attempt must wait in ``retry_queue``. The attempt must wait if the engine cannot mix attempts, if the
-        world is recorded, or if thousands of worlds with errors may need the attempt. Thousands of such attempts are
-        faster if they do not run together with first attempts."""
+        """Put an attempt with stiffer contacts into the stream, where it runs together with first attempts. Returns
+        False if the attempt must wait in ``retry_queue``. The attempt must wait if the engine cannot mix attempts, if
+        the world is recorded, or if thousands of worlds with errors may need the attempt. Thousands of such attempts
+        are faster if they do not run together with first attempts."""
         world, before, _ = pending
         if attempt.stiff not in self.stream.stiff or world.job.record is not None:
             return False
@@ -329,8 +329,8 @@ class _AttemptTasks(Generic[AnyWorld]):
     def prepare(self, jobs: Sequence[Job], retries: Sequence[AttemptRecipe]) -> None:
         """At the beginning of a run, start the processes that are worth their cost. A large run gets processes that
         check outcomes. A run of at least ``JOBS_WORTH_A_PROCESS`` jobs gets the process that makes further attempts, if
-        few worlds need such attempts. The first task of the latter process is to simulate one box. In this way, its
-        kernel is compiled before worlds need it: compiling takes as long as simulating many worlds."""
+        few worlds need such attempts. The first task of the process for further attempts is to simulate one box. So
+        this process compiles its kernel before worlds need it. Compiling takes as long as simulating many worlds."""
         if self.needs_pool:
             self.check_pool = self.check_pool or self.lent or check_pool_for(self.engines.primary, len(jobs))
         name = ATTEMPT_ENGINES.get(self.engines.primary.name)

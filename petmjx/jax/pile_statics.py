@@ -137,8 +137,9 @@ def margins_m(
 
 
 def least_m(size_mm: Float[Array, "placement 3"], least_mm: float) -> Float[Array, " placement"]:
-    """(q,) how far inside the hull of its contacts the load of each box must act, m, as in the packer ``balanced``.
-    The distance is ``least_mm``, or ``MARGIN_SHARE`` of the shorter side of the box's base if that is less."""
+    """(q,) each box's load must act inside the hull of the box's contacts, at least this distance from the edges, m, as
+    in the packer ``balanced``. The distance is ``least_mm``, or ``MARGIN_SHARE`` of the shorter side of the box's base
+    if that is less."""
     return jnp.minimum(least_mm, MARGIN_SHARE * size_mm[:, :2].min(axis=1)) / MM_PER_M
 
 

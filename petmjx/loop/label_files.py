@@ -280,8 +280,8 @@ class _Tally:
 
 
 def _head(labeller: Labeller, source: str | Path) -> dict[str, Any]:
-    """The part of the card that states how labels were made. If this part of the card is the same for two sets, the two
-    sets have the same labels."""
+    """The part of the card (``card.json``) that states how labels were made. If this part of the card is the same for
+    two sets, the two sets have the same labels."""
     is_file = isinstance(source, Path)
     reading = labeller.orders.reading
     return {

@@ -4,8 +4,8 @@ with the result of a simulation of the pile with this box.
 Episode i packs order i of a source, box by box. After the last order, the first order is packed again. Each box is put
 to a random place, or to a place that a careful packer chooses, and each of these placements is a label. If the pallet
 does not stand, the box is removed. A box that was removed from a random place is then tried once at a careful place,
-which gives another label. If the pallet does not stand with the box at the careful place either, the box is left out.
-An episode depends only on its number and the seed, so a larger set begins with the labels of a smaller set.
+which gives another label. If the pallet does not stand with the careful placement either, the box is left out. An
+episode depends only on its number and the seed, so a larger set begins with the labels of a smaller set.
 """
 
 from __future__ import annotations

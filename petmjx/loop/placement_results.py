@@ -122,7 +122,7 @@ class PlacementResults:
     def of_outcomes(
         cls, pallet: NDArray[np.int64], outcomes: Sequence[Outcome], thresholds: Thresholds
     ) -> PlacementResults:
-        """The results of simulated pallets after they were shaken. Forces are the forces at rest."""
+        """The results of simulated pallets after they were shaken. The forces on tops are the forces at rest."""
         width = max((outcome.n_boxes for outcome in outcomes), default=0)
 
         def boxes(name: str) -> FloatArray:

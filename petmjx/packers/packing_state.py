@@ -267,7 +267,7 @@ def _size(item: Item, orientation: int) -> tuple[float, float, float]:
 
 
 def _worth(sizes: FloatArray, weight: FloatArray, preferences: Preferences) -> FloatArray:
-    """(s,) the part of a candidate's value that depends only on its shape, for each shape, in mm of height
+    """(s,) for each shape, the part of a candidate's value that depends only on the shape, in mm of height
     (``Preferences``).
 
     Args:

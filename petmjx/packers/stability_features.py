@@ -38,7 +38,7 @@ class PlacementState:
         mass_kg: mass of the box.
         low, high: (n, 3) lowest and highest corners of the boxes of the pile, mm.
         masses: (n,) masses of the boxes of the pile, kg.
-        margins: margins against tipping of the pile with the box.
+        margins: margins against tipping that the pile has with this box.
     """
 
     corner_mm: FloatArray

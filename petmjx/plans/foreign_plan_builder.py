@@ -187,8 +187,8 @@ class PlanBuilder:
         return names, lost, reading, candidate
 
     def _plans_of_size(self, names: Sequence[str]) -> tuple[dict[str, NDArray[np.int64]], list[RefusedPlan]]:
-        """Name → rows of each plan, and the refused plans. Plans with too many boxes are refused before any reading is
-        judged, because judging them would take long.
+        """Name of each plan → its rows; and the refused plans. Plans with too many boxes are refused before any reading
+        is judged, because judging them would take long.
 
         Args:
             names: (n,) the name of each row's plan.

@@ -189,8 +189,8 @@ def _lacking_axes(columns: BoxColumns) -> list[str]:
 
 
 def _has_unknown_numbers(columns: BoxColumns, *kinds: str) -> bool:
-    """Whether at least three columns of unknown meaning, or with one of some meanings, have numbers, so that they may
-    be places or sizes."""
+    """Whether at least three columns have numbers that may be places or sizes. Only columns of unknown meaning, and
+    columns with a meaning of one of these ``kinds``, are examined."""
     table = columns.source.boxes.table
     meanings = zip(table.header, columns.source.boxes.meanings, strict=True)
     unknown = [table.column(name) for name, meaning in meanings if meaning is None or meaning.kind in kinds]

@@ -36,8 +36,8 @@ def count_known_names(cells: Sequence[Any]) -> int:
 
 _LEAST_IN_ROWS: Final = 6
 """In a transposed table, each row is a field and each further column is a box. A table counts as transposed under two
-conditions. At least this number of cells in its first column are known column names, and every row has fewer known
-column names than the first column."""
+conditions. First, at least this number of cells in its first column are known column names. Second, every row has fewer
+known column names than the first column."""
 
 
 def names_in_rows(rows: Sequence[tuple[Any, ...]]) -> bool:

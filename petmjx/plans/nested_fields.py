@@ -227,7 +227,7 @@ def _ends_of_vertices(value: Sequence[Any]) -> tuple[list[Any], list[Any]] | Non
 
 
 def _is_matrix(value: Sequence[Any]) -> bool:
-    """Whether a list is a matrix of at least 3×3 numbers, or lists the 16 numbers of one."""
+    """Whether a list is a matrix of at least 3×3 numbers, or a list of the 16 numbers of a 4×4 matrix."""
     if len(value) == 16:
         return not any(isinstance(cell, Mapping | list | tuple) for cell in value)
     return len(value) in (3, 4) and all(isinstance(row, list | tuple) and len(row) in (3, 4) for row in value)

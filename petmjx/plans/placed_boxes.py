@@ -29,8 +29,8 @@ _OF_DECKS_MM: Final = ((380.0, 580.0), (1320.0, 1500.0))
 _HIGHEST_DECK_MM: Final = 250.0
 _LEAST_HEIGHT_SHARE: Final = 0.49
 """Along the vertical axis, the coordinate of a box on a pallet is larger than the pallet's coordinate by at least this
-share of the pallet's height. If coordinates describe centres, the difference for a thin box is little more than half of
-the pallet's height."""
+share of the pallet's height. If coordinates describe centres, the coordinate of a thin box exceeds the pallet's
+coordinate by little more than half of the pallet's height."""
 _LEVEL: Final = 0.01
 """The lowest box counts as standing on the deck if the distance between its bottom and the deck is at most this share
 of the boxes' median height. For cartons of 200 mm, this is 2 mm. The limit is above 0, because centres are often

@@ -69,8 +69,8 @@ SPARSE: Final = {
     "stiffness_n_mm": SparseField(0.01, 1e6, "N/mm", "N/mm"),
     "strength_n": SparseField(0.01, 1e9, "N", "N", reaches_results=False),
 }
-"""The fields with numbers that placements may lack. Each field is also a field of ``Plan``. The stiffness of corrugated
-boxes is 100 to 500 N/mm."""
+"""The fields with numbers that placements may lack. Each field is also a field of ``Plan``. The limits are wide:
+corrugated boxes, for example, have a stiffness of 100 to 500 N/mm."""
 
 SHEET: Final = "sheet"
 PALLETS: Final[Mapping[str, tuple[float, float, float]]] = {

@@ -274,7 +274,8 @@ class _PlanLoader:
         names: name → the same name, kept so that equal names share one string.
         unread: counts of the fields that petmjx ignores.
         unlisted: number of unusable entries of the current file that are counted but not listed.
-        most_skipped: largest length that ``found.skipped`` may reach while the current file is read.
+        most_skipped: largest number of entries of ``found.skipped`` while the current file is read. Further unusable
+            entries are only counted.
     """
 
     options: RunOptions

@@ -50,8 +50,8 @@ class PalletSearch:
 
     def columns_with_pallets(self) -> tuple[BoxColumns, tuple[str, ...]]:
         """The columns of the file, and notes. If boxes would overlap as one plan, or the packing order repeats numbers,
-        the file has several pallets. If a column separates the boxes into pallets without these faults, this column
-        becomes the column of plans, and a note tells this.
+        the file has several pallets. If a column divides the boxes into pallets in which no boxes overlap and no
+        numbers repeat, this column becomes the column of plans, and a note states this.
 
         Raises:
             InputError: it is unclear which column separates the pallets. It is clear only if exactly one of the
@@ -126,7 +126,7 @@ class PalletSearch:
 
     def _overlaps(self, plans: Mapping[str, NDArray[np.int64]], share: float) -> bool:
         """Whether, in the most plausible reading, more than the given share of the boxes overlaps other boxes, or any
-        box floats. Plans with too many boxes count as plans whose boxes overlap."""
+        box floats. The result is also True if a plan has more boxes than ``Wishes.max_boxes``."""
         if any(map(self._is_too_large, plans.values())):
             return True
         try:

@@ -126,7 +126,7 @@ def tipping_g(plan: Plan) -> float:
     """A rough estimate of the horizontal acceleration at which boxes fall off a plan's load, in units of 9.81 m/s².
 
     The result is the mean of the boxes' shorter horizontal sides, divided by the height of the load. A column of such
-    boxes tips over at this acceleration if nothing beside it holds it.
+    boxes tips over at this acceleration if no neighbour holds the column.
     """
     height_mm = float((plan.corner_mm + plan.size_mm)[:, 2].max())
     return float(plan.size_mm[:, :2].min(axis=1).mean()) / height_mm

@@ -26,8 +26,8 @@ _TOLERANCE: Final = 0.01
 """Largest gap at which boxes touch, as a share of the median of the boxes' smallest sides: 2 mm for cartons of 200 mm.
 Boxes that touch may have a gap in a file, because centres are often rounded to centimetres or half millimetres."""
 _SMALL_LOAD: Final = 160
-"""Largest number of boxes from which a plan is judged. Overlaps and supports are judged from the lowest boxes, and the
-order of boxes from the first boxes in the list."""
+"""Largest number of boxes from which a plan is judged. If a plan has more boxes, its overlaps and supports are judged
+from the lowest boxes, and its packing order is judged from the first boxes in the list."""
 _CARTON_MM, _CARTON_SPREAD = 280.0, 0.75
 """Geometric mean of a carton's sides, and the standard deviation of its natural logarithm, from BED-BPP's boxes."""
 _CARTON_KG_M3, _DENSITY_SPREAD = 250.0, 1.1
@@ -325,7 +325,7 @@ def n_before_support(low: FloatArray, size: FloatArray, tolerance: float) -> int
 
 def is_wall(layout: Layout) -> bool:
     """Whether boxes stand in one vertical plane, side by side and on several levels. A load is rarely one box deep and
-    much wider, so such boxes are probably a flat layer along another vertical axis. A tower that leans is no wall."""
+    much wider. So such boxes are probably a flat layer, and another axis is vertical. A tower that leans is no wall."""
     tolerance = layout.tolerance
     is_flat = np.ptp(layout.low, axis=0) <= tolerance
     are_beside = bool((np.diff(np.sort(layout.low[:, 2])) <= tolerance).any())
@@ -410,7 +410,8 @@ def _squared(value: float, usual: float, spread: float) -> float:
 
 
 def deck_cost(deck_mm: FloatArray) -> float:
-    """Cost of an unusual deck."""
+    """Cost of the length and width of a deck (the top of a carrier). The cost is negative for a usual carrier. For
+    other decks, it grows with the difference of the length from 1,200 mm."""
     long, short = float(deck_mm.max()), float(deck_mm.min())
     return -2.5 if _is_usual(long, short) else min(_squared(long, 1200.0, _DECK_SPREAD), 6.0)
 

@@ -40,8 +40,8 @@ _GRIPPER_PRIOR: Final = [
     ("corner", 2.5),
     ("far-corner", 3.0),
 ]
-"""Words in names of coordinates that mean a robot's gripper, and the costs of anchors for such coordinates: a gripper
-holds a box at the middle of its top."""
+"""Words for a robot's gripper in names of coordinates, and the costs of anchors for coordinates with such a name. A
+gripper holds a box at the middle of its top."""
 _TURNED_ARRAY: Final = 0.6
 """Cost of a reading with the sizes of boxes before they are turned, for an array without column names. Arrays mostly
 come from programs that train packers, and have sizes as placed."""
@@ -262,8 +262,8 @@ def _ups(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tuple[
 
 
 def candidates_on_side(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
-    """Yield all readings with x upwards. Yield none if ``candidates`` has these readings, or if column names, the form,
-    a container or the caller give the vertical."""
+    """Yield all readings with x upwards. Yield none if ``candidates`` yields these readings, too, or if the vertical is
+    already known from column names, the form, a container or the caller."""
     free = [geometry for geometry in columns.geometries if not geometry.named_up and geometry.turn is None]
     form = columns.source.form
     if free and not (wishes.up or form.up or form.rule == "py3dbp" or columns.source.boxes.containers):
@@ -444,8 +444,8 @@ length must exceed the width in at least this share of the unturned boxes."""
 
 def _sizes_by_length(columns: BoxColumns, geometry: Geometry) -> str:
     """Whether sizes are given for the placed box or for the item. The length of an item is rarely smaller than its
-    width. So if lengths are larger than widths even for turned boxes, sizes are given for items. The result is "" if
-    this is unknown."""
+    width. So if the length is larger than the width even in rows of turned boxes, the sizes are those of items. The
+    result is "" if this is unknown."""
     turns = columns.turns
     if turns is None or not {"length", "width"} <= set(geometry.axes):
         return ""

@@ -340,9 +340,9 @@ def choose_reading(
 
 
 def _without_last_cells(judged: Sequence[_Judged]) -> _Judged:
-    """The most plausible reading. A far corner may be the end of a box, or the last grid cell inside the box. The most
-    plausible reading may take far corners for last cells. Then another reading is returned if it takes far corners for
-    ends, is about as plausible, and gives the same piles in other units."""
+    """The most plausible reading. The far corner of a box may be the end of the box, or the last grid cell inside the
+    box. If the most plausible reading assumes last cells, another reading may replace it. The other reading must assume
+    ends, be about as plausible, and give the same piles in other units."""
     best = judged[0]
     if LAST_CELLS not in best.candidate.geometry.columns:
         return best

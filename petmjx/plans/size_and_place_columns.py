@@ -146,8 +146,7 @@ def other_sizes_in(extraction: ColumnExtraction, first: Sizes) -> list[Sizes]:
 
 
 _ROUNDED: Final = 0.05
-"""If a file gives sizes in two units, the relative difference of the two is at most this value. It is due to
-rounding."""
+"""If a file gives each size in two units, the two values differ by at most this share, because they are rounded."""
 
 
 def _are_equal(one: Sizes, other: Sizes) -> bool:
@@ -227,8 +226,8 @@ def _sets_of_columns(header: Sequence[str], picked: Sequence[Sequence[int]]) -> 
 
 
 def _words_beside_size(name: str) -> tuple[str, ...]:
-    """The part of a column's name that the columns of a set have in common: its ``_stem``, and the words of its last
-    part, without words for sizes, axes and numbers: "case_length [mm]" → "", "case"."""
+    """What the names of the columns of a set have in common: the part before the last dot, and the words after it,
+    without units, numbers, and words for sizes and axes. "case_length [mm]" gives "" and "case"."""
     base = split_unit(name)[0]
     words = (word for word in words_of(base.rpartition(".")[2]) if word not in ALL_SIZE_WORDS and not word.isdecimal())
     return (base.rpartition(".")[0], *(word.rstrip("xyz") for word in words))
@@ -514,8 +513,8 @@ _DENSEST: Final = 1.5
 """A column without a name has densities only if its numbers are at most this value, relative to water. Cartons are less
 dense."""
 _MOST_SOUND: Final = 0.9
-"""In a table without a header, at least this share of the rows must match the guessed meaning of a column. Rows that do
-not match have bad cells."""
+"""In a table without a header, at least this share of the rows must match the guessed meaning of a column. In all other
+rows, the cells of this column are taken to be damaged."""
 
 
 def array_choices(extraction: ColumnExtraction) -> list[Geometry]:

@@ -152,8 +152,8 @@ _COMMENT: Final = re.compile(r"(?:#|//)\s*\w+\s+\w")
 
 def _unnamed_below(rows: Sequence[tuple[Any, ...]], head: int, width: int) -> list[str]:
     """An empty name for each column that has a name only in the upper line of a two-line header. ``head`` is the number
-    of the lower line, which has ``width`` names. These columns follow the last name of the lower line, and have values
-    in the row below it."""
+    of the lower line, which has ``width`` names. Only those columns count that follow the last name of the lower line,
+    and that have values in the row below the lower line."""
     group, below = rows[head - 1], rows[head + 1] if head + 1 < len(rows) else ()
     count = 0
     while width + count < min(len(group), len(below)) and group[width + count] and below[width + count] is not None:

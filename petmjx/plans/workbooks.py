@@ -228,8 +228,9 @@ def value_of_xml(text: str) -> Any:
 
 
 def _repeated_names(root: ElementTree.Element) -> set[tuple[str, str]]:
-    """Pairs: name of an element; name of children that occur several times in at least one element of this name. In all
-    elements of this name, these children become a list, even a single child."""
+    """Pairs (name of an element, name of a child): at least one element with the first name has several children with
+    the second name. In every such element, the children with the second name become a list, even if there is only
+    one."""
     repeated: set[tuple[str, str]] = set()
     for element in root.iter():
         counts = Counter(map(_name_of, element))

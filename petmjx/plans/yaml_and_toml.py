@@ -139,8 +139,8 @@ class _Reader:
         return InputError(f"not YAML at line {line.number} ({why})")
 
     def _block(self, indent: int, depth: int, key: str = "") -> Any:
-        """The mapping, sequence or scalar that begins at the next line. ``indent``: the indent of its lines. ``key``:
-        as in :meth:`_scalar`."""
+        """The mapping, sequence or scalar that begins at the next line. ``indent``: the indent of the block's lines.
+        ``key``: as in :meth:`_scalar`."""
         line = self.lines[self.next]
         if depth > _DEEPEST:
             raise self._fault(line, "nested too deeply")

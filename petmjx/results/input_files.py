@@ -13,7 +13,7 @@ from petmjx.results.run_folder import RUN_FILE, TABLES
 
 
 def input_files(*sources: Any) -> list[Path]:
-    """The files and folders that a command reads if it gets the given sources. For a run's folder, they are
+    """The files and folders that a command reads if it gets the given sources. For a run's folder, the result is
     ``run.json`` and the tables; for another folder, the files of plans in it; for a file, the file itself.
 
     Args:

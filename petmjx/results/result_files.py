@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 
 ROWS_PER_GROUP: Final = 131_072
 """Number of rows in a row group of a Parquet file. A row group of the table ``boxes`` has a few megabytes, so that
-readers can process one group at a time. A part of ``worlds`` is a single group."""
+readers can process one group at a time. A part (file) of the table ``worlds`` is a single row group."""
 
 DIGEST_BYTES: Final = 16
 _BLOCK: Final = 1 << 20

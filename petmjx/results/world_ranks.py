@@ -27,7 +27,8 @@ _MOST_VARIANTS: Final = 1 << 32
 
 class WorldRanks:
     """Computes the rank of each world: its position in the order of the run. If all plans of a whole run have the same
-    variants, ranks are 0, 1, 2, … without gaps. In a search, ranks have gaps.
+    variants, ranks are 0, 1, 2, … without gaps. In a search, ranks have gaps, since each plan reserves ranks for the
+    largest possible number of variants.
 
     Args:
         plan_ids: ids of all plans in the order of the input, including the plans of other shards. Plans that

@@ -19,7 +19,7 @@ EUMOS_PERMANENT_SHARE = 0.05
 """Largest allowed displacement that remains after the test, as a share of the height of the load."""
 EUMOS_FOOT_HEIGHT_M = 0.20
 EUMOS_FOOT_PERMANENT_M = 0.04
-"""Largest allowed displacement that remains after the test in the lowest 20 cm of the load, m."""
+"""Largest allowed lasting displacement in the lowest 20 cm of the load, measured after the test, m."""
 
 EUMOS_COLUMNS = (
     Param(

@@ -502,11 +502,10 @@ class SweepRun:
         return True
 
     def _recorded_rest(self, group: PlacementGroup, number: int) -> Probe:
-        """The result of a placement without a profile, according to the rows of completed worlds. If the pallet did not
-        stand, the result is the outcome in the row of the search of this plan; otherwise, it is a stable outcome. A
-        search whose pallet did not stand has written a single row: for the lowest level, with 0 simulated steps. A
-        failed test at the lowest level may also have 0 steps, but then the search has also written rows of tests at
-        higher levels.
+        """The result of a placement without a profile, found from the rows of completed worlds. If the pallet did not
+        stand, its search has written a single row: for the lowest level, with 0 simulated steps. The result is then the
+        outcome in this row. In all other cases, the result is a stable outcome. A failed test at the lowest level may
+        also have 0 steps, but then the search has also written rows of tests at higher levels.
         """
         row = self._row(group, number, 0)
         first = self._bisection([Probe(Verdict.STABLE)]).next_tests(0)

@@ -40,8 +40,8 @@ class PlacementGroup:
     Attributes:
         number: number of the placement within its plan, from 0.
         placement: the variant whose scene is simulated. The drive of this variant is not used.
-        variants: the variants of the worlds. A variant without a drive has the outcome of the placement. In a search,
-            ``variants`` is empty, because `SweepPlan.search_variant` makes the variants level by level.
+        variants: the variants of the worlds in the group. A variant without a drive has the outcome of the placement.
+            In a search, ``variants`` is empty, because `SweepPlan.search_variant` makes the variants level by level.
     """
 
     plan: Plan

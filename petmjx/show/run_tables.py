@@ -84,7 +84,7 @@ def _confidence_tables(
 ) -> Iterator[RenderableType]:
     """The tables and lines of a score with confidence. One table has the worlds without errors. Another table has, for
     each plan, the share of worlds with errors in which the plan stands. Lines name the plans that need attention, such
-    as coin tosses."""
+    as *coin tosses*: plans whose share may be above or below one half."""
     from petmjx.runs.confidence import contradiction_mask  # imported late: a plain score does not need this code
     from petmjx.show.sweep_tables import confidence_table
 

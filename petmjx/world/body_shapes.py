@@ -150,7 +150,8 @@ class Room:
 
     Attributes:
         face: (…, 2, 2) x or y of the inner face of each of the four walls of a carrier, m; infinite if there is no
-            wall. Axis −2: the wall at the low end, the wall at the high end. Axis −1: along x, along y.
+            wall. Along axis −2, the entries are for the wall at the low end and for the wall at the high end. Along
+            axis −1, the entries are for x and for y.
         top: (…, 2, 2) z of the upper edge of each wall, m, with the same axes as ``face``.
     """
 

@@ -252,7 +252,8 @@ def _passed(bearing: Bearing, contact: IntArray, load: FloatArray) -> FloatArray
 
 
 def _running_sums(part: FloatArray, begins: IntArray) -> FloatArray:
-    """(p, 3) running sums of the parts that each lower box carries; a new sum starts at each pair in ``begins``."""
+    """(p, 3) sums of the parts that the lower boxes carry: each row is the sum of ``part`` from the last row in
+    ``begins`` up to this row."""
     sums, count = part.copy(), np.diff(begins)
     longest = np.argsort(-count, kind="stable")
     place = begins[:-1][longest]
@@ -421,7 +422,7 @@ def first_least(values: FloatArray, group: IntArray) -> tuple[IntArray, IntArray
 
 
 def depends_on_sharing(bearing: Bearing, built: BuildingLoads) -> NDArray[np.bool_]:
-    """(p,) whether each load depends on how the supports of some box above share that box's load."""
+    """(p,) whether each load depends on how some box above divides its own load among its supports."""
     shares = (bearing.n_supports[built.step] > 1) & (built.step != built.box)
     first = np.full(len(bearing.boxes.mass), len(bearing.boxes.mass))
     np.minimum.at(first, built.box[shares], built.step[shares])

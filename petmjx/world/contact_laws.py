@@ -32,10 +32,10 @@ with the iteration.
 **Landing.** With the law of contacts at rest, a landing box would sink centimetres into its support and would not
 bounce. MuJoCo's contacts have reference accelerations: the relative accelerations that the two bodies would have if the
 contact were hard. With the physics ``pallet``, contacts are nearly hard, so the bodies have almost the reference
-acceleration, whatever their masses. The law of landing sets the reference acceleration: a constant deceleration to the
-velocity of the rebound (Newton's law of impact). During a landing, all contacts of the world have the stiffness that
-they have at depths beyond ``solimp``'s width. With the lower stiffness that contacts have at small depths, boxes below
-the landing box would be pressed in before their contacts became stiff.
+acceleration, whatever their masses. The law of landing sets the reference acceleration to a constant deceleration,
+which ends at the velocity of the rebound (Newton's law of impact). During a landing, all contacts of the world have the
+stiffness that they have at depths beyond ``solimp``'s width. With the lower stiffness that contacts have at small
+depths, boxes below the landing box would be pressed in before their contacts became stiff.
 """
 
 from __future__ import annotations
@@ -207,8 +207,8 @@ def lasts_steps(sim: Simulation) -> int:
 def stiffness_ratio(depth_m: FloatArray, solimp: FloatArray) -> FloatArray:
     """(k,) factor by which each contact is stiffer at its largest impedance than at its present depth.
 
-    MuJoCo's regularisation is (1 − d)/d times the inverse masses (MuJoCo's documentation, "Modeling", "Solver
-    parameters").
+    At the impedance d, MuJoCo's regularisation is (1 − d)/d times the inverse masses (MuJoCo's documentation,
+    "Modeling", "Solver parameters").
 
     Args:
         depth_m: (k,) depths of the contacts, m.

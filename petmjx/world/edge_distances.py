@@ -100,7 +100,7 @@ def edge_risks(scenes: Sequence[Scene]) -> NDArray[np.int8]:
     """(m,) the ``EdgeRisk`` of each of m scenes. A generated plan of 43 boxes takes 0.15 to 0.3 ms.
 
     In this quick test, supports share loads like springs. ``building_edges`` takes several times as long as
-    ``edge_risks``, since ``building_edges`` also looks for another distribution of the loads among the supports that
+    ``edge_risks``. ``building_edges`` also looks for another distribution of the loads among the supports, one that
     keeps all loads inside the edges.
     """
     n_boxes = np.array([scene.n_boxes for scene in scenes], int)

@@ -52,7 +52,7 @@ class Ground:
 
     @classmethod
     def of_carrier(cls, sim: Simulation) -> Ground:
-        """The carrier that these options choose, with its front-left corner at the origin, as in plans.
+        """The carrier that ``sim`` chooses, with its front-left corner at the origin, as in plans.
 
         Raises:
             ValueError: the carrier's length and width depend on the plan.

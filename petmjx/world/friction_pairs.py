@@ -60,8 +60,8 @@ def scaled_pairs(
 
 def filled_up(table: FloatArray | None, entry: tuple[int, ...] = ()) -> FloatArray:
     """(``MOST_SURFACES``, ``MOST_SURFACES``, …) a world's table with an entry for each pair of surfaces: friction,
-    kinetic friction, or landings (restitution and landing time). Entries that ``table`` lacks are ``FROM_PHYSICS``,
-    which means "no value" and equals ``LARGER``.
+    kinetic friction, or landings (restitution and landing time). Entries that ``table`` lacks have the value
+    ``FROM_PHYSICS`` (no value is given), which is the same number as ``LARGER``.
 
     Args:
         table: (k, k, …) the table. If ``table`` is None, no entry has a value.

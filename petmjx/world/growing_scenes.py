@@ -19,8 +19,8 @@ from petmjx.plans.plan import Plan
 from petmjx.world.scene import OF_BOXES, Scene, build_scene, half_size_and_target
 
 FIRST_COLUMNS: Final = 16
-"""Number of columns, one per box, that an array of the boxes of worlds has when it is made. The array is widened when a
-world gets more boxes (``widened_table``)."""
+"""Number of columns with which an array of boxes is made. The array has one row per world and one column per box. The
+array is widened when a world gets more boxes (``widened_table``)."""
 
 
 class OpenScenes:

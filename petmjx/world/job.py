@@ -127,7 +127,7 @@ class Job:
         poses: (n, 7) middles, m, and orientations (w, x, y, z) with which the boxes begin the drive. All boxes begin at
             rest. With ``poses``, a drive can continue where another drive left the boxes, on any engine. The carrier is
             where the placement left it, since engines clamp the carrier in acceleration profiles. If ``poses`` is None,
-            the boxes, too, are where the placement left them.
+            the boxes also are where the placement left them.
         keep_state: whether the outcome must have the state in which the placement has settled. A job with
             ``keep_state`` and no drive may end as soon as the placement has settled, without the further time in which
             boxes come to rest.

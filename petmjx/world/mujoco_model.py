@@ -75,8 +75,8 @@ def build_spec(
         scene: the scene.
         physics: the physics.
         held_carrier: pose in which the carrier is clamped. If ``held_carrier`` is None, the carrier has a free joint.
-        n_boxes: number of boxes in the model, the first ones in packing order. If ``n_boxes`` is None, the model has
-            all boxes.
+        n_boxes: the model has this number of boxes, the first ones in packing order. If ``n_boxes`` is None, the model
+            has all boxes.
 
     Raises:
         ValueError: ``n_boxes`` is not between 0 and the number of the scene's boxes.

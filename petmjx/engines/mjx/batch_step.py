@@ -40,8 +40,8 @@ class StepResult(NamedTuple):
     """The result of a step: MuJoCo's coordinates, and values for samples and for the next step.
 
     ``qacc_warmstart``: accelerations from which the solver starts in the next step; ``iterations``: number of the
-    solver's iterations; ``pauses``: whether the solver needs another pass to complete the world's step; None if no
-    solver may pause.
+    solver's iterations; ``pauses``: whether the solver needs another pass to complete the world's step. ``pauses`` is
+    None if no solver may pause.
     """
 
     qpos: Float[Array, "world coordinate"]

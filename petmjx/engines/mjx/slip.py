@@ -106,7 +106,7 @@ class SlipLaw:
         return further
 
     def with_friction(self, rows: ContactRows, velocity: Velocities) -> ContactRows:
-        """One world's rows, with the friction of sliding contacts reduced."""
+        """The constraint rows of one world, in which the friction of sliding contacts is reduced."""
         if self._kinetic == 1:
             return rows
         slip = _tangent(self._solver.links.along(rows.jacobian, velocity))
@@ -142,6 +142,6 @@ class SlipLaw:
 
 
 def _tangent(rows: Rows) -> Float[Array, " contact"]:
-    """Length of the tangential part of a vector at each contact, such as the contact force. ``rows`` has the components
-    of the vector: along the normal, then along two tangents."""
+    """Length of the tangential part of a vector (such as the contact force) at each contact. ``rows`` has the
+    components of the vector: along the normal, then along two tangents."""
     return jnp.hypot(rows[:, 1], rows[:, 2])

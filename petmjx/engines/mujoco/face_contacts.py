@@ -278,8 +278,8 @@ def _moments(lines: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, Flo
     the region would have without the last line; (p,) largest distance of a point of the region from the last line; (p,
     2) centroid of the region; and (p, 2, 2) square root (Cholesky factor) of the region's second moments per area.
 
-    An edge of the region is the part of a line that is inside all other lines. The area and the moments are sums over
-    the edges, by Green's theorem.
+    An edge of the region is the part of a line that is on the inner side of all other lines. The area and the moments
+    are sums over the edges, by Green's theorem.
 
     Args:
         lines: (p, k, 3) lines with three coefficients each, as ``_sides`` writes them.

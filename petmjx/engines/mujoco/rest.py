@@ -82,9 +82,9 @@ class QuietRule:
         return bool((box_motion.speed(velocity, self._radius_m[boxes]) < self._rule.quiet_m_s).all())
 
     def motion(self, before: FloatArray, after: FloatArray, velocity: FloatArray, seconds: float) -> tuple[bool, bool]:
-        """Two answers about the boxes at the end of a world: whether any point of a box moved, or moves now, faster
-        than ``still_m_s``; and whether the world must wait longer for this reason. The world waits neither for
-        trembling boxes that are slower than ``slow_m_s``, nor for boxes that stay near their places.
+        """Two answers about the boxes at the end of a world. First, whether any point of a box moved, or moves now,
+        faster than ``still_m_s``. Second, whether the world must wait longer for this reason. The world waits neither
+        for trembling boxes that are slower than ``slow_m_s``, nor for boxes that stay near their places.
 
         Args:
             before, after: (k, 7) poses at two times that are ``seconds`` apart. The average speed of a rocking box that

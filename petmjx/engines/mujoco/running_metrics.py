@@ -25,7 +25,8 @@ _STEPS_TOGETHER = 64
 
 
 class OracleMetrics:
-    """Largest values of the metrics so far, first sign of failure, and forces at rest of one world."""
+    """What is measured in one world: the largest values of the metrics so far, the first sign of failure, and the
+    forces at rest."""
 
     def __init__(self, scene: Scene, thresholds: Thresholds, gravity_m_s2: float = STANDARD_GRAVITY) -> None:
         n = scene.n_boxes

@@ -243,8 +243,8 @@ class SoftWorld(LiveWorld):
         return SoftState(self.data.qpos.copy(), self.data.qvel.copy(), self.data.qacc_warmstart.copy())
 
     def _put(self, state: SoftState, skip_q: int = 0, skip_v: int = 0) -> None:
-        """Use the state of a world with the same boxes or fewer boxes. ``skip_q``, ``skip_v``: number of values of that
-        world's carrier that are left out of qpos and qvel."""
+        """Use the state of a world that has the boxes of this world, or only the first of them. ``skip_q``, ``skip_v``:
+        number of values of that world's carrier that are left out of qpos and qvel."""
         data = self.data
         data.qpos[: len(state.pos) - skip_q] = state.pos[skip_q:]
         data.qvel[: len(state.velocity) - skip_v] = state.velocity[skip_v:]

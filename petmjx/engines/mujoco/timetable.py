@@ -73,8 +73,8 @@ class Waits:
         return self._patient and step < self.longest_wait
 
     def deadline(self, sign_step: int | None) -> int:
-        """The latest step for the next event. When a box has failed, a long wait is useless. The long wait then becomes
-        a short wait that begins at the first sign of failure.
+        """The latest step at which the next event can happen. When a box has failed, a long wait is useless. The long
+        wait then becomes a short wait that begins at the first sign of failure.
 
         Args:
             sign_step: step of the first sign of failure; None if no box has failed.

@@ -47,8 +47,9 @@ def press_waiting(model: mujoco.MjModel, data: mujoco.MjData, waiting_kg: float,
     """Press the small body on its stop. The force is chosen so that the solver's cost is the same as with the waiting
     boxes on the floor.
 
-    A mass m under the gravity g rests on constraints with the total weight D. In free fall, the solver's cost of the
-    mass is larger than at rest, by (D + m)·g²/2. For the stop and for the boxes, D is proportional to m.
+    Let a mass m rest on constraints under the gravity g, and let D be the sum of the constraints' weights in the
+    solver's cost. The cost of the mass is larger in free fall than at rest, by (D + m)·g²/2. For the stop and for the
+    boxes, D is proportional to m.
     """
     share = (_FLOOR_STIFFNESS + 1.0) * waiting_kg / ((_STOP_STIFFNESS + 1.0) * _MASS_KG)
     data.xfrc_applied[model.body(_NAME).id, 2] = _MASS_KG * gravity_m_s2 * (1.0 - sqrt(share))

@@ -33,7 +33,7 @@ class WorkerJobs:
     """The jobs that a worker holds.
 
     Attributes:
-        threads: number of jobs that the worker simulates at the same time, if its engine simulates job after job.
+        threads: number of the worker's threads, if its engine simulates job after job on each thread.
         ready: whether the worker can take jobs.
         begun: whether the worker has got jobs in this run.
         costs: number of a job → its expected time, for the jobs without an outcome.

@@ -140,8 +140,8 @@ class AttemptProcess:
 
 _IDLE: Final[dict[tuple[int, str], list[Child]]] = {}
 """(Process id, module) → the idle processes that the process with this id started for this module. A fork cannot use
-the idle processes of the original process, since it has no threads that write tasks and read answers. The process id
-keeps them apart, since a fork has another id than the original."""
+the idle processes of the original process, since it has no threads that write tasks and read answers. The key has the
+process id, which differs between a fork and its original process, so a fork finds only its own idle processes."""
 
 
 def _idle_child(module: str) -> Child:

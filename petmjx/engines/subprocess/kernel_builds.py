@@ -59,8 +59,8 @@ def usual_builds(sim: Simulation, gpu: GpuLimits) -> list[KernelBuild]:
 
 
 def all_builds(gpus: Sequence[GpuLimits]) -> list[KernelBuild]:
-    """The kernels for boxes that appear at their places and for boxes that are carried by hand, in plans of all sizes:
-    on these GPUs, and on this CPU."""
+    """The kernels for boxes that appear at their places and for boxes that are carried by hand, in plans of all sizes,
+    for these GPUs and for this CPU."""
     lands = Simulation().physics.has_landings
     on_gpus = [
         KernelBuild(gpu, size, hands, lands)

@@ -35,7 +35,7 @@ class Queues:
     which a load acts beyond or near an edge, according to a quick test of statics (``EdgeRisk``), come before worlds
     without such loads. A run then ends with worlds that stand. How long a collapse takes cannot be predicted, so worlds
     that may collapse begin early. (Of 10,003 generated plans, 42 took more than 5,000 steps, and 40 of these were among
-    the 4,279 plans with a load beyond an edge.) Besides, worlds that fall may be simulated again in stiffer contacts,
+    the 4,279 plans with a load beyond an edge.) Besides, worlds that fall may be simulated again with stiffer contacts,
     which takes up to ten seconds on a CPU thread. A second simulation is likely if a load acts near an edge, so worlds
     with a load near an edge come before worlds with a load beyond an edge.
 

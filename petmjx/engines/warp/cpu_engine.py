@@ -69,6 +69,6 @@ class MjxWarpCpuEngine(MjxWarpEngine):
 
 
 def main() -> None:
-    """The work of the process that simulates long worlds of a GPU to their ends
+    """The work of the process that takes over long worlds from a GPU and simulates them to their ends
     (petmjx/engines/warp/gpu_engine.py)."""
     serve_attempts(lambda _: MjxWarpCpuEngine(1))

@@ -27,8 +27,9 @@ class KeptRollouts:
     def __init__(self, pools: BlockPools) -> None:
         self._pools = pools
         self._kept: dict[tuple[Launch, ...], tuple[object, Rollout]] = {}
-        """Launches of block pools → the rollout that was last used with these launches, and its key. A later table
-        uses the rollout again if the table's options, timetable and block pools equal the key."""
+        """Launches (one for each block pool of a table) → the rollout that was last used with these launches, and the
+        rollout's key. A later table uses the rollout again if the table's options, timetable and block pools equal the
+        key."""
 
     def drop(self) -> None:
         """Free the device's memory that the kept rollouts hold, and keep none of them."""

@@ -189,8 +189,8 @@ def _facts(run: RunResults, plan: Plan) -> Iterator[str]:
 
 
 def _film(run: RunResults, plan: Plan, slides_g: float) -> str:
-    """A text about the film: how many turns are around the load, from which leg on, and the smallest acceleration at
-    which the wrapped load slides (formula in docs/wrap.md).
+    """A text about the film: how many turns of film are around the load, and from which leg on; and the smallest
+    acceleration at which the wrapped load slides (formula in docs/wrap.md).
 
     Args:
         slides_g: smallest acceleration at which the load slides without film, g. In g, this acceleration equals the

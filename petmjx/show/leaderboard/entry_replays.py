@@ -69,8 +69,8 @@ class Sample:
     Attributes:
         packer: name of the entry.
         engine: name of the engine of the replays.
-        exact: whether the entry's run and the replays have the same engine and the same version of petmjx. Then,
-            verdicts can differ only because of rounding.
+        exact: whether the entry's run and the replays have the same engine and the same version of petmjx. If ``exact``
+            is True, verdicts can differ only because of rounding.
         replays: the replays.
         fault: a fault of the entry's run, apart from verdicts that differ from the verdicts of replays; "" if there is
             no such fault.

@@ -26,7 +26,7 @@ from petmjx.show.report.run_settings import changed_options
 from petmjx.version import __version__
 
 MOST_ORDERS: Final = 200
-"""Largest number of orders that the page lists. The runs contain all orders."""
+"""Largest number of orders that the page lists. The runs in the board's folder contain all orders."""
 
 MOST_SENTENCES: Final = 15
 

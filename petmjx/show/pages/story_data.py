@@ -22,8 +22,8 @@ from petmjx.world.job import FORCE
 
 _FAR_M: Final = 0.8
 _FAR_SHARE: Final = 0.5
-"""The view must show each box that is near the planned load at the end: at a distance of less than ``_FAR_M`` +
-``_FAR_SHARE`` × the height of the load."""
+"""The view must show each box that ends near the planned load: at a distance of less than ``_FAR_M`` + ``_FAR_SHARE`` ×
+the height of the load."""
 _LOST_M: Final = 50.0
 """Distance from the origin beyond which boxes are not drawn, m. Boxes beyond 50 m occur in simulations that became
 numerically unstable. If they were drawn, the range of the stored positions would be much larger, so all positions would

@@ -154,8 +154,8 @@ def simulation_of(info: Mapping[str, Any]) -> Simulation:
 
 
 def _block_columns_of_boxes(worlds: Sequence[_World]) -> dict[str, NDArray[Any] | PackedArray]:
-    """The arrays of a block with the boxes of some worlds. The array ``items`` is JSON in UTF-8, with an entry for each
-    kind of box: [item, article, length, width and height in mm, mass in kg]."""
+    """The arrays of a block (compact arrays on a page) with the boxes of some worlds. The array ``items`` is JSON in
+    UTF-8, with an entry for each kind of box: [item, article, length, width and height in mm, mass in kg]."""
     numbers = np.concatenate([world.numbers for world in worlds])
     pos, quat, (tilt, force, rest_force, drop) = numbers[:, :3], numbers[:, 3:7], numbers[:, 7:].T
     target = np.concatenate([world.target for world in worlds])

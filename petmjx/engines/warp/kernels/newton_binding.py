@@ -46,5 +46,5 @@ def newton(
 
 @wp.func_native("return PETMJX_PAUSE_AFTER > 0 && paused.data[lane] != 0;")
 def in_pause(paused: wp.array[int], lane: int) -> bool:
-    """Whether a lane's solver has paused; ``paused`` is the array ``solver_paused``. In kernels without pauses the
-    compiler knows the answer."""
+    """Whether a lane's solver has paused; ``paused`` is the array ``solver_paused``. In kernels without pauses, the
+    result is a constant, so the compiler leaves out the code for pauses."""

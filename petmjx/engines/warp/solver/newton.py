@@ -26,9 +26,9 @@ Five things make this solver fast:
   updated with the linearised equation |j|·w = j (Chan, Golub and Mulet, "A nonlinear primal-dual method for total
   variation-based image restoration", SIAM J. Sci. Comput. 20, 1999; Andersen and others, "An efficient primal-dual
   interior-point method for minimizing a sum of Euclidean norms", SIAM J. Sci. Comput. 22, 2000). The minimum is the
-  same, and the cost decreases along each direction. With the vector w, a step of a sliding pallet takes little more
-  than half as many iterations, and its line searches together take a quarter as many evaluations
-  (benchmarks/notebook/performance.md, "Sliding contacts").
+  same, and the cost decreases along each direction. The vector w nearly halves the number of iterations in a step of a
+  sliding pallet, and reduces the evaluations in its line searches to a quarter (benchmarks/notebook/performance.md,
+  "Sliding contacts").
 
 Accelerations, residuals, forces and gradients are double precision; H and its factor are single precision. Rounding in
 the factor slows the convergence a little; rounding in the gradient would stop the convergence. Every sum has a fixed
@@ -58,8 +58,8 @@ other kernels factor two panels at a time (cholesky_large.cuh)."""
 SLIP_ROUNDS = 12
 """Number of iterations, not counting the first iteration, that may change the slip excess of contacts
 (petmjx/world/contact_laws.py). The other engines change slip excesses between two calls of their solver. With 12
-rounds, steps of bricks that slide and tip take 6.6 iterations (7.4 without slip excesses), and steps of a heap take
-24.9 (21.8 without slip excesses). With 40 rounds, steps of a heap take 40 iterations."""
+rounds, steps of bricks that slide and tip take 6.6 iterations, instead of 7.4 without slip excesses. Steps of a heap
+take 24.9 iterations, instead of 21.8. With 40 rounds, steps of a heap take 40 iterations."""
 
 SLIP_MACROS = {
     "PETMJX_SLIP_ROUNDS": SLIP_ROUNDS,
