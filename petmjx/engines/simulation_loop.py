@@ -36,8 +36,8 @@ MOST_PENDING: Final = 13 * GPU_WORLDS // 8
 also pauses when this number of worlds waits for a further attempt."""
 
 ATTEMPT_WAIT_S: Final = 0.02
-"""Time between two questions for worlds that follow from results, s, while the engine is idle and waits for further
-attempts in other processes or threads."""
+"""Time between two checks whether new worlds follow from results, s. These checks are made while the engine is idle,
+and other processes or threads make further attempts."""
 
 FIRST_WORLDS: Final = 1600
 """Number of worlds with which a GPU begins. 1,600 worlds are enough to keep all thread blocks for worlds of few boxes
@@ -329,8 +329,9 @@ class _AttemptTasks(Generic[AnyWorld]):
     def prepare(self, jobs: Sequence[Job], retries: Sequence[AttemptRecipe]) -> None:
         """At the beginning of a run, start the processes that are worth their cost. A large run gets processes that
         check outcomes. A run of at least ``JOBS_WORTH_A_PROCESS`` jobs gets the process that makes further attempts, if
-        few worlds need such attempts. The first task of the latter process is to simulate one box. In this way, its
-        kernel is compiled before worlds need it: compiling takes as long as simulating many worlds."""
+        few worlds need such attempts. The first task of the process for further attempts is to simulate one box. In
+        this way, the kernel for such attempts is compiled before worlds need it: compiling takes as long as simulating
+        many worlds."""
         if self.needs_pool:
             self.check_pool = self.check_pool or self.lent or check_pool_for(self.engines.primary, len(jobs))
         name = ATTEMPT_ENGINES.get(self.engines.primary.name)

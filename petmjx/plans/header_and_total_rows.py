@@ -35,13 +35,13 @@ def count_known_names(cells: Sequence[Any]) -> int:
 
 
 _LEAST_IN_ROWS: Final = 6
-"""In a transposed table, each row is a field and each further column is a box. A table counts as transposed under two
-conditions. At least this number of cells in its first column are known column names, and every row has fewer known
-column names than the first column."""
+"""In a transposed table, each row is a field, the first column has the names of the fields, and each other column is a
+box. A table counts as transposed under two conditions. At least this number of cells in its first column are known
+column names, and every row has fewer known column names than the first column."""
 
 
 def names_in_rows(rows: Sequence[tuple[Any, ...]]) -> bool:
-    """Whether the column names are in the first column, so that each further column is a box."""
+    """Whether a table is transposed: the names of fields are in the first column, and each other column is a box."""
     n_known = count_known_names([row[0] if row else None for row in rows[:MOST_COLUMNS]])
     return n_known >= _LEAST_IN_ROWS and n_known > max(map(count_known_names, rows[:SEARCHED_ROWS]))
 

@@ -106,8 +106,8 @@ def _with_thousands(
     columns: BoxColumns | ItemColumns, name: str, unit: str, mass: FloatArray, volume: FloatArray, notes: list[str]
 ) -> FloatArray:
     """(n,) masses of the rows, kg. If the column is in grams, "9.500" may mean 9500 g, with a point between thousands.
-    It does if the boxes would be lighter than any real box otherwise, and would not be too heavy with 9500 g. A note
-    tells so.
+    This meaning is chosen if the boxes would otherwise be lighter than any real box, and would not be too heavy with
+    9500 g. Then a note tells the user.
 
     Args:
         name: name of the column.

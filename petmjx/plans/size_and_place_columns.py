@@ -146,8 +146,8 @@ def other_sizes_in(extraction: ColumnExtraction, first: Sizes) -> list[Sizes]:
 
 
 _ROUNDED: Final = 0.05
-"""If a file gives sizes in two units, the relative difference of the two is at most this value. It is due to
-rounding."""
+"""If a file gives sizes in two units, the relative difference of the two is at most this value. The difference is due
+to rounding."""
 
 
 def _are_equal(one: Sizes, other: Sizes) -> bool:
