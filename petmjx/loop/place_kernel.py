@@ -98,10 +98,10 @@ def lower_boxes(
     corner: wp.array2d(dtype=wp.vec3d),
     support: wp.array2d(dtype=wp.float64),
 ) -> None:
-    """One thread for each new box. The arguments are those of ``petmjx.loop.compiled_places.lowered_boxes``. The thread
-    of index 0 has the row ``first_row`` of ``pallet`` and ``size``. The last three arguments are the results: (m,) the
-    number of places of each new box, and (p, m) the corners and the supported shares. In the tables of corners and
-    shares, row k is for the place number k of each box. Few boxes have many places, so few rows are written."""
+    """Each thread lowers one new box. The arguments are those of ``petmjx.loop.compiled_places.lowered_boxes``. The
+    thread of index 0 has the row ``first_row`` of ``pallet`` and ``size``. The last three arguments are the results:
+    (m,) the number of places of each new box, and (p, m) the corners and the supported shares. In the tables of corners
+    and shares, row k is for the place number k of each box. Few boxes have many places, so few rows are written."""
     row = first_row + wp.tid()
     on = pallet[row]
     gap = free[0]
