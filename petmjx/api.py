@@ -63,7 +63,8 @@ def _run(
     watcher: Watcher | None,
     progress: bool,
 ) -> RunResults:
-    """Run the study that ``ask`` makes, with the caller's watcher, or with the watcher that ``watching`` chooses.
+    """Run the study (what is simulated, and how the results are summarised) that ``ask`` makes. If ``watcher`` is None,
+    ``watching`` chooses how the progress of the run is shown.
 
     Raises:
         InputError: the input is unusable, or intervals of forces are requested and SciPy is missing.

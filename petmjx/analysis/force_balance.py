@@ -13,7 +13,7 @@ save time without changing the result:
 - A box with all four corners on the carrier is in balance for any load on its top, because the carrier can always
   balance the load with vertical forces. Such a box is treated as part of the carrier, so it belongs to no structure.
 - Friction, horizontal forces and heights are considered only if vertical forces alone do not balance the boxes. For
-example, friction can hold a box that would tip if it stood alone. This is so if a second box lies across this box and a
+example, a box that would tip if it stood alone may be held by friction if a second box lies across this box and a
 neighbour. If friction is considered, the slack is the larger one of the slack without friction and the slack with
 friction.
 - For a structure of one box, a closed form (``_slack_alone``) gives the slack without a linear programme.
@@ -364,7 +364,7 @@ def friction_slack(
     The friction (fx, fy) at a point is limited by the pyramid |fx| + |fy| ≤ μ f, which is inside the friction cone. So
     a stack that is balanced with the pyramid is also balanced with the cone. In the limit μ f, the force f is not the
     whole pressure at the point, but only its part above the least pressure that the slack requires there (see
-    ``structure``). The sign of the slack is the same as with the whole pressure.
+    ``structure``). If the limit were computed with the whole pressure, the slack would have the same sign.
 
     Args:
         structure: (n,) whether each box belongs to the structure. Each contact corner under these boxes must carry at
@@ -406,7 +406,7 @@ def _hanging_together(
     contacts: PlanContacts, structure: NDArray[np.bool_], newest: int, sides: Sides | None
 ) -> NDArray[np.bool_]:
     """(n,) whether each box has been placed and is connected with the structure: by contacts or, if ``sides`` is given,
-    by sides that touch. The boxes of the structure are connected, too."""
+    by sides that touch. The result is also True for the boxes of the structure."""
     pairs = [np.c_[contacts.upper, contacts.lower]] + ([] if sides is None else [np.c_[sides.first, sides.second]])
     pair = np.concatenate(pairs)
     pair = pair[(pair != CARRIER).all(axis=1) & (pair.max(axis=1) <= newest)]

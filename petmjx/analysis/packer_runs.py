@@ -171,7 +171,7 @@ columns."""
 
 def _worlds_of(runs: Mapping[str, RunResults]) -> pd.DataFrame:
     """One row for each plan and packer: the verdict of the nominal world (the simulation without errors), and columns
-    of the table ``plans`` of the run."""
+    of the table ``plans`` of the packer's run."""
     of_world = ["plan_id", "verdict", "reason", "n_boxes", "margin"]
     worlds = [run.worlds[run.worlds["variant"] == 0].reindex(columns=of_world) for run in runs.values()]
     plans = [run.plans.reindex(columns=["plan_id", "digest", *_OF_PLAN]) for run in runs.values()]

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
 DEFAULT_SAMPLES: Final = 100
 MOST_SHOWN: Final = 10
-"""Largest number of lines about random orders with boxes left out, one line per order. One more line is about orders
-without a packing that stands often enough, and names at most this number of orders."""
+"""Each random order of which boxes are left out gets a line, but at most this number of lines is printed. One more line
+names orders without a packing that stands often enough, but at most this number of them."""
 
 
 @opt.takes(

@@ -256,8 +256,8 @@ class Engines:
         return self.fallback
 
     def attempt_engine(self, job: Job, sim: Simulation, attempt: AttemptRecipe, *, soft: bool, few: bool) -> str | None:
-        """Name of the engine that makes a further attempt at a job beside the engine of the run. If the result is None,
-        the engine of the run makes the attempt.
+        """Name of the engine that makes a further attempt at a job while the engine of the run simulates other jobs. If
+        the result is None, the engine of the run itself makes the attempt.
 
         Args:
             few: whether few worlds need the attempt. If the engine of the run can make the attempt, and many worlds

@@ -9,9 +9,9 @@ additional cost of a landing grows with the square of the number of standing box
 cost next to nothing.
 
 On a device, too, the cost of a step of a full stack grows with the square of the number of boxes. But a plan with more
-boxes is at rest in a larger share of its steps, so the cost of a run grows more slowly. At the end of a run, and of
-each round of a search, the device is nearly idle until the longest worlds end. In runs of a few hundred worlds, the
-wait for the longest worlds takes most of the time.
+boxes is at rest in a larger share of its steps, so the cost of a whole run grows more slowly than that of a step. At
+the end of a run, and of each round of a search, the device is nearly idle until the longest worlds end. In runs of a
+few hundred worlds, the wait for the longest worlds takes most of the time.
 """
 
 from __future__ import annotations
@@ -90,14 +90,14 @@ class ThreadCosts:
     """Measured costs of an engine on one CPU thread.
 
     Attributes:
-        rest_s: time of a step of a world at rest, divided by (number of boxes) to the power ``REST_POWER``, s.
+        rest_s: a step of a world of n boxes at rest takes ``rest_s`` · n^``REST_POWER`` seconds.
         overhead_s: additional time of any step, s.
-        landing_s: additional time for one box to land, divided by the square of the number of standing boxes, s, if
+        landing_s: while one box lands on n standing boxes, steps take ``landing_s`` · n² seconds more in total, if
             ``Work.coupling`` is 1.
-        static_s: additional time for all boxes of a static check to land, divided by the square of their number, s, if
+        static_s: while all n boxes of a static check land, steps take ``static_s`` · n² seconds more in total, if
             ``Work.coupling`` is 1.
-        shaken_s: additional time of each of the first ``SHAKEN_STEPS`` steps of a drive, s per box to the power
-            ``shaken_power``.
+        shaken_s: each of the first ``SHAKEN_STEPS`` steps of a drive of n boxes takes ``shaken_s`` · n^``shaken_power``
+            seconds more.
         shaken_power: see ``shaken_s``. In the drives of 3 to 205 boxes that were measured on each engine, the power is
             2 on ``mujoco``, and 1.75 in the kernels.
         fall_s: additional time of a fall while boxes are placed one by one, until a box has dropped, s. The time of a
@@ -199,13 +199,13 @@ class Costs:
         mujoco, kernel: costs of ``mujoco`` and of ``mjx-warp-cpu`` on one CPU thread.
         kernel_start_s: time to start ``mjx-warp-cpu``, including compilation, s.
         kernel_load_s: time to start ``mjx-warp-cpu`` if an earlier run has compiled the kernel, s.
-        jax_step_s: time of a step of one world of n boxes on ``mjx-jax`` on a CPU, divided by n², s. On two cores, a
-            world of 40 boxes takes 57 steps per second.
-        gpu_step_s: time of a step of ``full_worlds`` worlds on a device, divided by (number of boxes) to the power
-            ``WARP_POWER``, s.
+        jax_step_s: on ``mjx-jax`` on a CPU, a step of one world of n boxes takes ``jax_step_s`` · n² seconds. On two
+            cores, a world of 40 boxes takes 57 steps per second.
+        gpu_step_s: on a device, a step of ``full_worlds`` worlds of n boxes each takes ``gpu_step_s`` ·
+            n^``WARP_POWER`` seconds.
         full_worlds: number of worlds that fill the device.
-        gpu_tail_s: time for which the longest of n worlds leave the device nearly idle, divided by a world's work
-            (``Work.placing``, ``Work.driving``) and by ln(1 + n / ``TAIL_WORLDS``), s.
+        gpu_tail_s: at the end of n worlds, the longest worlds leave the device nearly idle for ``gpu_tail_s`` · w ·
+            ln(1 + n / ``TAIL_WORLDS``) seconds, where w is the work of a world (``Work.placing``, ``Work.driving``).
         host_s: time that the host spends on a world of a run on a device, s.
         gpu_start_s: time to start the device engine, including compilation, s.
         gpu_load_s: time to start the device engine if an earlier run has compiled the kernels, s.

@@ -51,8 +51,8 @@ def resolve_engine(
     hands_over: bool = False,
     earlier: str | None = None,
 ) -> tuple[Engine, Choice]:
-    """The engine of a run, ready to use, and the reason for choosing it. ``auto`` ignores an option (threads or lanes)
-    that its engine does not have.
+    """The engine of a run, ready to use, and the reason for choosing it. ``auto`` ignores an option (``threads`` or
+    ``lanes``) that the chosen engine does not have.
 
     Args:
         costs: costs of the engines; None: the measured costs, scaled to the speed of this machine.

@@ -1,4 +1,5 @@
-"""Prepares the engine of a run while its plans are read: a thread starts JAX and Warp on a GPU, or workers start."""
+"""Prepares the engine of a run while its plans are read. If a GPU simulates, a thread starts JAX and Warp; if workers
+(processes) simulate, the workers are started."""
 
 from __future__ import annotations
 

@@ -53,11 +53,11 @@ by itself. At the steps at which the engine checks whether the pallet is quiet, 
 
 CONFIRM_S: Final = 1.0
 """Shortest time from the first sign of failure to the end of a simulation that only has to confirm a fall
-(``Job.confirms``), s. The simulation ends at a sample at which the culprit is still over a threshold. There is one more
-condition: two further boxes have been placed since the sign, or the last box of the plan was placed at least
-``CONFIRM_S`` seconds ago. The simulation waits for these placements because a flat box that has tipped may become level
-again when the next box is placed on it. The early end saves time: with stiff contacts, a sliding pile takes fifteen
-iterations of the solver per step, and would slide for thousands of further steps."""
+(``Job.confirms``), s. The simulation ends at a sample at which the culprit (the box that failed first) is still over a
+threshold. There is one more condition: two further boxes have been placed since the sign, or the last box of the plan
+was placed at least ``CONFIRM_S`` seconds ago. The simulation waits for these placements because a flat box that has
+tipped may become level again when the next box is placed on it. The early end saves time: with stiff contacts, a
+sliding pile takes fifteen iterations of the solver per step, and would slide for thousands of further steps."""
 
 
 class SampleAt(StrEnum):

@@ -1,8 +1,8 @@
 """Engine handover: a run that begins on C MuJoCo continues in Warp kernels if worlds take longer than expected.
 
-``auto`` chooses this engine for a small amount of work on a machine without a GPU. The choice rests on an estimate of
-time from the numbers of boxes. On C MuJoCo, plans that collapse take many times as long as plans that stand; in the
-kernels, the increase is smaller. So the CPU time of finished worlds is compared with their expected time. If the
+``auto`` chooses this engine for a small amount of work on a machine without a GPU. For this choice, the time of the run
+is estimated from the numbers of boxes. On C MuJoCo, plans that collapse take many times as long as plans that stand; in
+the kernels, the increase is smaller. So the CPU time of finished worlds is compared with their expected time. If the
 kernels would finish the remaining worlds sooner, even with the time for compiling, these worlds go to the kernels.
 """
 

@@ -173,9 +173,10 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation
 
 def edges_again(scene: Scene, outcome: Outcome) -> Iterator[KnifeEdge]:
     """Yield again all distances of loads from edges that ``note_edges`` examined. The result includes two kinds of
-    distances that are in no column of the results. First: distances at which only the own weight of each box is the
-    load. Second: of all loads while the plan is built, the distance of the load that is nearest to an edge, inside or
-    beyond the edge. (The column ``build_edge_m`` has the smallest signed distance instead.)"""
+    distances that are in no column of the results. First: the distance of each box's own weight, without the forces on
+    its top, from the nearest edge. Second: of all loads while the plan is built, the distance of the load that is
+    nearest to an edge, inside or beyond the edge. (The column ``build_edge_m`` has the smallest signed distance
+    instead.)"""
     in_order, at_rest = not np.isnan(outcome.build_edge_m), not np.isnan(outcome.rest_edge_m)
     joined = _Joined([(scene, outcome.n_placed, in_order)])
     if at_rest:
@@ -196,9 +197,9 @@ class _Joined:
     Attributes:
         planned: at least one scene with boxes at their planned places. Each scene comes with two values: the number of
             placed boxes, and whether the smallest distances while the plan is built are needed.
-        elsewhere: further scenes with boxes at other places. Each scene comes with four values: the places (n, 3) of
-            the boxes, m; the number of placed boxes; the largest gap that ``find_bearings`` allows, m; and the upward
-            directions (n, 3) of the boxes.
+        elsewhere: further scenes, with boxes at other places than planned. Each scene comes with four values: the
+            places (n, 3) of the boxes, m; the number of placed boxes; the largest gap that ``find_bearings`` allows, m;
+            and the upward directions (n, 3) of the boxes.
     """
 
     planned: Sequence[tuple[Scene, int, bool]]

@@ -34,7 +34,7 @@ class Progress:
         caller_message: message of the caller of the engine, which is shown while ``message`` is empty.
         work_share: share of the run's work that is done, from 0 to 1. The run, not the engine, sets ``work_share``. If
             ``work_share`` is None, the share of finished worlds is used.
-        at_hand: at least this number of outcomes will follow the last outcome without delay; None if the engine does
+        at_hand: number of outcomes that will certainly follow the last outcome without delay; None if the engine does
             not report this number. The number is used only if the engine's ``run`` is marked with ``says_at_hand``.
         pauses: whether the engine may yield None while no world ends, so that the caller can do other work.
         notes: notes for the results about deviations from the options. Each note occurs once.

@@ -36,8 +36,8 @@ MOST_PENDING: Final = 13 * GPU_WORLDS // 8
 also pauses when this number of worlds waits for a further attempt."""
 
 ATTEMPT_WAIT_S: Final = 0.02
-"""Time between two questions for worlds that follow from results, s, while the engine is idle and waits for further
-attempts in other processes or threads."""
+"""Time between two checks whether new worlds follow from results, s. These checks are made while the engine is idle,
+and other processes or threads make further attempts."""
 
 FIRST_WORLDS: Final = 1600
 """Number of worlds with which a GPU begins. 1,600 worlds are enough to keep all thread blocks for worlds of few boxes

@@ -36,8 +36,8 @@ def put_loads(
     span: wp.array2d(dtype=wp.vec4i),
     loads: wp.array3d(dtype=wp.float32),
 ) -> None:
-    """One thread for each pallet. The arguments are those of ``petmjx.gym.compiled_maps.put_loads``. The thread of
-    index 0 has the row ``first_row``."""
+    """Each thread makes the map of loads of one pallet. The arguments are those of ``compiled_maps.put_loads``. The
+    thread of index 0 has the row ``first_row``."""
     row = first_row + wp.tid()
     on = pallet[row]
     for x in range(loads.shape[1]):

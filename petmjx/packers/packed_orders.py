@@ -47,7 +47,8 @@ class PackedOrder:
         n_items: number of boxes in the order.
         taken: the chosen packing; None if there is no place for any box.
         tried: number of packings among which the packing was chosen (see ``decisive_evaluations``).
-        n_simulated: number of simulated worlds, which may depend on other orders.
+        n_simulated: number of simulated worlds of the order. This number may depend on other orders that are packed at
+            the same time.
         good: whether the plan stands as often as requested.
         left_out: items that the packing leaves out; None if it leaves out no item.
         why: the reason why items are left out; "" if no item is left out.

@@ -64,8 +64,8 @@ class Rest(NamedTuple):
 
     Attributes:
         load: (3,) the box's own weight as a load: kg, kg·m, kg·m.
-        passed: (n, 3, 3) for each of the n earlier boxes, the matrix that turns a load of the box into the part that
-            the earlier box carries. ``passed`` is None if the box stands on the carrier.
+        passed: (n, 3, 3) for each of the n earlier boxes, the matrix that turns a load of the new box into the part
+            that the earlier box carries. ``passed`` is None if the new box stands on the carrier.
         planes: (k, 3) edges of the hull of the box's supports, moved inwards by the margin. The scalar product of an
             edge's row with a load is ≤ 0 if the load acts inside the moved edge.
     """

@@ -23,8 +23,8 @@ NAMES: Final = (
 )
 
 MOST_GAP_MM: Final = 15.0
-"""Largest gap between a box and a neighbour of which the features take account, mm. The errors of a robot are some
-millimetres, so neighbours at larger distances have no effect."""
+"""In the features, a gap between a box and a neighbour is at most this length, mm; larger gaps count as this length.
+The errors of a robot are some millimetres, so neighbours at larger distances have no effect."""
 
 _MARGIN_M: Final = 0.05
 

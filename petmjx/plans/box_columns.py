@@ -101,8 +101,8 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str], units: str, masses
         masses: the unit that an option sets for all masses; "" if no such option is given.
 
     Raises:
-        InputError: a chosen column does not exist, or cannot have the role. If places or sizes are missing,
-            ``geometries`` is empty instead.
+        InputError: a chosen column does not exist, or cannot have the role. Missing places or sizes raise no error:
+            ``geometries`` is then empty.
     """
     extraction = ColumnExtraction(source, chosen, units, masses)
     turns = None

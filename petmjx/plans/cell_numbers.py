@@ -235,7 +235,8 @@ def _with_three_digits(cells: Sequence[Any], decimal: str) -> dict[int, str]:
 
 
 def grams_with_points(cells: Sequence[Any], decimal: str, unit: str) -> dict[int, str]:
-    """Row → text, for the numbers of a column such as "9.500" if they are grams, and could mean 9500.
+    """Row → text, for the numbers with a point in a column of grams: "9.500" could mean 9500. The result is empty if
+    the points cannot separate thousands, or if a number is not in grams.
 
     Args:
         unit: unit of numbers that have no unit in their cell.

@@ -41,7 +41,7 @@ known column names than the first column."""
 
 
 def names_in_rows(rows: Sequence[tuple[Any, ...]]) -> bool:
-    """Whether the column names are in the first column, so that each further column is a box."""
+    """Whether a table is transposed: the names of fields are in the first column, and each other column is a box."""
     n_known = count_known_names([row[0] if row else None for row in rows[:MOST_COLUMNS]])
     return n_known >= _LEAST_IN_ROWS and n_known > max(map(count_known_names, rows[:SEARCHED_ROWS]))
 

@@ -52,10 +52,10 @@ _LIST_PRIOR: Final = {"cm": -1.5, "mm": 0.0, "m": 0.0}
 """Unit that lists of lengths may have → its cost; a smaller cost is more plausible. The unit is cm, as in RoboBPP's
 lists, unless the sizes indicate another unit."""
 ROW_LEAD: Final = 0.75
-"""A weight in a row is usually the weight of one box, even if the row stands for several boxes. But the reading with
-weights of whole rows may have a cost that is lower by more than this value. Both readings then count as possible, and
-the file is refused. For example, boxes in rows of ten may have an implausible 1,500 kg/m³ if a weight is the weight of
-one box, and 150 kg/m³ if it is the weight of the row."""
+"""A weight in a row is usually the weight of one box, even if the row stands for several boxes. But if the reading with
+weights of whole rows has a cost that is lower by more than this value, both readings count as possible, and the file is
+refused. For example, boxes in rows of ten may have an implausible 1,500 kg/m³ if a weight is the weight of one box, and
+150 kg/m³ if it is the weight of the row."""
 _FULL: Final = 1.02
 """Largest share of an order's target (its carrier) that one layer can cover. Some column names do not tell whether
 quantities count the boxes of one layer or of all layers. In this case, if the boxes of a quantity would cover a larger
@@ -93,8 +93,8 @@ class OrderReading:
 
     @classmethod
     def of(cls, options: RunOptions, target: str | None = None) -> OrderReading:
-        """Make an ``OrderReading`` from a run's options about files of orders: units, columns, density, items and a
-        written reading.
+        """Make an ``OrderReading`` from the options of a run: ``units``, ``columns``, ``density``, ``items``, and
+        ``reading`` (a file that describes how files are read).
 
         Raises:
             InputError: the target is unknown, or the file with the reading cannot be read.
@@ -109,7 +109,7 @@ class ForeignOrders:
     Attributes:
         orders: (id, order) of each good order, in the order of the file.
         refused: (id, line) of each refused order.
-        line: how the file was read; "" if no choice had to be made and no column is unused.
+        line: how the file was read; "" if there was nothing to choose and all columns are used.
     """
 
     orders: tuple[tuple[str, Order], ...]

@@ -236,7 +236,7 @@ class OddBoxes:
         """A line for each kind of difference that at least one box has.
 
         Args:
-            whose: "of NAME", with the name of a packer; may be empty.
+            whose: the words "of NAME" for lines about the packer NAME; "" for lines that name no packer.
         """
         for kind, one, many in (
             ("not_ordered", "was not ordered", "were not ordered"),

@@ -23,9 +23,9 @@ MEAN_BOXES = 43.5
 STD_BOXES = 15.0
 MIN_BOXES = 10
 MAX_BOXES = 80
-"""Limits of the number of boxes of an order, which is drawn from a normal distribution. The limits reduce the standard
-deviation by 1, and the packer later leaves out about 1 % of the boxes. After both effects, plans have BED-BPP's 43±14
-boxes."""
+"""Smallest and largest number of boxes of an order. The number is drawn from a normal distribution. The limits reduce
+the standard deviation by 1, and the packer later leaves out about 1 % of the boxes. After both effects, plans have
+BED-BPP's 43±14 boxes."""
 
 EURO_PALLET_SHARE = 0.6
 DISTINCT_SHARE = (0.35, 0.7)

@@ -52,8 +52,8 @@ class SparseField(NamedTuple):
 
     Attributes:
         low, high: limits of the number.
-        unit: its unit, spelled as in names of columns.
-        units: its unit, spelled as in sentences.
+        unit: unit of the number, spelled as in names of columns.
+        units: unit of the number, spelled as in sentences.
         reaches_results: whether results depend on the field.
     """
 
@@ -217,7 +217,7 @@ def pallet_fault(name: str | None, size_mm: Sequence[float]) -> str | None:
 
     Args:
         name: the item's kind.
-        size_mm: its length, width and height, or its extents as placed, mm.
+        size_mm: length, width and height of the item, or its extents as placed, mm.
     """
     if name is None or name not in PALLETS:
         return None

@@ -96,8 +96,8 @@ def load_plans(
             Arrow's stream interface; or boxes in another tool's form: py3dbp's packer or bins, a NumPy array, nested
             dictionaries. Files are BED-BPP's JSON, CSV (``*.csv``, ``*.tsv``) or Parquet, or files of other tools: JSON
             with boxes anywhere, tables of any locale, sheets (.xlsx, .ods), arrays (.npy, .npz), MJCF. JSON and text
-            may be gzipped. A file may have at most 4 GiB; devices and FIFOs are not read. Of a folder, the files
-            of known kinds that are directly in it are read, sorted by name.
+            may be gzipped. A file may have at most 4 GiB; devices and FIFOs are not read. If a path is a folder, all
+            files of known kinds directly in it are read, sorted by name.
         limit: number of good plans after which reading stops.
         strict: whether to raise an error instead of skipping anything.
         max_boxes: largest number of boxes. Plans with more boxes are skipped.
@@ -123,7 +123,7 @@ def load_plans(
 
     Raises:
         InputError: a path does not exist, a folder has no files of plans, a data frame lacks columns, or an argument is
-            invalid. With ``strict``, also if a plan would be skipped.
+            invalid. If ``strict`` is True, a plan that would otherwise be skipped also raises the error.
     """
     if limit is not None:
         integer_of(limit, "limit", 1)
@@ -157,7 +157,8 @@ def read_plans(
     """Like :func:`load_plans`, but without a Python warning.
 
     Args:
-        options: the options limit and strict, and the fields ``READING``.
+        options: the options ``limit`` and ``strict``, and the options that ``petmjx.options.run_options.READING``
+            names.
         reading: how files of other tools are read; None: as the options state.
     """
     given = InputConventions.checked(options.units, options.anchor)

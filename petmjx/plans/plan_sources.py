@@ -158,8 +158,8 @@ def _idle_rows(articles: Articles, plans: Sequence[Plan], name: str) -> list[str
     every row matches a box.
 
     Args:
-        plans: the plans before and after the table is applied. Another row of the table may give a material to boxes.
-            So a row about this material may match a box only after the table is applied.
+        plans: the plans before and after the table is applied. One row of the table may give a material to boxes, and
+            another row may be about this material. The second row matches a box only after the table is applied.
     """
     from petmjx.plans.articles import material_key
 

@@ -306,8 +306,8 @@ _FALL_COST: Final = 1.5
 """Cost of the order in which boxes are listed, for each standard deviation by which the height falls more often than a
 level coordinate."""
 _MOST_FALLS: Final = 0.2
-"""Boxes count as listed along a level axis only if their coordinates along this axis fall in at most this share of the
-steps from one box to the next."""
+"""Boxes count as listed along a horizontal axis only if their coordinates along this axis fall in at most this share of
+the steps from one box to the next."""
 _EARLY_BOX_COST: Final = 0.8
 """Cost of each box that is listed before a box on which it rests. None of the plans with which ``order_cost`` was
 measured has such a box. If these plans are read along another vertical axis, 42 to 46 % (``baseline``) and 66 to 69 %
@@ -339,8 +339,9 @@ _LEAST_OF_WALL: Final = 4  # fewer boxes may be a bridge, which people build to 
 
 
 def share_at_other_heights(layouts: Sequence[Layout]) -> float:
-    """Share of plans that do not begin at the height at which most plans of the file begin. If some plans begin at 0, a
-    plan that begins at the height of one of their boxes is not counted, since it may lack its bottom layer."""
+    """Share of plans whose lowest box is not at the height at which most plans of the file have their lowest box. If
+    some plans have their lowest box at 0, a plan whose lowest box is at the height of any box of these plans is not
+    counted, since it may lack its bottom layer."""
     low = [layout.low[:, 2] for layout in layouts if np.isnan(layout.container[2])]
     if not low:
         return 0.0
@@ -405,7 +406,7 @@ def density_cost(density_kg_m3: float) -> float:
 
 
 def _squared(value: float, usual: float, spread: float) -> float:
-    """d² / 2, where d is the logarithm of value / usual value, divided by ``spread``."""
+    """d² / 2, where d = ln(``value`` / ``usual``) / ``spread``."""
     return (math.log(value / usual) / spread) ** 2 / 2 if value > 0 else 50.0
 
 
@@ -497,8 +498,8 @@ def load_fit(side_mm: float, load_mm: FloatArray, deck_mm: FloatArray, known: bo
 
 
 _WHOLE_MM: Final = 0.03
-"""A length counts as whole millimetres if it differs from whole millimetres by at most this length, mm. Lengths in
-inches have three decimals, so they are not exact after a conversion to millimetres."""
+"""A length counts as a whole number of millimetres if it differs from a whole number by at most this length, mm.
+Lengths in inches have three decimals, so they are not exact after a conversion to millimetres."""
 
 
 def converted_share(lengths_mm: FloatArray) -> float:

@@ -377,7 +377,8 @@ def _scalar(text: str, decimal_marks: str = "") -> Any:
 
 
 def _behind_gap(text: str, at: int, depth: int = 0) -> int:
-    """The position behind white space, separators, comments and values that EDN leaves out ("#_{:x 0}")."""
+    """The first position from ``at`` on that is behind white space, separators, comments, and values that EDN leaves
+    out ("#_{:x 0}")."""
     at = _behind(_GAP, text, at)
     while text.startswith("#_", at):
         _, end = _value(text, _behind(_GAP, text, at + 2), depth + 1)

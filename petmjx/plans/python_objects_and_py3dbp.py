@@ -32,8 +32,9 @@ _CONSTRUCTED: Final = re.compile(
     r"(?<![\w.])(?:[A-Za-z_]\w*\.){0,20}"
     r"(?:Decimal|float(?:32|64)|u?int(?:8|16|32|64)|array)\(([^()]*?)(?:, dtype=\w+)?\)"
 )
-"""A number or an array as Python shows it: "Decimal('60.0')", "np.float64(1.5)", "array([0, 0, 200])". Repetitions in
-this pattern and in those below have limits, since otherwise some texts would take very long."""
+"""A number or an array as Python shows it: "Decimal('60.0')", "np.float64(1.5)", "array([0, 0, 200])". In this pattern
+and in the patterns below, the number of repetitions is limited, since otherwise the search in some texts would take
+very long."""
 _PRINTED_OBJECT: Final = re.compile(r"\[?\s*[A-Za-z_][\w.]*\(\s*[A-Za-z_]\w*=")
 """The beginning of an object with named fields as Python prints it: "Box(x=0, y=0, …)"."""
 _NOT_FINITE: Final = re.compile(r"(?<![\w'\"])(-?(?:nan|inf))(?![\w'\"])")

@@ -271,8 +271,8 @@ def _units(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[_Units]
 
 
 def _deck_of(judged: _Judged, wishes: Wishes) -> tuple[FloatArray, bool]:
-    """Extents of the container along x and y in the file's unit, and True. If the container is unknown, the extents of
-    the load, and False."""
+    """If the container is known: its extents along x and y in the file's unit, and True. If it is unknown: the extents
+    of the load, and False."""
     layout = judged.layouts[0]
     if not np.isnan(layout.container[:2]).any():
         return layout.container[:2], True
@@ -372,8 +372,9 @@ def _reversed_piles(judged: Sequence[_Judged]) -> list[_Judged]:
 
 
 def _lies_better(best: _Judged, other: _Judged) -> bool:
-    """Whether another reading is less plausible only because it is rare. If so, places and units speak clearly for it:
-    boxes overlap, float or are outside in the most plausible reading, but not in the other reading."""
+    """Whether another reading is less plausible only because few files are meant in this way. If so, places and units
+    speak clearly for the other reading: boxes overlap, float or are outside in the most plausible reading, but not in
+    the other reading."""
     of_numbers, of_other_numbers = (one.cost - one.candidate.prior for one in (best, other))
     return best.evidence.n_odd > 0 == other.evidence.n_odd and of_other_numbers + WEAK_LEAD < of_numbers
 

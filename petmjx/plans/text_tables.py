@@ -60,7 +60,7 @@ def decoded_text(data: bytes | bytearray) -> tuple[str, str]:
 
 
 def _known_in_lines(text: str) -> int:
-    """Known names are counted in each of the first lines; the result is the largest count."""
+    """Largest number of known column names in one of the first lines of a text."""
     lines = text.splitlines()[:SEARCHED_ROWS]
     return max((count_known_names(re.split(r"[,;\t|]", line)) for line in lines), default=0)
 

@@ -29,8 +29,8 @@ class Turns:
         codes: (n,) number of each rotation: 0 to 5 as in py3dbp, or the number of quarter turns; −1: unknown.
         letters: (n, 3) the size that lies along each axis, if rotations are written as letters; None: rotations are not
             written as letters.
-        words: the words for rotations 0 and 1, or all words if there is no rule; empty: the cells have numbers or words
-            of known meaning.
+        words: the two words for rotations 0 and 1, or all words if ``rules`` is empty; empty if the cells have numbers
+            or words of known meaning.
         guess_cost: cost of a reading with these rotations if the name of the column is unknown, so that only the cells
             suggest rotations; 0: the name is known.
         faults: row → fault of its cell, if the name of the column is unknown. The faults count only if the cells are

@@ -82,7 +82,7 @@ _TEXTS: Final = frozenset({"plan_id", "verdict", "reason", "coin_toss", "placing
 def confidence_sweep(
     n_worlds: int, errors: Path | None, simulation: Mapping[str, Any], *, exact_too: bool = False
 ) -> Sweep:
-    """The sweep that stands for a score with confidence.
+    """The sweep with which a score with confidence is made.
 
     Args:
         n_worlds: number of worlds with errors for each plan, in addition to the nominal world (without errors).

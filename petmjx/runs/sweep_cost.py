@@ -167,8 +167,8 @@ class _LegShares(NamedTuple):
 
     Attributes:
         simulated: (n,) share of the steps of all legs that are simulated.
-        filmed, gentle: (n,) share of the simulated steps in film, and share of the simulated steps of gentle legs
-            (``_ShakenLeg``).
+        filmed, gentle: (n,) share of the simulated steps in which film holds the pallet, and share of the simulated
+            steps that belong to gentle legs (``_ShakenLeg``).
     """
 
     simulated: FloatArray

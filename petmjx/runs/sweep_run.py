@@ -96,8 +96,8 @@ class SweepRun:
         plan: the sweep with its plans.
         engine: the engine for placements and drives. The engine object must stay the same for the whole sweep, since no
             other object can use its states.
-        progress: progress of the run, which is updated during the simulation. While placements are simulated, its
-            message has the number of placements that have ended.
+        progress: progress of the run, which is updated during the simulation. While placements are simulated,
+            ``progress.message`` has the number of placements that have ended.
         on_answer: function that is called for each answer of a search.
         values_of: function that returns column → value, for the columns that the sweep adds to the row of a world.
         recorded: the completed worlds of the run. Completed worlds are not simulated again; the answers of a search are

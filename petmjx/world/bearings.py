@@ -457,8 +457,9 @@ class Bearing:
 
 
 def _different(load: FloatArray, owner: IntArray, low: FloatArray, high: FloatArray) -> tuple[IntArray, IntArray]:
-    """(d,) the first of all equal loads on equal contacts, and (p,) for each load, its number among these d loads.
-    Plans that differ only in a few boxes have many equal loads. Arguments: as for ``Bearing.pushed``."""
+    """Two arrays of indices, for p loads of which d differ from each other. (d,) The first of each set of equal loads;
+    two loads are equal only if their contacts are equal, too. (p,) For each load, the place of its equal in the first
+    array. Plans that differ only in a few boxes have many equal loads. Arguments: as for ``Bearing.pushed``."""
     ends = np.cumsum(np.bincount(owner, minlength=len(load)))
     loads, areas = load.tobytes(), np.concatenate([low, high], axis=1).tobytes()
     of_load, of_area = load.itemsize * load.shape[1], low.itemsize * 4

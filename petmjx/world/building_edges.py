@@ -266,7 +266,7 @@ def _running_sums(part: FloatArray, begins: IntArray) -> FloatArray:
 
 
 def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: FloatArray) -> None:
-    """Correct, in place, the loads of the boxes below a box on which a support would pull.
+    """If a support would pull on a box, correct the loads of the boxes below this box, in place.
 
     Args:
         bearing: the contacts between boxes and their supports.

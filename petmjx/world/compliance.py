@@ -1,9 +1,9 @@
 """Compliance of boxes: contacts are springs whose stiffness depends on the two boxes that touch.
 
 A load F on top of a box of stiffness k compresses the box by F/k. In this model, half of the compression is at the top
-face, and half at the bottom face. So a box sinks by m·g/2k under its own weight. A face is a bed of springs (Winkler
-1867, "Die Lehre von der Elasticität und Festigkeit") with a stiffness of 2k/A per area, where A is the area of the
-face. If two faces press on one another, their beds of springs are in series. The stiffness of the contact is
+face, and half at the bottom face. So a box sinks by m·g / (2k) under its own weight. A face is a bed of springs
+(Winkler 1867, "Die Lehre von der Elasticität und Festigkeit") with a stiffness of 2k/A per area, where A is the area of
+the face. If two faces press on one another, their beds of springs are in series. The stiffness of the contact is
 proportional to the area in which the two faces overlap, seen from above, at the boxes' planned places. So a box sinks
 deeper if less of its base is supported, and a narrow box presses deeper into its support.
 
@@ -66,7 +66,7 @@ class Face:
     """The properties of a shape that determine how stiff its contacts are.
 
     Attributes:
-        give: area of the shape's face divided by twice the body's stiffness, A/2k, m³/N; 0 if the face is rigid.
+        give: area of the shape's face divided by twice the body's stiffness, A / (2k), m³/N; 0 if the face is rigid.
         middle, half: planned middle and half extents of the shape, m.
         inverse_mass: 1 / mass of the shape's body, 1/kg; 0 if the body does not move.
     """

@@ -10,7 +10,7 @@ If the pressure plane is nowhere negative, its forces already have the least ene
 A contact has the force F and the moments Mx, My about the middle of its area A, whose half lengths are a and b. The
 energy is
 
-    (F² + 3 Mx²/a² + 3 My²/b²) / 2A,   with F ≥ 0, |Mx| ≤ a F and |My| ≤ b F
+    (F² + 3 Mx²/a² + 3 My²/b²) / (2A),   with F ≥ 0, |Mx| ≤ a F and |My| ≤ b F
 
 In the coordinates z = (F, √3 Mx/a, √3 My/b) / √A, the energy is half the squared length of z, and the constraints form
 a square cone. The dual problem has three unknowns for each box: the coefficients of a pressure plane. The force at a

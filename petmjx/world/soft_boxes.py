@@ -13,8 +13,8 @@ its points. So a box of length L also resists tilting like a bed of springs, wit
 its own weight compresses it evenly.
 
 MuJoCo gives each element one contact point. On a flat face, an element's contact point jumps from step to step, and
-boxes tremble. So each point of a box also has a ball, and elements touch a little later than balls. Flat faces
-therefore rest on balls. Elements carry load only where two edges cross.
+boxes tremble. So each point of a box also has a ball, and contacts of elements begin at a smaller distance than
+contacts of balls. Flat faces therefore rest on balls. Elements carry load only where two edges cross.
 """
 
 from __future__ import annotations

@@ -180,8 +180,9 @@ class MjxJaxEngine(Engine):
         with ThreadPoolExecutor(threads, thread_name_prefix="petmjx-mjx-jax") as pool:
 
             def go_on(group: Group, run: BatchRun, added: Mapping[int, Job]) -> None:
-                """Give free rows of a batch to jobs (index → job), and simulate the batch. Memory may already run out
-                while jobs get their rows. So an error of this function is stored as the error of the simulation."""
+                """Give free rows of a batch to jobs (index → job), and simulate the batch. Memory may run out before
+                the simulation begins, while jobs get their rows. So an error of this function is stored as the error of
+                the simulation."""
 
                 def interrupts() -> bool:
                     return stop.is_set() or (run.refills and bool(group.indices) and len(run.ended()) >= run.at_once)

@@ -168,7 +168,7 @@ class Iterate(NamedTuple):
 
     @classmethod
     def unvalued(cls, qacc: Velocities, residual: Rows) -> Iterate:
-        """A state of which only these values are known."""
+        """An iterate of which only the accelerations and the residuals are known."""
         unknown = jnp.float32(jnp.inf)
         return cls(qacc, qacc, residual, residual, qacc, unknown, unknown, jnp.int32(0))
 
@@ -213,8 +213,8 @@ class BlockSolver:
         return iterate
 
     def ends(self, problem: Problem, now: Iterate) -> Bool[Array, ""]:
-        """Whether no iteration follows. Like MuJoCo's solver, this solver ends if the change of the cost or the
-        gradient is below ``problem.least``, or after ``problem.iterations`` iterations."""
+        """Whether no iteration follows. Like MuJoCo's solver, this solver ends if the gradient, or the change of the
+        cost, is below ``problem.least``, or after ``problem.iterations`` iterations."""
         steep = jnp.sqrt(now.gradient @ now.gradient) >= problem.least
         better = now.cost_before - now.cost >= problem.least
         return ~((now.iterations < problem.iterations) & better & steep)

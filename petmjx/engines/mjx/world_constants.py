@@ -34,9 +34,10 @@ class Worlds(NamedTuple):
 
     Body 0 is the carrier, and box k is body k + 1.
 
-    Shapes and boxes: the shapes of body b begin at ``first_shape[b]``, in the order of bodies. ``shape_body`` is the
-    body of each shape. ``half`` has the boxes' half extents. ``middle`` has the vector from each box's centre of mass
-    (the origin of the box's frame) to its middle. For ``inertia_box``, see ``petmjx.world.body_shapes.Body``.
+    Shapes and boxes: shapes are in the order of bodies, and the shapes of body b begin at ``first_shape[b]``.
+    ``shape_body`` is the body of each shape. ``half`` has the boxes' half extents. ``middle`` has the vector from each
+    box's centre of mass (the origin of the box's frame) to its middle. For ``inertia_box``, see
+    ``petmjx.world.body_shapes.Body``.
 
     Contacts: ``floor_friction`` and ``friction`` are sliding, torsional and rolling coefficients. For
     ``shape_surface``, ``pair_friction``, ``pair_landing`` and ``pair_kinetic``, see petmjx/world/friction_pairs.py.

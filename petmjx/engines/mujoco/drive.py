@@ -37,7 +37,8 @@ class ActingDrive:
             self._film = ActingFilm(scene, timestep_s, live.from_carrier()[0])
 
     def next_change(self, step: int) -> int:
-        """The next step before which the force or gravity changes. With film, the force changes before every step."""
+        """Number of the next step after which the force or gravity changes. With film, the force changes after every
+        step."""
         if self._film is not None:
             return step + 1
         place = int(np.searchsorted(self._changes, step, side="right"))

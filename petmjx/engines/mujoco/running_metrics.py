@@ -200,8 +200,8 @@ class OracleMetrics:
         return crossed
 
     def is_lost(self, pos: FloatArray, quat: FloatArray, drive: Drive | None) -> bool:
-        """Whether a box has dropped or is tilted too far in these poses. In a drive, a tilted box must also be beyond
-        the allowed sway."""
+        """Whether a box has dropped or is tilted too far in these poses. In a drive, a tilted box counts only if it has
+        also moved sideways by at least ``drive.allowed_sway_m``."""
         lost = tilt_deg(quat) > self._thresholds.tilt_deg
         if drive is not None and self._sway_origin is not None:
             lost &= self._sway(pos, self._sway_origin) >= drive.allowed_sway_m

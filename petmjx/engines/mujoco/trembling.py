@@ -71,7 +71,7 @@ class Trembling:
         return np.asarray(self.stayed & (np.maximum(self.away_m, moved_m) < _most_away_m(sim, self.path_m)))
 
     def after_look(self, sim: Simulation, pose: FloatArray, speed_m_s: FloatArray, radius_m: FloatArray) -> Self:
-        """The state after another look at the boxes during a wait.
+        """The state after one more check of the boxes during a wait.
 
         Args:
             pose: (n, 7) positions (m) and quaternions of the boxes.

@@ -112,7 +112,7 @@ class Worker:
         self._packets: queue.SimpleQueue[bytes] = queue.SimpleQueue()
 
     def hello(self) -> bytes:
-        """Create the engine, or start to create it. Returns the pickled first message."""
+        """Create the engine, or start a thread that creates it. Returns the pickled first message."""
         error: BaseException | None = None
         device = ""
         try:

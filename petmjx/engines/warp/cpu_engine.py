@@ -39,8 +39,8 @@ class MjxWarpCpuEngine(MjxWarpEngine):
     name = "mjx-warp-cpu"
     depth_first = True
     """On a CPU, few worlds run at once, so few threads are idle at the end of a run even if the last worlds are long.
-    So long worlds need not come first. Worlds that follow from outcomes, such as the drives of a settled pallet, come
-    first instead. So an interrupted run keeps more finished worlds."""
+    Therefore, long worlds need not come first. Worlds that follow from outcomes, such as the drives of a settled
+    pallet, come first instead, so that an interrupted run keeps more finished worlds."""
 
     def __init__(self, threads: int | None = None) -> None:
         if threads is not None and threads < 1:

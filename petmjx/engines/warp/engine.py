@@ -184,8 +184,8 @@ class MjxWarpEngine(Engine):
         waits: bool,
         continued: LongWorlds | None,
     ) -> Generator[SliceResult]:
-        """The ended worlds of one table after another. The iteration stops before a table that needs the other value of
-        ``waits``.
+        """The ended worlds of one table after another. The iteration stops before the first table whose time slices
+        need the other value of ``waits``.
 
         Args:
             waits: whether each time slice waits for the CPU, as it must if worlds are recorded.

@@ -19,8 +19,8 @@ from petmjx.engines.warp.world_table import WorldTable
 MOST_BYTES: Final = 64 << 20
 """Size of the largest frame buffer, bytes. If the largest plan of a run has 45 boxes, a buffer of this size has room
 for 40,000 frames. For worlds of 45 boxes, an H200 has 264 thread blocks. If all worlds are recorded, these blocks write
-about 10,000 frames in 250 ms, which is longer than a time slice on a GPU. A lane that finds no room waits for the next
-slice."""
+about 10,000 frames in 250 ms, which is longer than a time slice on a GPU. A lane (place for a running world) that finds
+no room in the buffer waits for the next slice."""
 
 FRAMES_PER_WORLD: Final = 512
 """Number of frames for which the buffer has room, per recorded world. Even the fastest worlds write fewer frames in a

@@ -59,7 +59,8 @@ class WarpWorlds(OpenWorlds):
 
     Attributes:
         open: the worlds, on the device.
-        simulator: the pure functions that return these worlds changed. Jitted programs can call these functions, too.
+        simulator: the pure functions that return changed states of these worlds. Jitted programs can call these
+            functions, too.
         width: number of boxes for which each world has room.
         boards: number of shapes for which the carrier of each world has room.
     """

@@ -114,7 +114,8 @@ class WorldTable(Batch):
         return np.asarray(self.table.status)
 
     def status_after(self, slice_number: int, status: NDArray[np.int32]) -> NDArray[np.int32]:
-        """(row,) statuses of the worlds after a slice. Worlds that joined after this slice have the status running."""
+        """(row,) statuses of the worlds after a slice. Worlds that joined after this slice have the status
+        ``RUNNING``."""
         running: NDArray[np.int32] = np.where(self.since > slice_number, np.int32(Status.RUNNING), status)
         return running
 

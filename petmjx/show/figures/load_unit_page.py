@@ -57,7 +57,7 @@ MIRRORED: Final = frozenset({"back", "left"})
 
 
 def write_load_unit_pages(run: RunResults, plans: Mapping[str, Plan], path: Path) -> int:
-    """Write a PDF file with a page for each plan of a chain. Returns the number of pages.
+    """Write a PDF file with a page for each plan in the run of a chain. Returns the number of pages.
 
     Raises:
         InputError: the run is not the run of a chain, is not complete, or has too many plans; or none of its plans was

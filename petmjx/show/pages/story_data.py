@@ -81,8 +81,8 @@ def placed_s(history: History) -> FloatArray:
 
 
 def _drive(story: Story) -> dict[str, Any] | None:
-    """What shakes the carrier: its kind ("force" or "acceleration"), its name, and the value that corresponds to 1 g.
-    The result is None if nothing shakes the carrier."""
+    """The force or acceleration that shakes the carrier: its kind ("force" or "acceleration"), its name, and the value
+    that corresponds to 1 g. The result is None if nothing shakes the carrier."""
     if story.drive is None or not np.any(story.history.drive):
         return None
     kind = story.drive.excitation.kind

@@ -77,7 +77,7 @@ class Scale:
     def edges(self, bins: int) -> FloatArray:
         """(bins + 1,) edges of the bins of a histogram. All bins appear equally wide.
 
-        For counts, there may be fewer bins. Each bin then contains the same number of whole numbers. A scale of counts
+        For counts, each bin contains the same number of whole numbers, so there may be fewer bins. A scale of counts
         begins half a unit below a whole number, so that no whole number is on an edge. The last bin may extend beyond
         the scale.
         """

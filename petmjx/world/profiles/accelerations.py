@@ -21,7 +21,7 @@ from petmjx.world.profiles.profile import Profile, Strength, step_averages, step
 from petmjx.world.random_streams import WorldKey
 
 EUMOS_RAMP_S = 0.05
-"""Longest rise of the acceleration to its level that EUMOS 40509 allows, s."""
+"""Longest time that EUMOS 40509 allows for the rise of the acceleration to its level, s."""
 EUMOS_HOLD_S = 0.3
 """Shortest time for which EUMOS 40509 requires the acceleration to stay at its level, s."""
 EUMOS_SOURCE = "EUMOS 40509:2020, test method for load unit rigidity (ramp at most 50 ms, hold at least 0.3 s)"

@@ -24,8 +24,8 @@ class Strength(StrEnum):
     LEVEL = "level"
     """The axis ``level``: its values multiply a profile with a peak of 1 g, so they are levels in g."""
     ANGLE = "angle"
-    """Stands for the strength of a tilt. No axis multiplies a tilt, since a tilt passes through all angles up to its
-    largest angle anyway."""
+    """The strength of a tilt, which is no axis of a sweep: a tilt passes through all angles up to its largest angle
+    anyway."""
 
 
 class Profile(Protocol):

@@ -230,7 +230,8 @@ def run_worlds(
     """Take worlds and step them, until the queue is empty or the time slice is over.
 
     Args:
-        block: number of the lane. The lane's data are in the rows of the workspace with this number.
+        block: number of the lane (place for a running world). The lane's data are in the rows of the workspace with
+            this number.
         thread: the thread's number among the threads that share a world.
         threads: the number of these threads.
         n_blocks: number of all lanes of the call, for worlds of any size.
