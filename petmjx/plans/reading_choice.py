@@ -371,16 +371,17 @@ def _reversed_piles(judged: Sequence[_Judged]) -> list[_Judged]:
 
 
 def _lies_better(best: _Judged, other: _Judged) -> bool:
-    """Whether another reading is less plausible only because it is rare. If so, places and units speak clearly for it:
-    boxes overlap, float or are outside in the most plausible reading, but not in the other reading."""
+    """Whether another reading is less plausible only because it is rare. If so, places and units speak clearly for the
+    other reading: in the most plausible reading, boxes overlap, float or are outside; in the other reading, no box
+    does."""
     of_numbers, of_other_numbers = (one.cost - one.candidate.prior for one in (best, other))
     return best.evidence.n_odd > 0 == other.evidence.n_odd and of_other_numbers + WEAK_LEAD < of_numbers
 
 
 def _along_further_axes(judged: Sequence[_Judged], two: Sequence[_Judged]) -> list[_Judged]:
     """Further readings beside two given readings: for each vertical axis that neither of the two readings has, the most
-    plausible reading. A reading is left out if more boxes are odd in it (overlap, float or are outside) than in the
-    two, or if its layout is less plausible."""
+    plausible reading. A reading is left out if more boxes are odd in it (overlap, float or are outside) than in the two
+    given readings, or if its layout is less plausible."""
     axes = {"-y", "-z", *(one.candidate.up for one in two)}
     further = []
     for other in judged:  # most plausible first
@@ -502,7 +503,8 @@ def _has_guessed_turns(columns: BoxColumns, candidate: Candidate) -> bool:
 
 def _within_reach(judged: _Judged) -> bool:
     """Whether each load, in the most plausible units, fits the largest usual carrier. If coordinates were read in a
-    larger unit than sizes, boxes could be so far apart that they cannot overlap."""
+    larger unit than sizes, boxes could be so far apart that they cannot overlap, and the wrong reading would look
+    plausible."""
     factor = LENGTH_UNITS[judged.units[0].length]
     extents = [(load.low + load.size).max(axis=0) - load.low.min(axis=0) for load in judged.layouts]
     return all(fits_a_carrier(extent * factor) for extent in extents)

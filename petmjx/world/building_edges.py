@@ -136,8 +136,8 @@ def building_loads_of(bearing: Bearing, placed: Sequence[int], before: Sequence[
         bearing: the contacts between boxes and their supports, of one or several scenes. No box may lie on a box that
             is placed later.
         placed: number of boxes of each scene that are placed; later boxes are ignored.
-        before: number of first boxes of each scene whose placements are left out: the result has only the loads after
-            later placements. None: no placement is left out.
+        before: in each scene, the placements of this number of first boxes are left out: the result has only the loads
+            after later placements. None: no placement is left out.
     """
     n, first = len(bearing.boxes.mass), bearing.boxes.first
     begin = np.repeat(first[:-1] + (0 if before is None else before), np.diff(first))
@@ -162,8 +162,8 @@ def _parts(bearing: Bearing, among: NDArray[np.bool_], earliest: IntArray) -> tu
 
     Args:
         among: (n,) the boxes that are placed.
-        earliest: (n,) for each box, the first upper box of its scene. All boxes before this one count as parts of it,
-            so its pairs have the sum of their weights.
+        earliest: (n,) for each box, the first upper box of its scene. This box and all boxes before it count as a
+            single upper box: the parts of their weights are added up.
     """
     n, boxes = len(among), np.flatnonzero(among)
     alone = bearing.n_supports == 1

@@ -53,10 +53,11 @@ class Worlds(NamedTuple):
     dropped (``petmjx.world.job.Job.ends_when_lost``). ``confirm_steps``: a fall is confirmed this number of steps after
     the first sign of failure (``petmjx.engines.metrics.CONFIRM_S``); ``NEVER`` if the world does more than confirm a
     fall.
-    ``pauses``: when its boxes are at rest, the world waits for further boxes (petmjx/engines/open_world_protocol.py).
-    ``ends_when_gone``: the world is a trial, which ends when a box is gone (``petmjx.engines.metrics.GONE_TILT``).
-    ``most_steps`` is the number of steps after which the world leaves a GPU (petmjx/engines/warp/long_worlds.py).
-    ``most_iterations`` is the largest number of solver iterations of the placement or the drive; ``NEVER``: no limit.
+    ``pauses``: the world waits for further boxes when all its boxes are at rest
+    (petmjx/engines/open_world_protocol.py). ``ends_when_gone``: the world is a trial, which ends when a box is gone
+    (``petmjx.engines.metrics.GONE_TILT``). ``most_steps`` is the number of steps after which the world leaves a GPU
+    (petmjx/engines/warp/long_worlds.py). ``most_iterations`` is the largest number of solver iterations of the
+    placement or the drive; ``NEVER``: no limit.
 
     Placing: ``start`` is the release pose of a box whose ``support`` is at its planned place. If the support has sunk
     or risen, the box is released lower or higher, by at most ``most_followed``, m (petmjx/world/release_places.py).

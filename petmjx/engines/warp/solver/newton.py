@@ -25,10 +25,10 @@ Five things make this solver fast:
   30 iterations or more while a pallet slides. Here, j/|j| in the curvature is replaced by a vector w, |w| ≤ 1, which is
   updated with the linearised equation |j|·w = j (Chan, Golub and Mulet, "A nonlinear primal-dual method for total
   variation-based image restoration", SIAM J. Sci. Comput. 20, 1999; Andersen and others, "An efficient primal-dual
-  interior-point method for minimizing a sum of Euclidean norms", SIAM J. Sci. Comput. 22, 2000). The minimum is the
-  same, and the cost decreases along each direction. With the vector w, a step of a sliding pallet takes little more
-  than half as many iterations, and its line searches together take a quarter as many evaluations
-  (benchmarks/notebook/performance.md, "Sliding contacts").
+  interior-point method for minimizing a sum of Euclidean norms", SIAM J. Sci. Comput. 22, 2000). The vector w does not
+  change the minimum, and the cost still decreases along each of the solver's directions. With the vector w, a step of a
+  sliding pallet takes little more than half as many iterations, and its line searches together take a quarter as many
+  evaluations (benchmarks/notebook/performance.md, "Sliding contacts").
 
 Accelerations, residuals, forces and gradients are double precision; H and its factor are single precision. Rounding in
 the factor slows the convergence a little; rounding in the gradient would stop the convergence. Every sum has a fixed
