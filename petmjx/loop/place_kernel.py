@@ -99,9 +99,10 @@ def lower_boxes(
     support: wp.array2d(dtype=wp.float64),
 ) -> None:
     """One thread for each new box. The arguments are those of ``petmjx.loop.compiled_places.lowered_boxes``. The thread
-    of index 0 has the row ``first_row`` of ``pallet`` and ``size``. The last three arguments are the results: (m,) the
-    number of places of each new box, and (p, m) the corners and the supported shares. Row k of these two tables has the
-    place k of each box. Few boxes have many places, so few rows are written."""
+    of index 0 handles the box in row ``first_row`` of ``pallet`` and ``size``, the next thread the next row, and so on.
+    The last three arguments are the results: (m,) the number of places of each new box, and (p, m) the corners and the
+    supported shares. Row k of these two tables has the place k of each box. Few boxes have many places, so few rows are
+    written."""
     row = first_row + wp.tid()
     on = pallet[row]
     gap = free[0]
