@@ -187,7 +187,7 @@ def takes(
     within records become dictionaries. An error about a field names the option in the form in which the user typed it.
 
     Args:
-        fields: names of fields of the two records. If ``fields`` is empty, all fields are used.
+        fields: names of fields of ``Simulation`` and ``RunOptions``. If ``fields`` is empty, all fields are used.
         without: names of the fields that are left out.
         simulated: heading of the options of ``Simulation``.
         more: further option records, each with the heading of its options in the help. The fields of these records

@@ -211,7 +211,7 @@ need further attempts."""
 ENGINE_WITH_ATTEMPT_THREADS: Final = "mjx-warp-cpu"
 """Name of the engine that makes further attempts itself if few worlds need them: on additional threads of the same
 process, while the run goes on. Without additional threads, further attempts would begin only when all first attempts
-have ended, and most threads of the engine would be idle while the last of them runs."""
+have ended. While the last first attempt runs, most threads of the engine would be idle."""
 
 
 @dataclass(eq=False)

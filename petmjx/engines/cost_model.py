@@ -107,8 +107,8 @@ class ThreadCosts:
         hand_s: additional time of a step of a placement by hand, s.
         film_s: additional time of each of the first ``SHAKEN_STEPS`` steps of a drive in film, s per box.
         give_s: additional time of a step, s per compliant box.
-        driven_s: additional time of a step of a drive, s, because forces on tops are summed in each step and contacts
-            slide.
+        driven_s: additional time of a step of a drive, s, because contacts slide, and the forces on the tops of boxes
+            are summed in each step.
         board_s: additional time of a step of a placement on a carrier of boards, s per box, because all pairs of boxes
             and boards are checked.
     """

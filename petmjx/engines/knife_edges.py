@@ -101,9 +101,9 @@ def nearest_edge(edges: Iterable[KnifeEdge], verdict: Verdict | None = None) -> 
 
 
 def sets_flag(edge_m: FloatArray, verdict: Verdict | None, *, rounding_m: float = 0.0) -> NDArray[np.bool_]:
-    """(…) whether loads at these distances from edges set the flag. A load within ``KNIFE_EDGE_M`` of an edge sets the
-    flag. A load within ``NEAR_M`` sets the flag only on the side that contradicts the verdict: beyond the edge in a
-    stable world, inside in an unstable world. NaN does not set the flag.
+    """(…) whether loads at these distances from edges set the flag ``knife-edge``. A load within ``KNIFE_EDGE_M`` of an
+    edge sets the flag. A load within ``NEAR_M`` sets the flag only on the side that contradicts the verdict: beyond the
+    edge in a stable world, inside in an unstable world. NaN does not set the flag.
 
     Args:
         verdict: verdict of the world. If ``verdict`` is None, only ``KNIFE_EDGE_M`` is used.

@@ -54,8 +54,8 @@ _ROWS: Final = 10_000
 table. A part may also have fewer labels."""
 
 SECONDS_PER_PART: Final = 60.0
-"""Time after which the labels of finished episodes (orders packed to the end) are written as a part even if they are
-fewer than ``_ROWS``, s."""
+"""Time, s, after which the labels of finished episodes (orders packed to the end) are written as a part, even if there
+are fewer than ``_ROWS`` labels."""
 
 _MOST_CARD_BYTES: Final = 1 << 20
 

@@ -53,14 +53,14 @@ distance from them (``_least_margin``). For all other loads, ``KNIFE_SHARE`` tim
 acts nearer to the edge than required, the box may seem to rest while it already begins to turn."""
 
 MOST_LOAD: Final = 100.0
-"""A new box stands beyond doubt only if no box that carries it bears more than this load, as a multiple of the carrying
+"""A new box stands beyond doubt only if each box that carries it bears at most this load, as a multiple of the carrying
 box's own mass. Contacts are soft: a box sinks by about 0.003 mm × load / own mass (docs/rules.md, section 8), which is
 0.3 mm for a load of 100 times its own mass."""
 
 MOST_SLENDER: Final = 8.0
-"""A new box stands beyond doubt only if its top is at most at this height above the carrier. The height is a multiple
-of the shortest horizontal side of the new box and of all boxes that carry it. Because contacts are soft, a high pile
-leans more than a low one."""
+"""A new box stands beyond doubt only if the height of its top above the carrier is at most this multiple of a side: the
+shortest horizontal side of the new box and of all boxes that carry it. Because contacts are soft, a high pile leans
+more than a low one."""
 
 HANGING_SHARE: Final = 0.05
 """The weight of a falling box must act outside the box's bearing (the hull of its contacts), at a distance of at least
@@ -213,8 +213,8 @@ class Bounds:
         return self._passed_down(pallets, np.nan_to_num(mass * np.concatenate([np.ones_like(mass), middle], axis=2)))
 
     def _passed_down(self, pallets: NDArray[np.int64], loads: FloatArray) -> FloatArray:
-        """(m, k, 3) the load on each box: its given load, plus the parts of the loads of higher boxes that reach it. A
-        box rests only on boxes placed earlier, so the loads are passed on from the last box to the first."""
+        """(m, k, 3) the load on each box: its given load, plus the parts of the loads of higher boxes that reach this
+        box. A box rests only on boxes placed earlier, so the loads are passed on from the last box to the first."""
         loads = loads.copy()
         for number in range(loads.shape[1] - 1, 0, -1):
             row = np.flatnonzero(loads[:, number, 0] > 0)
@@ -303,8 +303,8 @@ class _Rests:
         under: (m, k) whether the new box lies on each box of the pallet; ``on_carrier``: (m,) whether the new box lies
             on the carrier.
         rests: (m,) whether the new box lies on something, and overlaps no other box.
-        bearers, shares: (m, b) the boxes on which the new box lies, and (m, b, 3, 3) matrices. A matrix computes the
-            share of a load that each of these boxes carries, by the pressure plane of ``petmjx.packers.pile_balance``.
+        bearers, shares: (m, b) the boxes on which the new box lies, and (m, b, 3, 3) matrices. Each matrix gives the
+            part of a load that one of these boxes carries, by the pressure plane of ``petmjx.packers.pile_balance``.
         edges: (m, e, 3) edges of the new box's bearing, as (d, n_x, n_y). A point p is inside an edge by the distance d
             − n · p, mm. d is infinite if the box lies on the carrier, and minus infinity if it lies on nothing.
     """

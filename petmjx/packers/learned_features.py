@@ -46,7 +46,7 @@ SLIVER_MM: Final = 100.0
 MOST_GAP_MM: Final = 400.0
 
 _RING: Final = 3
-"""Width, in cells of the height map, of the ring around a base. The heights in this ring are compared with the box's
+"""Width of the ring around a base, in cells of the height map. The heights in this ring are compared with the box's
 top."""
 
 _LEVEL_MM: Final = 500.0

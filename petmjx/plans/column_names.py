@@ -770,7 +770,7 @@ _UNLOADING: Final = word_set(
     "unload unloading unpack unpacking entladen entladung ausladen dechargement descarga scarico"
 )
 _CODES: Final = word_set("item cargo code codice codigo kod")
-"""Words that may stand beside a word for boxes in the name of a column with the ids of boxes."""
+"""In the name of a column with the ids of boxes, these words may stand beside a word for boxes."""
 _FIRST: Final[tuple[Kind, ...]] = (
     "density", "weight", "volume", "quantity", "layers", "rotation", "strength", "group", "sequence",
 )  # fmt: skip

@@ -114,8 +114,8 @@ def looks_like_own_json(data: bytes | bytearray) -> bool:
 
 
 def is_of_other_tools(data: bytes | bytearray) -> bool:
-    """Whether bytes may be a sheet, an array, a scene, XML or a web page of another tool. Callers only pass bytes that
-    are not UTF-8 text in one of petmjx's forms."""
+    """Whether bytes may be a sheet, an array, a scene, XML or a web page of another tool. Before the call, the caller
+    checks whether the bytes are UTF-8 text in one of petmjx's own forms; this function is only for other bytes."""
     begin = bytes(data[: 1 << 10])
     if (encoding := wide_encoding(data)) is not None:
         begin = begin.decode(encoding, "ignore").encode()

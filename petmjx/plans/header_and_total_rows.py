@@ -169,8 +169,8 @@ def distinct_names(names: Sequence[str]) -> list[str]:
 
 def is_total(row: Sequence[Any], geometric: Sequence[int]) -> bool:
     """Whether a row is a total or a mean. The first text of such a row must be a word for a total or a mean. If the
-    text only begins with a word for a total or a mean, the row must also lack all sizes and places, since a box may be
-    called "Total fruit", and one of its cells may be lost."""
+    text only begins with such a word, the row may also be a box called "Total fruit". Then the row counts as a total
+    only if it lacks all sizes and places, since a single cell of a box may be lost."""
     text = next((cell for cell in row if isinstance(cell, str) and not is_number(cell)), "")
     plain = plain_text(text).strip()
     if not _TOTAL.match(plain):

@@ -308,7 +308,8 @@ class _ItemExtraction(ColumnExtraction):
         """A column with an unknown name that may have quantities, because its cells are small whole numbers; "" if
         there is none.
 
-        If articles are repeated, and no column names orders, each row is a single box, so no column has quantities.
+        If articles are repeated, and no column has the names of orders, each row is a single box, so no column has
+        quantities.
         """
         articles = next((texts for kind in ("article", "item_id") if (texts := self.texts(kind)[0])), None)
         if (

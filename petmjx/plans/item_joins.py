@@ -60,8 +60,8 @@ def with_items(sources: Sequence[BoxSource], path: Path | None, items: Path | No
 
 
 def _with_articles_beside(best: BoxSource, path: Path) -> BoxSource:
-    """Boxes with sizes added from a file of items in the folder of the boxes' file, if the items of exactly one file
-    match. If the items of no file or of several files match, the boxes are returned unchanged."""
+    """The boxes, with sizes from a file of items that is in the same folder as the file of the boxes. If the items of
+    no file or of several files match the boxes, the boxes are returned unchanged."""
     try:
         beside = sorted(file for file in path.parent.iterdir() if file != path and _OF_ITEMS.search(file.name))
     except OSError:

@@ -324,7 +324,7 @@ def repeated_ids(members: Sequence[NestedBox], articles: Collection[int]) -> lis
 
 
 _IDS: Final = ("id", "name", "sscc")
-"""Ends of fields whose texts should differ between plans."""
+"""Endings of the names of fields whose texts should differ between plans."""
 
 
 def _is_part(step: str) -> bool:

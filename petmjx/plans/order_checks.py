@@ -54,7 +54,8 @@ class OrderCounts:
         orders: usable orders in the file.
         ordered_boxes, left_out, not_ordered, resized: boxes (see :class:`PlanOrderCounts`) of all plans that have an
             order.
-        matched_by_size: boxes of these plans without id and article, which were matched by size and mass.
+        matched_by_size: boxes of these plans that were matched by size and mass, because the box or the item has
+            neither id nor article.
         plans_leaving_out: plans that leave out at least one box.
         plans_without_order: plans for which the file has no usable order.
         orders_without_plan, boxes_without_plan: orders that have no usable plan, and their boxes; None: unknown,

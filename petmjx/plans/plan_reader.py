@@ -1,7 +1,7 @@
 """Reads packing plans (``load_plans``): files of all formats become validated plans.
 
-Each unusable plan, entry or file gets one line. Modules that read tables load Arrow, so they are imported only if a
-table is read.
+Each unusable plan, entry or file is reported in one line. Modules that read tables load Arrow, so they are imported
+only if a table is read.
 """
 
 from __future__ import annotations

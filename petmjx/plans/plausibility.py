@@ -266,11 +266,11 @@ def order_cost(layouts: Sequence[Layout]) -> float:
     reversed order. Some files list boxes from the top down.
 
     Packers mostly place boxes from the ground up. From one box to the next, the height falls in 14 % of the steps in
-    plans of the packer ``baseline``, and in 25 % in plans of the packer ``balanced``. Each level coordinate falls in 30
-    % of the steps in plans of ``baseline``, and in 39 % in plans of ``balanced`` (200 plans each, ``petmjx samples -n
-    200 --seed 33901``). If a level coordinate falls less often than the height, its axis may be the vertical. A box is
-    hardly ever placed below a box that is listed before it. In lists in any other order, such as the order of articles,
-    all axes have about the same cost.
+    plans of the packer ``baseline``, and in 25 % in plans of the packer ``balanced``. Each horizontal coordinate falls
+    in 30 % of the steps in plans of ``baseline``, and in 39 % in plans of ``balanced`` (200 plans each, ``petmjx
+    samples -n 200 --seed 33901``). If a horizontal coordinate falls less often than the height, the axis of this
+    coordinate may really be the vertical axis. A box is hardly ever placed below a box that is listed before it. In
+    lists in any other order, such as the order of articles, all axes have about the same cost.
     """
     return min(_cost_in_order(layouts, 1), _cost_in_order(layouts, -1))
 
@@ -298,13 +298,13 @@ def _cost_in_order(layouts: Sequence[Layout], direction: int) -> float:
 
 
 _LARGEST_ORDER_COST: Final = 2.4
-"""Largest cost of the order in which a file lists boxes. The cost is limited because some packers build loads up from
-one side. ``order_cost`` was measured with 200 plans of ``baseline`` and 200 plans of ``balanced``. In 14 plans of
-``baseline`` and in 7 plans of ``balanced``, the height falls more often from one box to the next than a level
-coordinate does."""
+"""Largest cost of the order in which a file lists boxes. The cost is limited because a right reading can have this
+cost, too: some packers build loads up from one side. ``order_cost`` was measured with 200 plans of ``baseline`` and 200
+plans of ``balanced``. In 14 plans of ``baseline`` and in 7 plans of ``balanced``, the height falls more often from one
+box to the next than a horizontal coordinate does."""
 _FALL_COST: Final = 1.5
 """Cost of the order in which boxes are listed, for each standard deviation by which the height falls more often than a
-level coordinate."""
+horizontal coordinate."""
 _MOST_FALLS: Final = 0.2
 """Boxes count as listed along a horizontal axis only if their coordinates along this axis fall in at most this share of
 the steps from one box to the next."""

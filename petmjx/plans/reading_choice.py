@@ -504,7 +504,8 @@ def _has_guessed_turns(columns: BoxColumns, candidate: Candidate) -> bool:
 
 def _within_reach(judged: _Judged) -> bool:
     """Whether each load, in the most plausible units, fits the largest usual carrier. If coordinates were read in a
-    larger unit than sizes, boxes could be so far apart that they cannot overlap."""
+    larger unit than sizes, boxes could be so far apart that they cannot overlap, and the wrong reading would look
+    plausible."""
     factor = LENGTH_UNITS[judged.units[0].length]
     extents = [(load.low + load.size).max(axis=0) - load.low.min(axis=0) for load in judged.layouts]
     return all(fits_a_carrier(extent * factor) for extent in extents)

@@ -139,7 +139,7 @@ class _Scene:
         """Add an object with a mesh.
 
         Args:
-            pose: (4, 4) matrix of the middle of the box.
+            pose: (4, 4) matrix of the box's pose; the origin is the middle of the box.
             size: sizes of the box before its matrix scales it; None: the mesh is no box.
             more: further fields of the object, such as its weight.
         """

@@ -129,8 +129,8 @@ def sizes_in(extraction: ColumnExtraction) -> Sizes | None:
 def other_sizes_in(extraction: ColumnExtraction, first: Sizes) -> list[Sizes]:
     """The further sets of sizes, such as those of a carton beside those of the product in it, or "sp_size_1" … beside
     "size_1" …, if no name shows which set has the sizes of the placed boxes. A set is left out if one of its columns is
-    in an earlier set, if more than a few of its cells are bad, or if its sizes equal those of an earlier set. The
-    faults of bad cells are in ``Sizes.faults``, since they do not matter if the set is not chosen."""
+    in an earlier set, if more than a few of its cells are bad, or if its sizes equal those of an earlier set. The bad
+    cells of a set matter only if the set is chosen, so their faults are stored in ``Sizes.faults``."""
     if first.placed or any(role_of(axis) in extraction.fixed for axis in first.axes) or "sizes" in extraction.fixed:
         return []
     faults = dict(extraction.faults)
@@ -207,7 +207,8 @@ def _columns_of_sizes(extraction: ColumnExtraction) -> Iterator[tuple[tuple[int,
 def _sets_of_columns(header: Sequence[str], picked: Sequence[Sequence[int]]) -> Iterator[tuple[int, ...]]:
     """Yield each set of three columns with sizes. Columns belong to the same set if their names have the same words
     beside the words for sizes ("product_length" and "product_width"). If no three columns have the same words, but all
-    sizes have equally many columns, the first columns of the sizes are a set, and so on.
+    sizes have equally many columns, the first column of each size form a set, the second column of each size form
+    another set, and so on.
 
     Args:
         picked: indices of the columns of each size.

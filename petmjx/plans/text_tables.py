@@ -281,8 +281,9 @@ def _is_sentence(line: str, spans: Sequence[tuple[int, int]]) -> bool:
 
 
 def _is_unlike(words: Sequence[str], words_of_box: Sequence[str]) -> bool:
-    """Whether words are those of a sentence, and not those of a header or the first words of a row with a box: they
-    have at most one number, and not where boxes have numbers."""
+    """Whether words are those of a sentence, and not those of a header or the first words of a row with a box. Words
+    count as those of a sentence if at most one of them is a number, and if the numbers do not have the same positions
+    as in the row of a box. If both rows begin with a number, the words are not those of a sentence."""
     if all(map(is_unit_cell, words)) or count_known_names(words) >= LEAST_KNOWN:
         return False
     are_numbers = [*map(is_number, words)]
@@ -292,7 +293,7 @@ def _is_unlike(words: Sequence[str], words_of_box: Sequence[str]) -> bool:
 
 _DIGITS: Final = re.compile(r"\d+(?:[.,]\d+)?")
 _NUMBERS_OF_A_BOX: Final = 6
-"""Smallest number of numbers in the row of a box: three sizes and three coordinates."""
+"""The row of a box has at least six numbers: three sizes and three coordinates."""
 
 
 def _below_names(units: list[str], line: str, names: Sequence[str], line_above: str) -> list[str]:

@@ -246,9 +246,9 @@ class RunResults:
 
     @cached_property
     def skipped(self) -> pd.DataFrame:
-        """Plans and files that were not simulated, and the reasons. The columns are ``number`` (the number of the plan
-        as in ``plans``; null for an entry that is not a plan, such as a damaged file), ``plan_id``, ``source`` and
-        ``error``."""
+        """Plans and files that were not simulated, and the reasons. The columns are ``number``, ``plan_id``, ``source``
+        and ``error``. ``number`` is the number of the plan as in ``plans``; it is null for an entry that is not a plan,
+        such as a damaged file."""
         columns = ["number", "plan_id", "source", "error"]
         import pandas as pd  # imported here because a run does not need pandas before it has ended
 

@@ -143,8 +143,8 @@ def notebook_bar() -> NotebookBar | None:
 @contextmanager
 def watching(watcher: AnyWatcher | None, progress: bool) -> Iterator[AnyWatcher | NotebookBar | ScriptLines | None]:
     """Yield the watcher of a run: the object that is told about the run's progress. A watcher from the caller is used
-    unchanged. If the caller gives none, a watcher is made that shows a progress bar in a notebook, or, in a script with
-    ``progress``, prints lines on standard error. In other scripts, the watcher is None.
+    unchanged. If the caller gives none, a new watcher is used: in a notebook, it shows a progress bar; in a script with
+    ``progress``, it prints lines on standard error. In other scripts, the watcher is None.
 
     Raises:
         InputError: the given watcher lacks a method that watchers must have.

@@ -1,5 +1,5 @@
-"""Runs a sweep: simulates each placement of boxes once, starts all drives (motions of the carrier) or chains from its
-settled state, and searches for the largest levels survived.
+"""Runs a sweep: simulates each placement of boxes once, starts all drives (motions of the carrier) or chains from the
+settled state of their placement, and searches for the largest levels survived.
 
 The engine gets the placements, drives and legs (parts of a chain) of many plans in one stream, since a GPU is efficient
 only with many simulations at a time. ``petmjx.runs.forked_worlds.Batching`` limits the memory of a sweep.

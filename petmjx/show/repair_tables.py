@@ -14,7 +14,7 @@ from petmjx.repairs.trials import Share
 from petmjx.show.table_layout import line
 
 MOST_STANDING: Final = 20
-"""Largest number of plans that stand without repair for which a line is shown."""
+"""Largest number of lines about plans that stand without repair."""
 
 
 def repair_tables(repairs: Repairs) -> Iterator[RenderableType]:

@@ -180,8 +180,8 @@ def free_begin(
         own_reach: (3,) half extents of the box along x, y and z, m.
         pos: (k, 3) middles of the boxes that already stand, m.
         reaches: (k, 3) half extents along x, y and z of the boxes that already stand, m.
-        most_m: (2, 2) largest distance by which the box may be moved aside, m: axis 0 is the negative and the positive
-            direction, axis 1 is x and y.
+        most_m: (2, 2) largest distances, m, by which the box may be moved aside. Axis 0 is the negative and the
+            positive direction, axis 1 is x and y.
     """
     aside = begin.copy()
     for _ in range(MOST_SIDESTEPS + 1):
@@ -218,8 +218,8 @@ def _approaches(beside: NDArray[np.bool_], approaches: FloatArray | None) -> tup
     directions that the boxes would have on the tines of a fork, each a unit vector along x or y.
 
     A box starts beside its place. The horizontal distance from start to place is the length of the box's direction
-    vector times the option ``placing.side_mm``. If the plan gives no direction, a box moves along x towards the side
-    that has a neighbour, provided that the opposite side has no neighbour, and likewise along y. So a box without
+    vector times the option ``placing.side_mm``. If the plan gives no direction, a box that has a neighbour on only one
+    of its two sides along x moves along x towards this neighbour. The same rule applies along y. So a box without
     neighbours, or between two neighbours, moves straight down. The forward direction on tines is along the axis that is
     nearest to the direction of movement. If the box moves straight down, the forward direction is along an axis on
     which the box has no neighbour; if x and y are equally good, it is along x.

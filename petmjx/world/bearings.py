@@ -414,8 +414,8 @@ class Bearing:
 
     @cached_property
     def borne_together(self) -> list[IntArray]:
-        """For each group of ``levels``, the numbers of all contacts of those upper boxes of the group that have several
-        supports. Contacts with the carrier are included."""
+        """For each group of ``levels``, numbers of contacts: all contacts below those upper boxes of the group that
+        have several supports. Contacts with the carrier are included."""
         groups = []
         upper = self.upper[self.together]
         for between in self.levels:

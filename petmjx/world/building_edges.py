@@ -136,8 +136,8 @@ def building_loads_of(bearing: Bearing, placed: Sequence[int], before: Sequence[
         bearing: the contacts between boxes and their supports, of one or several scenes. No box may lie on a box that
             is placed later.
         placed: number of boxes of each scene that are placed; later boxes are ignored.
-        before: number of first boxes of each scene whose placements are left out: the result has only the loads after
-            later placements. None: no placement is left out.
+        before: in each scene, the placements of this number of first boxes are left out: the result has only the loads
+            after later placements. None: no placement is left out.
     """
     n, first = len(bearing.boxes.mass), bearing.boxes.first
     begin = np.repeat(first[:-1] + (0 if before is None else before), np.diff(first))

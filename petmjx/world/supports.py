@@ -117,9 +117,9 @@ def find_bearings(
 
     Args:
         targets: (n, 3) middles of the boxes in each scene, m.
-        most_gap_m: largest gap below a box's bottom across which the box still counts as lying on a body, m: one value
-            for all scenes, or (s,) one for each scene. The gap can exceed ``TOUCH_M``, since a box may lean onto a
-            lower body.
+        most_gap_m: largest gap, m, below a box's bottom across which the box still counts as lying on a body. One value
+            for all scenes, or (s,) one value for each scene. The gap can exceed ``TOUCH_M``, since a box may lean onto
+            a lower body.
         up: (n, 3) unit vectors along those edges of the boxes in each scene that are vertical in the plan. A tilted box
             touches a body below it where the gap between the two faces is at most ``most_gap_m``. A contact is the
             rectangle around this part of the faces. If ``up`` is empty, all boxes stand upright.

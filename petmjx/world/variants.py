@@ -380,7 +380,7 @@ def _with_room(
 
 
 def _farthest_m(scene: Scene, change: PlacementChange) -> float:
-    """Largest planned gap between two boxes that may touch because of their errors, m."""
+    """Largest planned gap, m, across which two boxes may touch because of errors of their places and sizes."""
     x, y, size, share, yaw = (
         abs(error.centre) + MOST_SPREADS * error.spread
         for error in (change.x_mm, change.y_mm, change.size_mm, change.size_rel, change.yaw_deg)

@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Float, Int
 from petmjx.engines.mjx.mjx_import import mjx
 
 PAIRS_PER_GEOM: Final = 2
-"""Number of pairs, per geom of the world, that are passed to MJX's collider for two boxes at a time."""
+"""MJX's collider for two boxes gets several pairs at a time: this number of pairs for each geom of the world."""
 
 NEAR_M: Final = 1e-4
 """Bounding boxes that are less than this distance apart, m, count as overlapping. Rounding errors are far smaller."""

@@ -17,9 +17,10 @@ from petmjx.world.contact_laws import ENOUGH_M_S2, MOST_ROUNDS, RELAXATION, STIC
 
 FEW_SHARE: Final = 4
 FEW_ITERATIONS: Final = 8
-"""In each pass of a batch, the solver makes one iteration in all worlds, which is enough for worlds at rest. Then the
-solver makes up to ``FEW_ITERATIONS`` further iterations in one in ``FEW_SHARE`` worlds. The reason: boxes land or fall
-in only a few worlds of a batch, and a step of a world that collapses takes 12 iterations on average."""
+"""In each pass of a batch, the solver first makes one iteration in all worlds. For worlds at rest, one iteration is
+enough. Then the solver makes up to ``FEW_ITERATIONS`` further iterations, in at most one of every ``FEW_SHARE`` worlds.
+The reason: boxes land or fall in only a few worlds of a batch, and a step of a world that collapses takes 12 iterations
+on average."""
 
 STEPS: Final = 16
 """In a batch: number of steps that a line search evaluates at once. With 4 steps, some line searches find no step that

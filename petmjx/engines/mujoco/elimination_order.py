@@ -34,7 +34,7 @@ def body_order(scene: Scene, n_boxes: int, contacts: NDArray[np.integer], shaken
         contacts: (m, 2) pairs of boxes that touch now. Contacts with the carrier and the floor are left out.
         shaken: if True, boxes are expected to touch their neighbours at the sides. If ``shaken`` is False, two boxes
             are expected to touch only if one of them stands on the other. On a standing pallet, few boxes touch their
-            neighbours at the sides, and including these pairs would add half as many operations.
+            neighbours at the sides, and including these pairs would increase the number of operations by half.
     """
     joined = _may_touch(scene.start_pos[:n_boxes], scene.half_size[:n_boxes], NEAR_M if shaken else 0.0)
     first, second = contacts.T

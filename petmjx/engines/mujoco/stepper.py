@@ -51,9 +51,9 @@ class Stepper:
 
         Args:
             first: number of the first step.
-            metrics: object that records the forces on tops; None if forces are not needed.
-            acts: whether a drive (motion of the carrier) acts. If a drive acts, the largest forces on tops include the
-                forces in every step.
+            metrics: object that records the forces on the tops of boxes; None if these forces are not needed.
+            acts: whether a drive (motion of the carrier) acts. If a drive acts, the largest forces on the tops of boxes
+                include the forces in every step.
         """
         number, end, budget = first, first + count, self._budget
         while number < end:
@@ -89,9 +89,9 @@ class Stepper:
     def _look(
         self, live: LiveWorld | SoftWorld, number: int, rising: FloatArray, acts: bool, metrics: OracleMetrics
     ) -> None:
-        """Record the forces on tops in this step, if the step counts for the largest forces. All steps of a drive and
-        of a soft world count. Other steps count if the rules check whether the pallet is quiet, or if a body is
-        accelerated upwards by more than ``RISING_M_S2``. (The caller leaves out the steps of calm worlds, see
+        """Record the forces on the tops of boxes in this step, if the step counts for the largest forces. All steps of
+        a drive and of a soft world count. Other steps count if the rules check whether the pallet is quiet, or if a
+        body is accelerated upwards by more than ``RISING_M_S2``. (The caller leaves out the steps of calm worlds, see
         ``_is_calm``.) ``rising``: upward accelerations of bodies, m/s²."""
         if isinstance(live, SoftWorld):
             metrics.add_forces(live.top_forces()[: live.n_free])

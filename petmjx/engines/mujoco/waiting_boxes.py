@@ -23,8 +23,8 @@ _NAME = "waiting"
 _MASS_KG = 1.0
 _PARKING_M = 100.0
 _STOP_STIFFNESS = 99.0
-"""Weight in the solver of the constraint with which the stop holds the small body, divided by the mass of this body:
-impedance / (1 − impedance) with solimp 0.99."""
+"""Weight of the stop's constraint in the solver, divided by the mass of the body that the stop holds: impedance / (1 −
+impedance) with solimp 0.99."""
 _FLOOR_STIFFNESS = 396.0
 """Sum of the constraint weights of the four pyramidal contacts of a box with the floor (solimp 0.99, friction 1),
 divided by the box's mass."""

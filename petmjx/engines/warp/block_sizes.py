@@ -1,9 +1,9 @@
 """Block sizes of mjx-warp: threads and shared memory of a thread block, by the number of boxes of its worlds.
 
-In a step of forty boxes, threads mostly wait for one another's results (latency), so a multiprocessor should simulate a
-second world meanwhile. A step of two hundred boxes is work for many threads. So there are blocks of two sizes. Two
-further block sizes are for worlds of few boxes (small_world_blocks.py), and for the last worlds of a run
-(tail_blocks.py). Each size has its own kernel (block_launch.py).
+In a step of a world with forty boxes, threads mostly wait for one another's results (latency), so a multiprocessor
+should simulate a second world meanwhile. A step of a world with two hundred boxes is work for many threads. So there
+are blocks of two sizes. Two further block sizes are for worlds of few boxes (small_world_blocks.py), and for the last
+worlds of a run (tail_blocks.py). Each size has its own kernel (block_launch.py).
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ FEW_BOXES = Size(15, 512, 1, 96 << 10, worlds=16, pause_after=4)
 at most 96 rows, which are six panels of 16 rows."""
 
 LAST = Size(SIZES[0].most_boxes, 256, 1, 144 << 10)
-"""Blocks for the last worlds of a run, if these worlds fit into the smaller of the two usual sizes. Each of these
-blocks fills a multiprocessor."""
+"""Blocks for the last worlds of a run, if these worlds have at most ``SIZES[0].most_boxes`` boxes. Each of these blocks
+fills a multiprocessor."""
 
 
 USUAL_SIZES: Final = (SIZES[0], FEW_BOXES, LAST)

@@ -28,8 +28,8 @@ def pairs_and_contacts(shapes: int) -> tuple[int, int]:
 
 
 def most_room(size: int) -> int:
-    """Upper limit for the growth of buffers, as a number of boxes. The buffers of a world of the block size ``size``
-    have room for the contacts and pairs of at most this number of boxes.
+    """The buffers of a world of the block size ``size`` grow at most until they have room for the contacts and pairs of
+    this number of boxes.
 
     The limit is the same in all runs, so the largest plan of a run has no influence on whether a world is given up."""
     return MAX_GROWTH * (size + MORE_BOXES)

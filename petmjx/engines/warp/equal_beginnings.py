@@ -24,8 +24,9 @@ _NOT_COMPARED: Final = ("n_boxes", "first_shape", "shape_body")
 
 
 def beginnings(scenes: Sequence[Scene], sim: Simulation) -> list[list[bytes]]:
-    """The keys of each scene. A scene of n boxes has the keys 0 to n. If two scenes have the same key k, and both have
-    more than k boxes, their worlds are the same to the last bit until box k is placed.
+    """For each scene, the keys by which equal beginnings of worlds are recognised. A scene of n boxes has the keys 0 to
+    n. If two scenes have the same key k, and both have more than k boxes, their worlds are the same to the last bit
+    until box k is placed.
 
     All constants of a world that the kernels read are compared, for the carrier and the first k boxes.
     """

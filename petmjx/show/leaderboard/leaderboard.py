@@ -85,8 +85,8 @@ def leaderboard(
         baselines: whether the orders are also packed by each of petmjx's packers, so that these packers are rated, too.
         repairs: names of packers whose plans are also repaired (docs/repair.md). The repaired plans are rated as an
             additional entry ``NAME-repaired``.
-        stories: number of plans per packer that get a page. Plans that fall while another packer's plan for the same
-            order stands come first.
+        stories: number of plans per packer that get a page. Plans that fall come first if another packer's plan for the
+            same order stands.
         replays: number of plans per entry that are simulated again, unless this call has simulated all plans of the
             entry. The plans are chosen at random. Replays have the options with which ``leaderboard`` was called.
             Without such options, they have the options of the runs, or the defaults if the runs have different options.

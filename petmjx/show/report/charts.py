@@ -21,8 +21,8 @@ BINS: Final = 24
 
 GROUPS: Final = 8
 FEWEST: Final = 12
-"""Largest number of groups of about equal size into which worlds are divided along an axis, and the smallest number of
-worlds in a group."""
+"""Along an axis, worlds are divided into at most ``GROUPS`` groups of about equal size, with at least ``FEWEST`` worlds
+in each group."""
 
 MOST_POINTS: Final = 400
 """Largest number of worlds that are drawn as points. If there are more worlds, quantiles are drawn."""

@@ -55,7 +55,7 @@ def _first_partner(worlds: Ref[Worlds], at: Thread, geom: int) -> int:
 
 @wp.func
 def _near(work: Ref[Workspace], at: Thread, one: int, two: int, apart: float) -> bool:
-    """Whether the bounding boxes of two geoms are at most ``apart`` from one another along each axis, m."""
+    """Whether the bounding boxes of two geoms are at most ``apart`` (m) from one another along each axis."""
     reach = work.geom_reach[at.block, two]
     place = work.geom_xpos[at.block, two]
     if one == 0:
@@ -114,8 +114,8 @@ def list_pairs(
     # Data out:
     work: Ref[Workspace],
 ) -> int:
-    """List the pairs of geoms that are at most ``apart`` from one another, m. Returns the number of these pairs, which
-    may exceed the room for pairs.
+    """List the pairs of geoms that are at most ``apart`` (m) from one another. Returns the number of these pairs, which
+    may exceed the number for which there is room.
 
     The pairs whose first geom (the one with the lower number) is g begin at ``geom1_pairadr`` of g. ``geom2_pair``
     lists the pairs of each second geom in order, beginning at ``geom2_pairadr``.

@@ -40,7 +40,7 @@ def newton(
     Reads the accelerations to start from, and the constraints and bodies of contacts. Writes ``qacc``,
     ``contact_force``, ``solver_niter`` and ``solver_paused``. If ``solver_paused`` is not zero, the solver has paused,
     and the next call continues. Other arrays of the workspace are scratch. ``shared`` is a tile in shared memory with
-    ``shared_words`` numbers for each world of a block. The tile holds rows of the factor, and the Hessian, if they fit.
+    ``shared_words`` numbers for each world of a block. The tile holds rows of the factor and, if it fits, the Hessian.
     """
 
 

@@ -118,10 +118,10 @@ def _look_at_the_end(
     """Checks at the end of a world.
 
     Returns:
-        Three answers: whether any point of a box moves too fast now, or has moved too fast since the poses
-        ``still_qpos``, which are ``seconds`` old; whether the rules must wait for such a box; and whether a box is
-        lost. A box is lost if it has dropped, or is tilted too far now. In a drive, a tilted box counts only if it has
-        also swayed as far as its drive allows.
+        Three answers. First, whether any point of a box moves too fast now, or has moved too fast since the poses
+        ``still_qpos``, which are ``seconds`` old. Second, whether the rules must wait for such a box. Third, whether a
+        box is lost. A box is lost if it has dropped, or is tilted too far now. In a drive, a tilted box counts only if
+        it has also swayed as far as its drive allows.
     """
     world = at.world
     moves = bool(False)
@@ -228,8 +228,8 @@ def after_step(
     """Apply all rules between two steps.
 
     Args:
-        presses: whether the largest forces on tops include the forces of this step.
-        nonfinite: whether a body's position or velocity is not finite or out of range.
+        presses: whether the largest forces on the tops of boxes include the forces of this step.
+        nonfinite: whether a body's position or velocity is out of range or not finite.
     """
     world = at.world
     step = state.step[world] + 1

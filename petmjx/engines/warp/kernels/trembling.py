@@ -51,8 +51,8 @@ def find_trembling(
     state: Ref[State],
 ) -> None:
     """At a *look* (a check whether the pallet is quiet), decide for each box whether it trembles (moves to and fro),
-    stays (keeps its place), or does neither (docs/rules.md, section 5). The first period after a placement is not
-    measured.
+    stays (keeps its place), or does neither (docs/rules.md, section 5). Motion is measured in periods of
+    ``tremble_looks`` looks. The first period after a placement is not measured.
 
     Args:
         look: number of the look since the last placement, from 0.
