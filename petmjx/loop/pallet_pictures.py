@@ -40,7 +40,7 @@ def picture(scene: Scene, snapshot: Snapshot, sim: Simulation, size: tuple[int, 
     if reason := why_nothing_is_drawn():
         raise InputError(f"show: {reason}")
     k = len(snapshot.pos)
-    # A scene must have at least one box to be drawn. The box added here is not placed, so it is invisible.
+    # A scene without boxes cannot be drawn, so a box is added. This box is not placed, and so is invisible.
     if not scene.n_boxes:
         scene = EmptyCarrier(sim).with_box(scene, NextBoxes(np.full((1, 3), 0.1), np.zeros((1, 3)), np.ones(1)), 0)
     story = _story(scene, snapshot, sim)

@@ -37,8 +37,9 @@ class Oddities(NamedTuple):
         blocks: (k,) whether the box is above the place of the other box, and is placed before the other box.
         is_blocked: (k,) whether the other box is above the place of the box, and is placed before the box.
         gap_mm: (r,) height of the box above its support when it is placed.
-        outside_mm: (r,) distance by which the box reaches beyond the limits of ``Rules``. The limits are the largest
-            height and the carrier's edges or, if the plan overhangs these edges, the plan's edges.
+        outside_mm: (r,) distance by which the box reaches beyond the limits of ``Rules``. Upwards, the limit is the
+            largest height. Sideways, the limits are the carrier's edges; if boxes of the plan reach beyond an edge, the
+            outermost sides of these boxes are the limits instead.
         through_mm: (r,) depth by which the box reaches through a wall of the carrier.
     """
 

@@ -111,7 +111,8 @@ def confidence_sweep(
 
 
 def _error_sweep_fault(sweep: Sweep) -> str:
-    """An error text about the first forbidden entry of a sweep file of errors; "" if all entries are allowed."""
+    """The message about the first entry that a sweep file with a robot's errors may not have; "" if all its entries are
+    allowed."""
     if sweep.search is not None:
         return "[search] contradicts confidence, which computes a share of worlds: use 'petmjx sweep'"
     if sweep.legs:

@@ -258,8 +258,8 @@ def _add_shapes(
     """Add a body's shapes as geoms. Each geom is larger than its shape on all sides, by a thickness called skin.
 
     A contact of two geoms begins when the geoms overlap by the sum of their skins. For two faces, the contact begins
-    when the shapes themselves touch. Contacts of edges begin up to √2 − 1 skins earlier, contacts of corners up to √3 −
-    1 skins earlier.
+    when the shapes themselves touch. Contacts of edges begin earlier by up to √2 − 1 times the sum of the skins,
+    contacts of corners by up to √3 − 1 times this sum.
 
     If two edges cross, MuJoCo's collider returns either the contact of the faces, or the single point at which the
     edges cross. The collider chooses the point if its depth is at least 5 % smaller than the depth of the faces (MuJoCo

@@ -45,7 +45,7 @@ class _SilentFinder(MetaPathFinder):
     def find_spec(self, fullname: str, path: Any, target: ModuleType | None = None) -> ModuleSpec | None:
         if self._hides_warp and fullname in _WARP:
             raise ModuleNotFoundError(fullname)
-        # ``path`` may have any type, since importlib passes a list of folders, or an iterable of its own
+        # importlib passes a list of folders or an iterable of a private type, so ``path`` is declared as Any
         spec = PathFinder.find_spec(fullname, path) if fullname == _PRINTS else None
         if spec is None or not isinstance(spec.loader, SourceFileLoader):
             return None

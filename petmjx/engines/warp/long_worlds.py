@@ -108,8 +108,8 @@ class LongWorlds:
                 outcome = failed_outcome(answer.number, job, self._sim, answer.message)
                 self._progress.notes[f"{ENGINE} failed to simulate a long world to its end ({answer.message})"] = None
             steps = max(outcome.n_steps - before.n_steps, 0)
-            # The thread that simulates worlds on the GPU also adds to this count. The next line calls no function, so
-            # Python does not switch to that thread within the line.
+            # The thread that simulates worlds on the GPU also adds to ``world_steps``. The next line calls no function,
+            # so Python does not switch to that thread within the line.
             self._progress.world_steps += steps
             history = outcome.history
             if before.history is not None and history is not None:
