@@ -91,9 +91,9 @@ GIVING_STEPS, SWAY_STEPS, SWAY_MM, MOST_SWAY_STEPS = 9.0, 13.0, 15.0, 250.0
 """A pile of compliant boxes sways after each placement. If ``Work.sway_mm`` is w, the pile comes to rest after
 ``GIVING_STEPS`` + ``SWAY_STEPS`` · √w · (1 + w / ``SWAY_MM``) additional steps, at most after ``MOST_SWAY_STEPS``
 additional steps. The period of a mass on springs that it compresses by s is 2π·√(s/g), and the sway w grows in
-proportion to s, so the number of steps grows with the square root of w. A pile that sways by more than ``SWAY_MM`` is close to falling, and comes to rest more
-slowly; a pile that sways much more falls before all boxes are placed. The numbers were fitted to 12 generated plans of
-10 to 73 boxes, each with 11 stiffnesses of 10 to 20,000 N/mm."""
+proportion to s, so the number of steps grows with the square root of w. A pile that sways by more than ``SWAY_MM`` is
+close to falling, and comes to rest more slowly; a pile that sways much more falls before all boxes are placed. The
+numbers were fitted to 12 generated plans of 10 to 73 boxes, each with 11 stiffnesses of 10 to 20,000 N/mm."""
 DISPLACED_COST, CARRIED_COST = 2.8, 4.5
 """Cost of a placement with errors on a device, relative to a placement without errors. ``DISPLACED_COST`` is for boxes
 that appear at places with errors, and may slip into gaps between other boxes. ``CARRIED_COST`` is for boxes that are

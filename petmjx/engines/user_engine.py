@@ -52,7 +52,8 @@ class UserEngine(Engine):
         return getattr(self._engine.run, "takes_stream", False)
 
     def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> OpenWorlds:
-        """What the method ``open`` of the user's engine returns; if it has no such method, what ``Engine.open`` returns."""
+        """What the method ``open`` of the user's engine returns. If the user's engine has no such method, the result of
+        ``Engine.open``."""
         opens = getattr(self._engine, "open", None)
         worlds: OpenWorlds = (super().open if opens is None else opens)(scenes, sim, most_boxes)
         return worlds
