@@ -70,9 +70,8 @@ def tables_of_rows(
     tables[0] = replace(tables[0], lost=(*lost, *tables[0].lost))
     if len(heads) > 1:
         parts: list[str] = []
+        of_report = tables[0].above[:-1]  # each page may begin with these lines, so they are not titles of tables
         for number, table in enumerate(tables, start=1):
-            # each page of a report may begin with these lines, so they are not titles of tables
-            of_report = tables[0].above[:-1]
             titles = [line for line in table.above if line not in of_report]
             continued = parts[-1] if parts and tables[0].above else f"{number}"
             parts.append(table.part or (_without_continued(titles[-1]) if titles else continued))

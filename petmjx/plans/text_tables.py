@@ -248,9 +248,11 @@ def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
         return max(counts.values(), default=0)
 
     rows = max(ways, key=alike)  # if both have equally many rows of one length, ``max`` returns the first
-    boxes = [row for row in rows if sum(map(is_number, row)) >= _NUMBERS_OF_A_BOX]
-    for index in range(rows.index(boxes[0]), len(rows)) if boxes else ():
-        if len(rows[index]) != len(boxes[0]) and _is_unlike(rows[index], boxes[0]):
+    first_box = next(
+        (index for index, row in enumerate(rows) if sum(map(is_number, row)) >= _NUMBERS_OF_A_BOX), len(rows)
+    )
+    for index in range(first_box + 1, len(rows)):
+        if len(rows[index]) != len(rows[first_box]) and _is_unlike(rows[index], rows[first_box]):
             rows[index] = [" ".join(lines[index].split())]
     first = next((index for index, line in enumerate(lines) if line.strip()), 0)
     if (

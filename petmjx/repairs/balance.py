@@ -127,14 +127,14 @@ def balances(
         return [of_number[k] for k in range(len(drafts))]
     known = None
     if parent is not None and len(parent.order) >= LARGE and all(is_plain) and all(are_plain([parent], sim)):
-        known = _Building.of([parent], sim, spare_mm)
+        known = parent, _Building.of([parent], sim, spare_mm)
     for begin in range(0, len(drafts), AT_ONCE):
         some = drafts[begin : begin + AT_ONCE]
-        if known is None or parent is None:
+        if known is None:
             built = _Building.of(some, sim, spare_mm)
             loads, first = built.loads(), built.first
         else:
-            loads, first = _loads_after(some, parent, known, sim, spare_mm)
+            loads, first = _loads_after(some, *known, sim, spare_mm)
         results += _balances(some, loads, _missing_room(some), first, with_loads=with_loads)
     return results
 

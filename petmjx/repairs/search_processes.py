@@ -165,7 +165,8 @@ class SearchProcesses:
 
     def __init__(self, n_searches: int, most: int) -> None:
         self._n_searches, self._most = n_searches, most
-        self._forks = Forks(__name__) if Forks.are_possible and most > 1 and n_searches >= LEAST_PLANS else None
+        self._has_processes = most > 1 and n_searches >= LEAST_PLANS
+        self._forks = Forks(__name__) if Forks.are_possible and self._has_processes else None
         self._children: list[Child] = []
         self._working: list[PipedProcess] = []
         self._parts: list[list[Search]] = []
@@ -180,7 +181,7 @@ class SearchProcesses:
         searches = sorted(searches, key=lambda search: -search.plan.n_boxes)
         parts = [searches[k::n_processes] for k in range(n_processes)]
         self._parts += parts
-        if self._most > 1 and self._n_searches >= LEAST_PLANS:
+        if self._has_processes:
             children = [self._child() for _ in parts]
             for child, part in zip(children, parts, strict=True):
                 child.tasks.put(pickle.dumps(part))

@@ -63,7 +63,9 @@ def still_svg(
         beside: other stories whose pictures have the same scale as this one.
     """
     marked = (story.outcome.culprit,) if marked is None else marked
-    placed, carrier, shown = _last_frame(story)
+    stories = story, *beside
+    frames = [_last_frame(one) for one in stories]
+    placed, carrier, shown = frames[0]
     called = range(story.plan.n_boxes) if numbers is None else numbers
     return _svg(
         placed,
@@ -74,7 +76,10 @@ def still_svg(
         marked,
         len(story.scene.carrier.walls),
         f"Still picture of plan {story.plan.plan_id} as it ended",
-        [_extent(corners(*_joined(*_last_frame(one)[:2])), framed_corners(one)) for one in (story, *beside)],
+        [
+            _extent(corners(*_joined(*frame[:2])), framed_corners(one))
+            for frame, one in zip(frames, stories, strict=True)
+        ],
         numbered,
     )
 
@@ -228,18 +233,22 @@ def _is_inside(point: FloatArray, corners_of_face: FloatArray) -> bool:
     return bool((sides > 0).all() or (sides < 0).all())
 
 
+def _normal(axes: FloatArray, number: int) -> FloatArray:
+    """(3,) outward normal of a face of a box."""
+    normal: FloatArray = axes[:, number // 2] * (1 if number % 2 else -1)
+    return normal
+
+
 def _faces_eye(axes: FloatArray, number: int) -> bool:
     """Whether a face of a box is turned towards the eye."""
-    normal = axes[:, number // 2] * (1 if number % 2 else -1)
-    return bool(normal @ _TOWARDS > 1e-9)
+    return bool(_normal(axes, number) @ _TOWARDS > 1e-9)
 
 
 def _face(flat: FloatArray, axes: FloatArray, fill: str, number: int) -> str:
     """A face of a box as an SVG polygon; "" if the face is turned away from the eye."""
     if not _faces_eye(axes, number):
         return ""
-    normal = axes[:, number // 2] * (1 if number % 2 else -1)
-    light = 0.62 + 0.38 * max(float(normal @ _SUNWARD), 0.0)
+    light = 0.62 + 0.38 * max(float(_normal(axes, number) @ _SUNWARD), 0.0)
     red, green, blue = (light * part for part in rgb_of(fill))
     points = " ".join(f"{x:.1f},{y:.1f}" for x, y in flat[list(_FACES[number])])
     return f'<polygon points="{points}" fill="{hex_of((red, green, blue))}"/>'
