@@ -180,7 +180,7 @@ def _knife_edge(story: Story) -> str:
     table_edges = list(kept_edges(vars(outcome), outcome.boxes.plan_edge_m, outcome.boxes.rest_edge_m))
     recomputed_edges = list(edges_again(story.scene, outcome))
     nearest = nearest_edge(table_edges, outcome.verdict)
-    if nearest is None:  # the tables do not have the nearest edge, for example if the load is a box's own weight
+    if nearest is None:  # no distance in the tables set the flag; the tables lack the distance of a box's own weight
         nearest = nearest_edge(recomputed_edges, outcome.verdict) or nearest_edge([*table_edges, *recomputed_edges])
     else:  # unlike the tables, the recomputed edges tell whether the load is the box's own weight
         nearest = next((edge for edge in recomputed_edges if is_same_edge(edge, nearest)), nearest)

@@ -137,7 +137,7 @@ class Simulation(CheckedRecord):
         2.0,
         ge=0,
         description="pause between the last placement and a profile (a motion of the carrier), s; with "
-        "schedule=adaptive, only pallets that have failed make this pause",
+        "schedule=adaptive, only pallets that have failed have this pause",
     )
     rest_s: Annotated[float, within(0, LONGEST_S), CliFlag("--rest", "S")] = Field(
         1.0,

@@ -28,7 +28,7 @@ bytes."""
 
 _FIRST: Final = re.compile(rb"[ \t\n\r]*+\{")
 _LAST: Final = re.compile(rb"\}[ \t\n\r]*+\Z")
-"""The outermost braces of a file."""
+"""The opening brace at the beginning of a file, and the closing brace at its end."""
 
 _CUT: Final = re.compile(
     rb'\][ \t\n\r]*+(,)[ \t\n\r]*+"(?:[^"\\]|\\.)*+"[ \t\n\r]*+:[ \t\n\r]*+\[[ \t\n\r]*+\{', re.DOTALL

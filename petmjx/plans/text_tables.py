@@ -247,7 +247,7 @@ def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
         counts = Counter(len(row) for row in rows if len(row) > 1)
         return max(counts.values(), default=0)
 
-    rows = max(ways, key=alike)  # if both have equally many rows of one length, ``max`` returns the first
+    rows = max(ways, key=alike)  # if both ways give equally many rows of equal length, the first way is taken
     first_box = next(
         (index for index, row in enumerate(rows) if sum(map(is_number, row)) >= _NUMBERS_OF_A_BOX), len(rows)
     )

@@ -83,7 +83,8 @@ def targets(
 
     A cause is a box whose load went beyond an edge before the world ended. This box must have fallen, or bear a fallen
     box. A box that floats or overlaps in the plan is also a cause if it has fallen or bears a fallen box. If no load is
-    a cause, all boxes that float or overlap are causes. The culprit and its supports are less likely causes.
+    a cause, all boxes that float or overlap are causes. Unless they are causes for these reasons, the culprit and its
+    supports come last: simulations and statics may differ.
 
     Args:
         culprit: number of the box that first crossed a limit; None if no box crossed one.
@@ -193,8 +194,8 @@ def _orders(draft: Draft, target: Target) -> Iterator[Proposal]:
 
 
 def _earlier(draft: Draft, target: Target) -> Iterator[Proposal]:
-    """Changes of the packing order for a squeezed box (one that is lowered between two others): the squeezed box is
-    placed before one of the two others, or one of the two others is placed after the squeezed box."""
+    """Changes of the packing order for a squeezed box (one that is lowered between two others): the squeezed box comes
+    before one of the two others. Either the squeezed box moves forward in the order, or the other box moves back."""
     box = target.box
     for number, _, _ in _tight(draft, target):
         needed = [low for low in reversed(draft.below(box)) if draft.rank[low] > draft.rank[number]]

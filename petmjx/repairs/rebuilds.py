@@ -117,8 +117,8 @@ def _piles(failure: Failure, rules: Rules, leaves_out: bool) -> Iterator[_Pile]:
 
 
 def _side_by_side(parts: Sequence[Judging[Result]], rules: Rules, sim: Simulation) -> list[Result]:
-    """The results of several generators (``Judging``) whose piles are judged together. Statics judges only when all
-    generators wait for statics."""
+    """The results of several generators (``Judging``) whose piles are judged together. Statics examines piles only
+    when all generators wait for it."""
     results: dict[int, Result] = {}
     answers: dict[int, Any] = dict.fromkeys(range(len(parts)))
     requests: dict[int, PileRequest] = {}

@@ -263,7 +263,8 @@ class Question:
 
     def jobs(self, asked: Sequence[Asked]) -> list[Job | None]:
         """For each draft, the job of the world in which the draft is judged; None if the draft is scored. If pallets
-        must survive a profile, all drafts are scored, except in worlds with errors, which are not shaken.
+        must survive a profile, drafts are scored, not judged. Only worlds with errors are judged even then, because
+        they are not shaken.
 
         Most drafts fall, and falling boxes are the costliest part of a simulation. So the world of a judged draft ends
         as soon as a box has tilted by more than ``JUDGED_TILT_DEG``. This early end saves three quarters of the time of
@@ -515,9 +516,9 @@ class TrialStream:
         """
         request = _Request(ticket, drafts)
         self._n_open += 1
-        # Tables of the engine always have room for the largest plan of any search. Even if the drafts of this plan are
-        # being scored now, its search may soon request judged drafts again, and programs are compiled for each size of
-        # a table.
+        # Tables of the engine always have room for the largest plan of any search, even while none of its drafts is
+        # judged. Its search may soon request judged drafts again, and a larger table would then need programs that are
+        # not compiled yet.
         self._most_boxes = max(self._most_boxes, *(one.draft.plan.n_boxes for one in drafts))
         numbered: dict[object, list[tuple[int, Job | None]]] = {}
         for number, (one, job) in enumerate(zip(drafts, self._question.jobs(drafts), strict=True)):

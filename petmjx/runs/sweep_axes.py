@@ -53,7 +53,7 @@ DIRECTIONS_DEG: Final = {"+x": 0.0, "+y": 90.0, "-x": 180.0, "-y": 270.0}
 Value = float | str | Distribution
 
 
-# Numbers, ranges of numbers, and lists.
+# Checks of values on axes: numbers, ranges of numbers, and lists.
 
 T = TypeVar("T")
 

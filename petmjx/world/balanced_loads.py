@@ -141,7 +141,7 @@ def _solved_loads(
     reach = np.repeat(passed[contacts].T[changed], 4, axis=1)
     place, normal, offset = _edges_of(bearing, changed)
     offset = offset - normal @ middle
-    # the rows for edges are divided by the loads in ``load``, so that these rows, and the solver's tolerance, are in m
+    # the rows for edges are divided by the loads (``weight``), so that these rows, and the solver's tolerance, are in m
     edges = np.zeros((len(place), least + 1))
     edges[:, :f] = reach[place] * (normal @ corner[1:] - offset[:, None]) / weight[place, None]
     edges[np.arange(len(place)), outside + place], edges[:, least] = 1.0, -1.0
