@@ -1,9 +1,10 @@
 """Writes the folder of a run while worlds are simulated. petmjx.results.run_folder describes the layout of the folder.
 
 One thread owns the folder. Other threads put finished worlds and requests into a queue, and the owning thread processes
-the queue in order. The owning thread collects worlds into parts (files), and writes each part once: when the part is
-full, when a world has waited for a minute, on request, or at the end. Signals interrupt only the main thread, so they
-never interrupt a write.
+the queue in order. The owning thread collects worlds into parts (files), and writes each part once. It writes all
+waiting worlds when a part is full, when a world has waited for a minute, when it writes the table ``placements`` (2 s
+after the run's folder was opened), on request, and at the end. Signals interrupt only the main thread, so they never
+interrupt a write.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ this time."""
 
 PLACEMENTS_S: Final = 2.0
 """Delay before a run writes its table ``placements``, s, unless worlds are written earlier. Writing the table takes 0.3
-s for 10,003 plans, and would otherwise delay the first worlds."""
+s for 10,003 plans, and would otherwise delay the first worlds. The worlds that wait at this time are written, too."""
 
 REPLY_WAIT_S: Final = 1.0
 """Time between two checks whether the writer's thread is still running, s, while another thread waits for an answer."""
@@ -166,7 +167,7 @@ class RunWriter(RunInfo):
         self._room: SimpleQueue[None] = SimpleQueue()
         self._thread = threading.Thread(target=self._work, name="petmjx-writer", daemon=True)
         self._added_bytes = 0  # Changed only by the thread that adds worlds.
-        self._cut_short = False  # Whether an error ended the run. Set only by the main thread.
+        self._cut_short = False  # Whether an error ended the run. Never set by the writer's thread.
         # Once the writer's thread has started, only this thread uses the attributes below.
         self._tables = Tables(self.out_dir, MemoryParts(Path(), {}) if self._in_memory else None)
         self._temporary: tempfile.TemporaryDirectory[str] | None = None

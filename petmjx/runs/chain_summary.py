@@ -52,7 +52,7 @@ _DESCRIPTIONS: Final = {
     "share": "n_standing / (n_worlds - n_invalid); null if no world has a verdict",
     "low": "lower end of the Wilson 95 % interval of `share`; null if nothing is drawn at random",
     "high": "upper end of the Wilson 95 % interval of `share`; null if nothing is drawn at random",
-    "weakest_leg": "in rows about the whole journey: leg in which most worlds failed; empty if no world failed",
+    "weakest_leg": "in rows about the whole journey: leg with the most failures; empty if no world failed",
     "box": "number of the box that most often failed first in the leg `weakest_leg`; null if the row is about all "
     "plans",
     "only_with": "in rows about the whole journey with a remedy: number of worlds that arrive only with the remedy; "

@@ -30,7 +30,14 @@ from support.tiny_worlds import SHORT, SOME_NS, engine, shared_engine, tiny, tin
 from petmjx.engines.attempt_threads import AttemptThreads
 from petmjx.engines.mjx.world_constants import NEVER
 from petmjx.engines.mjx.world_state import State, Status
-from petmjx.engines.subprocess.attempt_process import AttemptAnswer, AttemptProcess, AttemptSimulator, AttemptTask
+from petmjx.engines.subprocess.attempt_process import (
+    JOBS_WORTH_A_PROCESS,
+    READY,
+    AttemptAnswer,
+    AttemptProcess,
+    AttemptSimulator,
+    AttemptTask,
+)
 from petmjx.engines.warp import world_table
 from petmjx.engines.warp.cpu_engine import MjxWarpCpuEngine
 from petmjx.engines.warp.engine import MjxWarpEngine
@@ -186,6 +193,21 @@ def test_a_run_pauses_while_only_long_worlds_are_left() -> None:
         (7, Verdict.INVALID, "no memory")
     ]
     assert "mjx-warp-cpu failed to simulate a long world to its end (no memory)" in progress.notes
+
+
+@pytest.mark.parametrize(
+    ("schedule", "n_jobs", "tasks"),
+    [
+        ("adaptive", JOBS_WORTH_A_PROCESS, [READY]),
+        ("adaptive", JOBS_WORTH_A_PROCESS - 1, []),
+        ("fixed", JOBS_WORTH_A_PROCESS, []),
+    ],
+)
+def test_the_process_starts_early_only_if_many_worlds_may_leave(schedule: str, n_jobs: int, tasks: list[int]) -> None:
+    simulator = Late(1)
+    sim = Simulation().changed(schedule=schedule)
+    LongWorlds(simulator, sim, Progress()).prepare([Job(make_scene(2))] * n_jobs)
+    assert [task.number for task in simulator.tasks] == tasks
 
 
 def test_which_worlds_leave_depends_on_their_jobs_alone() -> None:

@@ -1,4 +1,5 @@
-"""The code of a process that compiles kernels of mjx-warp. The process needs no GPU, and ends with the run."""
+"""The code of a process that compiles kernels of mjx-warp. The process needs no GPU, and ends when no
+kernel is left to compile."""
 
 from __future__ import annotations
 

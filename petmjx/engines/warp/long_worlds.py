@@ -62,16 +62,18 @@ class LongWorlds:
     def __init__(self, simulator: AttemptSimulator, sim: Simulation, progress: Progress) -> None:
         self._simulator, self._sim, self._progress = simulator, sim, progress
         self._many, self._prepared = False, set[bool]()
-        """Two values: whether there are at least ``JOBS_WORTH_A_PROCESS`` jobs; and the kinds of worlds for which the
-        process has been made ready, True for worlds with a drive and False for worlds without."""
+        """Two values: whether there are at least ``JOBS_WORTH_A_PROCESS`` jobs whose worlds may leave the GPU; and the
+        kinds of worlds for which the process has been made ready, True for worlds with a drive and False for worlds
+        without."""
         self._left: dict[int, tuple[Job, Outcome]] = {}
         """For each world that a CPU thread continues: stream number → the job of the world, and the outcome with which
         the world left the GPU."""
 
     def prepare(self, jobs: Sequence[Job]) -> None:
         """Start the process before the first slice, if there are many jobs. The process then simulates a world of one
-        box, so that it has loaded its kernel and programs before they are needed."""
-        self._many = len(jobs) >= JOBS_WORTH_A_PROCESS
+        box, so that it has loaded its kernel and programs before they are needed. With the fixed schedule, the process
+        is not started, since no world leaves the GPU (``most_steps``)."""
+        self._many = len(jobs) >= JOBS_WORTH_A_PROCESS and self._sim.schedule is not Schedule.FIXED
         if self._many:
             self._get_ready(jobs[0])
 
