@@ -161,7 +161,8 @@ class _AttemptRun(Generic[AnyWorld]):
     def results(self, worlds: Iterable[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
         """Simulate worlds in all attempts that they need; yield each result when it is final."""
         source = WorldPrefetch(worlds, partial(self._put_world, bounded=True), self.stream, self._has_room)
-        self.first_runner.put_following = self._put_following
+        if self.following is not None:
+            self.first_runner.put_following = self._put_following
         try:
             source.start()
             yield from self._rounds(source)
