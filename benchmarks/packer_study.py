@@ -48,7 +48,7 @@ JUDGED: Final = ("stands", "share", *(f"at_{level:g}_g" for level in LEVELS_G), 
 """Names of the measures of packing (``PACKED``), and of the measures by physics (``JUDGED``)."""
 
 
-class Asked(NamedTuple):
+class StudySettings(NamedTuple):
     """The scope of a study.
 
     Attributes:
@@ -80,7 +80,7 @@ class Asked(NamedTuple):
         return {"engine": self.engine, "threads": self.threads}
 
 
-def study(sets: Mapping[str, Sequence[Numbered]], settings: Asked) -> list[dict[str, Any]]:
+def study(sets: Mapping[str, Sequence[Numbered]], settings: StudySettings) -> list[dict[str, Any]]:
     """One line of results for each set of orders: values for the plans of each packer, and differences between packers
     on the same orders. All plans are scored in one run and shaken in another run, because a run of many worlds costs
     little more than a run of one world.
@@ -101,7 +101,7 @@ def study(sets: Mapping[str, Sequence[Numbered]], settings: Asked) -> list[dict[
     return lines
 
 
-def _line(name: str, tables: Mapping[str, pd.DataFrame], settings: Asked) -> dict[str, Any]:
+def _line(name: str, tables: Mapping[str, pd.DataFrame], settings: StudySettings) -> dict[str, Any]:
     against = [other for other in (BALANCED, *RULES_ONLINE) if other in tables]
     return {
         "case": "packer-study",
@@ -121,7 +121,7 @@ def _line(name: str, tables: Mapping[str, pd.DataFrame], settings: Asked) -> dic
     }
 
 
-def _packed(name: str, orders: Sequence[Numbered], settings: Asked) -> dict[str, Packings]:
+def _packed(name: str, orders: Sequence[Numbered], settings: StudySettings) -> dict[str, Packings]:
     by = {
         packer: packs
         for packer, packs in packers(settings.policy).items()
@@ -159,7 +159,7 @@ def _plans(
     return plans
 
 
-def _judged(plans: Mapping[_Key, Plan | None], settings: Asked) -> pd.DataFrame:
+def _judged(plans: Mapping[_Key, Plan | None], settings: StudySettings) -> pd.DataFrame:
     """Whether plans stand when placed exactly, and the share of worlds with errors in which they stand. An order
     without a plan counts as one whose plan falls."""
     some = [plan for plan in plans.values() if plan is not None]
@@ -182,7 +182,7 @@ def _judged(plans: Mapping[_Key, Plan | None], settings: Asked) -> pd.DataFrame:
     return _by_key(plans, columns)
 
 
-def _shaken(plans: Mapping[_Key, Plan | None], settings: Asked) -> pd.DataFrame:
+def _shaken(plans: Mapping[_Key, Plan | None], settings: StudySettings) -> pd.DataFrame:
     """For each plan and level, the share of directions in which the plan survives the level."""
     some = [plan for plan in plans.values() if plan is not None]
     if not some:

@@ -209,7 +209,7 @@ def packers(
     **options: Any,
 ) -> None:
     """How dense, sure and firm the plans of packers are, on the same orders (docs/packers.md)."""
-    from benchmarks.packer_study import Asked, study
+    from benchmarks.packer_study import StudySettings, study
     from benchmarks.result_fields import append_line
     from benchmarks.robobpp import read_set
     from petmjx.common.machine import cpu_threads
@@ -219,7 +219,7 @@ def packers(
     sets = {f"seed {seed}": list(orders_of(None, n, seed))} if n else {}
     for path in orders or ():
         sets[path.name] = list(read_set(path) if path.suffix in (".xlsx", ".txt", ".csv") else orders_of(path, None, 0))
-    settings = Asked(
+    settings = StudySettings(
         judged=judged,
         physical=physical,
         worlds=worlds,

@@ -23,7 +23,7 @@ from petmjx.repairs.drafts import TOLERANCE_MM, Draft, key_of, keys_of
 from petmjx.repairs.proposals import MOST_TARGETS, Proposal, Target, proposals, targets
 from petmjx.repairs.rebuilds import Failure, rebuilds
 from petmjx.repairs.repair_options import RepairOptions
-from petmjx.repairs.requests import Asked, Steps, Trial
+from petmjx.repairs.requests import Steps, Trial, TrialRequest
 
 PILE: Final = 4.0
 """A box that falls is taken off together with all boxes that would lose their support without it. A repair is expected
@@ -450,7 +450,7 @@ class Candidates:
         simulated again."""
         if not judged:
             self._spend(len(drafts))
-            return self._noted((yield [Asked(draft, False) for draft in drafts])) if drafts else []
+            return self._noted((yield [TrialRequest(draft, False) for draft in drafts])) if drafts else []
         keys = [key_of(draft) for draft in drafts]
         for key in keys:
             if key not in self._known and self._falls_early(key):
@@ -458,7 +458,7 @@ class Candidates:
         unknown = {key: draft for key, draft in zip(keys, drafts, strict=True) if key not in self._known}
         self._spend(len(unknown))
         if unknown:
-            trials = self._noted((yield [Asked(draft, True) for draft in unknown.values()]))
+            trials = self._noted((yield [TrialRequest(draft, True) for draft in unknown.values()]))
             self._remember([*unknown.values()], trials)
         return [self._known[key] for key in keys]
 
@@ -489,12 +489,12 @@ class Candidates:
     def _scored(self, states: Sequence[State]) -> Steps[list[State]]:
         """The states with new trials: their drafts, which were only judged before, are now simulated as in a score."""
         self._spend(len(states))
-        requests = [Asked(state.draft, is_judged=False, judged=state.trial) for state in states]
+        requests = [TrialRequest(state.draft, is_judged=False, judged=state.trial) for state in states]
         trials = self._noted((yield requests)) if requests else []
         return [replace(state, trial=trial) for state, trial in zip(states, trials, strict=True)]
 
     def _judged(self, batch: Sequence[Candidate]) -> Steps[list[State]]:
-        """Judge candidates: simulate each of them once, at most until a box tilts too far (``Asked.is_judged``).
+        """Judge candidates: simulate each of them once, at most until a box tilts too far (``TrialRequest.is_judged``).
         Returns their states."""
         trials = yield from self._simulated([c.draft for c in batch], judged=True)
         return [State(c.draft, c.changes, trial) for c, trial in zip(batch, trials, strict=True)]
@@ -520,7 +520,8 @@ class Candidates:
         known = [{**self._in_worlds.get(key_of(state.draft), {}), **state.errors} for state in states]
         pairs = [(k, world) for k in range(len(states)) for world in worlds if world not in known[k]]
         self._spend(len(pairs))
-        trials = self._noted((yield [Asked(states[k].draft, True, world) for k, world in pairs])) if pairs else []
+        requests = [TrialRequest(states[k].draft, True, world) for k, world in pairs]
+        trials = self._noted((yield requests)) if requests else []
         for (k, world), trial in zip(pairs, trials, strict=True):
             known[k][world] = trial
         self._in_worlds.update((key_of(state.draft), errors) for state, errors in zip(states, known, strict=True))

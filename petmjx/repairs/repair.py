@@ -28,7 +28,7 @@ from petmjx.repairs.changes import Change, Film, Kind, applied, cost_of, with_tu
 from petmjx.repairs.drafts import Draft
 from petmjx.repairs.expected_time import size_of
 from petmjx.repairs.repair_options import RepairOptions
-from petmjx.repairs.requests import Asked, Trial
+from petmjx.repairs.requests import Trial, TrialRequest
 from petmjx.repairs.search import Search
 from petmjx.repairs.search_processes import OnEnd, SearchProcesses, most_processes
 from petmjx.repairs.trials import OF_RUN, SEARCHED, Question, Share, TimeLimit, TrialStream
@@ -418,7 +418,7 @@ def _repaired(plans: Iterable[Plan], question: Question, options: RepairOptions,
 def _judge(searches: Sequence[Search], question: Question, processes: SearchProcesses, on_end: OnEnd) -> None:
     """Make attempt 1 of the scores of all plans. If a plan stands, and needs no further attempt, the search for its
     repairs ends. All other searches begin in groups, while further plans are being judged."""
-    drafts = [Asked(Draft.of(one.plan, question.film_turns), is_judged=True, as_score=True) for one in searches]
+    drafts = [TrialRequest(Draft.of(one.plan, question.film_turns), is_judged=True, as_score=True) for one in searches]
     stream = TrialStream(question)
     for number, draft in enumerate(drafts):
         stream.put(number, [draft])
@@ -454,8 +454,11 @@ def _score(searches: Sequence[Search], question: Question) -> None:
     unknown = [search for search in searches if search.before is None]
     if not unknown:
         return
-    drafts = [Asked(Draft.of(one.plan, question.film_turns), is_judged=False, judged=one.judged) for one in unknown]
-    for search, trial in zip(unknown, question.trials(drafts), strict=True):
+    requests = [
+        TrialRequest(Draft.of(search.plan, question.film_turns), is_judged=False, judged=search.judged)
+        for search in unknown
+    ]
+    for search, trial in zip(unknown, question.trials(requests), strict=True):
         search.begin(trial)
 
 

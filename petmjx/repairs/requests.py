@@ -16,7 +16,7 @@ ERROR_WORLDS: Final = 8
 """Largest number of worlds with random errors in which a repair is judged."""
 
 
-class Asked(NamedTuple):
+class TrialRequest(NamedTuple):
     """A draft to be simulated.
 
     Attributes:
@@ -49,11 +49,11 @@ class Trial(NamedTuple):
             one, or if the draft was scored.
         margin: as in the table ``worlds``; NaN: no margin.
         is_score: whether a score on the same engine would give this verdict, so that the draft need not be simulated
-            again. A trial with the options of a score (``Asked.as_score``) counts as a score if no further attempt may
-            follow. Any other judged trial counts as a score under three conditions: no further attempt may follow, the
-            draft stands, and its boxes were at rest whenever a wait was over. (Under these conditions, the waits of the
-            judged draft were as long as those of a score, unless a box was over a threshold at one sample and below it
-            later.)
+            again. A trial with the options of a score (``TrialRequest.as_score``) counts as a score if no further
+            attempt may follow. Any other judged trial counts as a score under three conditions: no further attempt may
+            follow, the draft stands, and its boxes were at rest whenever a wait was over. (Under these conditions, the
+            waits of the judged draft were as long as those of a score, unless a box was over a threshold at one sample
+            and below it later.)
     """
 
     verdict: str
@@ -89,7 +89,7 @@ class Together(NamedTuple):
 
 
 Result = TypeVar("Result")
-Steps = Generator[list[Asked] | Together, Any, Result]
+Steps = Generator[list[TrialRequest] | Together, Any, Result]
 """A search, or a part of a search. A search yields drafts and is sent the list of their trials; or it yields
 ``Together``."""
 

@@ -40,7 +40,7 @@ from petmjx.repairs.candidates import (
 from petmjx.repairs.changes import Film, Kind, LeaveOut, applied
 from petmjx.repairs.drafts import Draft, key_of
 from petmjx.repairs.proposals import lifted_with
-from petmjx.repairs.requests import ERROR_WORLDS, Asked, Steps, Together, Trial
+from petmjx.repairs.requests import ERROR_WORLDS, Steps, Together, Trial, TrialRequest
 
 BEAM: Final = 4
 """Number of changed plans that are changed further at once."""
@@ -242,7 +242,7 @@ class Search(Candidates):
 
     def _begun(self, judged: Trial) -> Steps[None]:
         """Score the unchanged plan, and record its score at once, because the time may be up before the search ends."""
-        (trial,) = yield [Asked(self._start, is_judged=False, judged=judged)]
+        (trial,) = yield [TrialRequest(self._start, is_judged=False, judged=judged)]
         self.begin(trial)
 
     def _begun_with_built(self, judged: Trial) -> Steps[None]:

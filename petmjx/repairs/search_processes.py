@@ -19,7 +19,7 @@ from typing import Any, Final, NamedTuple, Protocol
 import numpy.ma  # noqa: F401  # ``numpy.unique`` needs it, and each copy of the process would import it anew
 
 from petmjx.engines.subprocess.task_pipe import Child, Forks, PipedProcess, next_of, own_pipes
-from petmjx.repairs.requests import Asked, OutOfTime, Steps, Together, TrialAnswer
+from petmjx.repairs.requests import OutOfTime, Steps, Together, TrialAnswer, TrialRequest
 from petmjx.repairs.search import Search
 
 LEAST_PLANS: Final = 8
@@ -55,7 +55,7 @@ so the function may be called twice for them."""
 class Simulator(Protocol):
     """Simulates drafts while further ones are requested (``TrialStream``)."""
 
-    def put(self, ticket: Any, drafts: Sequence[Asked]) -> None:
+    def put(self, ticket: Any, drafts: Sequence[TrialRequest]) -> None:
         """Request the trials of drafts."""
 
     def answers(self) -> Iterator[TrialAnswer | None]:
@@ -94,7 +94,7 @@ class Tasks:
     """
 
     def __init__(self, searches: Iterable[Steps[Any]], on_end: Callable[[int], object] = lambda number: None) -> None:
-        self.requests: list[tuple[int, list[Asked]]] = []
+        self.requests: list[tuple[int, list[TrialRequest]]] = []
         self._on_end = on_end
         self._waiting: dict[int, _Task] = {}
         self._n_requests = 0
@@ -305,7 +305,7 @@ class _Message(NamedTuple):
         searches: all searches of the process, in the last message; None before.
     """
 
-    requests: Sequence[tuple[int, Sequence[Asked]]]
+    requests: Sequence[tuple[int, Sequence[TrialRequest]]]
     ended: Sequence[str]
     searches: Sequence[Search] | None
 
@@ -320,7 +320,7 @@ class _PipedSimulator:
 
     def __init__(self) -> None:
         self._tasks, self._answers = own_pipes(NICE)
-        self._requests: list[tuple[int, Sequence[Asked]]] = []
+        self._requests: list[tuple[int, Sequence[TrialRequest]]] = []
         self.ended: list[str] = []
         self._n_open = 0
 
@@ -329,7 +329,7 @@ class _PipedSimulator:
         searches: list[Search] | None = next_of(self._tasks)
         return searches
 
-    def put(self, ticket: Any, drafts: Sequence[Asked]) -> None:
+    def put(self, ticket: Any, drafts: Sequence[TrialRequest]) -> None:
         """See ``Simulator``."""
         self._requests.append((ticket, drafts))
         self._n_open += 1

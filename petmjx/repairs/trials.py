@@ -42,7 +42,7 @@ from petmjx.repairs.balance import are_plain, arrays_of
 from petmjx.repairs.common_placements import CommonPlacements, Placement, World
 from petmjx.repairs.drafts import BoolArray, Draft
 from petmjx.repairs.repair_options import RepairOptions
-from petmjx.repairs.requests import ERROR_WORLDS, Asked, OutOfTime, Trial, TrialAnswer
+from petmjx.repairs.requests import ERROR_WORLDS, OutOfTime, Trial, TrialAnswer, TrialRequest
 from petmjx.results.recording import Recording
 from petmjx.results.run_reader import RunResults
 from petmjx.runs.confidence import confidence_sweep
@@ -207,27 +207,27 @@ class Question:
         """Number of turns of film around plans before they are changed."""
         return self.sim.wrap.turns
 
-    def trials(self, asked: Sequence[Asked], limit: TimeLimit | None = None) -> list[Trial]:
+    def trials(self, requests: Sequence[TrialRequest], limit: TimeLimit | None = None) -> list[Trial]:
         """The trial of each draft.
 
         Raises:
             OutOfTime: the time of ``limit`` is up.
         """
         stream = TrialStream(self, limit)
-        stream.put(None, asked)
+        stream.put(None, requests)
         return next(answer.trials for answer in stream.answers() if answer is not None)
 
-    def is_known(self, one: Asked) -> bool:
+    def is_known(self, one: TrialRequest) -> bool:
         """Whether a draft need not be simulated, because its judged trial is its score."""
         if one.judged is None or not one.judged.is_score:
             return False
         return self._second is None or not one.judged.stands  # only a plan that stands gets a second opinion
 
-    def scores(self, asked: Sequence[Asked], watcher: Watcher | None = None) -> list[Trial]:
+    def scores(self, requests: Sequence[TrialRequest], watcher: Watcher | None = None) -> list[Trial]:
         """The trials of drafts that are scored, in the order of the drafts. Drafts with the same number of turns of
         film are simulated together."""
-        drafts = [one.draft for one in asked]
-        results = {n: one.judged for n, one in enumerate(asked) if one.judged is not None and one.judged.is_score}
+        drafts = [one.draft for one in requests]
+        results = {n: one.judged for n, one in enumerate(requests) if one.judged is not None and one.judged.is_score}
         for film_turns in dict.fromkeys(draft.film_turns for draft in drafts):
             numbers = [n for n, draft in enumerate(drafts) if draft.film_turns == film_turns]
             results |= self._scored(drafts, [n for n in numbers if n not in results], self._run, watcher)
@@ -261,7 +261,7 @@ class Question:
                 trials[number] = trials[number]._replace(verdict=Verdict.UNSTABLE.value)
         return trials
 
-    def jobs(self, asked: Sequence[Asked]) -> list[Job | None]:
+    def jobs(self, requests: Sequence[TrialRequest]) -> list[Job | None]:
         """For each draft, the job of the world in which the draft is judged; None if the draft is scored. If pallets
         must survive a profile, drafts are scored, not judged. Only worlds with errors are judged even then, because
         they are not shaken.
@@ -271,16 +271,16 @@ class Question:
         a world. No draft is simulated again with other settings, as a score would do (docs/rules.md, section 9).
         """
         of_draft: dict[tuple[bool, int], list[int]] = {}
-        for number, one in enumerate(asked):
+        for number, one in enumerate(requests):
             if one.world or (one.is_judged and self._options.profile is None):
                 of_draft.setdefault((one.world > 0, id(one.draft)), []).append(number)
-        jobs: list[Job | None] = [None] * len(asked)
+        jobs: list[Job | None] = [None] * len(requests)
         for has_errors in {key[0] for key in of_draft}:
             groups = [numbers for (errors, _), numbers in of_draft.items() if errors is has_errors]
-            drafts = [asked[numbers[0]].draft for numbers in groups]
+            drafts = [requests[numbers[0]].draft for numbers in groups]
             exact = scenes_of(drafts, self._error_sweep.simulation if has_errors else self.sim)
             for numbers, draft, scene in zip(groups, drafts, exact, strict=True):
-                worlds = [asked[number].world for number in numbers]
+                worlds = [requests[number].world for number in numbers]
                 scenes = self._with_errors(draft.plan, scene, worlds) if has_errors else repeat(scene)
                 for number, its_scene in zip(numbers, scenes, strict=False):
                     limit = limit_of(its_scene.n_boxes, JUDGED_ITERATIONS)
@@ -301,12 +301,12 @@ class Question:
         variants = [self._variants[world] for world in worlds]
         return apply_all(scene, f"{plan.plan_id}: search", variants, self._error_sweep.seed)
 
-    def lane(self, one: Asked, job: Job) -> Lane:
+    def lane(self, one: TrialRequest, job: Job) -> Lane:
         """The engine and the options with which a draft is judged."""
         engine = self._engines.for_job(job, self.sim, ATTEMPTS[0], soft=job.scene.soft is not None)
         return Lane(engine, self.sim if one.as_score else self._quick[one.world > 0])
 
-    def judged(self, outcome: Outcome, one: Asked, job: Job, sim: Simulation) -> Trial:
+    def judged(self, outcome: Outcome, one: TrialRequest, job: Job, sim: Simulation) -> Trial:
         """The trial of a draft that was judged.
 
         Args:
@@ -460,7 +460,7 @@ class _Request:
     """Drafts whose trials are wanted at the same time."""
 
     ticket: Any
-    drafts: Sequence[Asked]
+    drafts: Sequence[TrialRequest]
     trials: dict[int, Trial] = field(default_factory=dict)
 
     @property
@@ -487,10 +487,10 @@ class TrialStream:
     """Simulates drafts while further ones are requested. A request is answered as soon as its own drafts are simulated.
     So a search does not wait for the trials of other searches.
 
-    A draft is either only judged (simulated once) or scored (``Asked.is_judged``). Drafts to be judged join the worlds
-    that an engine is simulating. Scores have other options, so they need a run of their own. The run of scores begins
-    when no draft is being judged, or when at least ``SWITCH`` requests, and at least a quarter of all requests, wait
-    for scores.
+    A draft is either only judged (simulated once) or scored (``TrialRequest.is_judged``). Drafts to be judged join the
+    worlds that an engine is simulating. Scores have other options, so they need a run of their own. The run of scores
+    begins when no draft is being judged, or when at least ``SWITCH`` requests, and at least a quarter of all requests,
+    wait for scores.
 
     Args:
         limit: the time limit of the repairs. None: no limit.
@@ -508,7 +508,7 @@ class TrialStream:
         self._last: _Queue | None = None
         self._n_open = self._most_boxes = 0
 
-    def put(self, ticket: Any, drafts: Sequence[Asked]) -> None:
+    def put(self, ticket: Any, drafts: Sequence[TrialRequest]) -> None:
         """Request the trials of at least one draft.
 
         Args:
@@ -534,7 +534,7 @@ class TrialStream:
         for kind, jobs in numbered.items():
             self._queues[kind].entries.append((request, jobs))
 
-    def _known(self, one: Asked) -> Trial | None:
+    def _known(self, one: TrialRequest) -> Trial | None:
         """The score of a draft that need not be simulated; None if it must be simulated."""
         if self._question.is_known(one):
             return one.judged

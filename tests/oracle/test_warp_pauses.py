@@ -14,7 +14,7 @@ from petmjx.options.placing import Placing, Way
 from petmjx.repairs import common_placements
 from petmjx.repairs.drafts import Draft
 from petmjx.repairs.repair_options import RepairOptions
-from petmjx.repairs.requests import Asked, Trial
+from petmjx.repairs.requests import Trial, TrialRequest
 from petmjx.repairs.trials import Lane, Question, TrialStream
 from petmjx.world.error_distributions import Distribution
 from petmjx.world.job import Job
@@ -128,7 +128,9 @@ def test_trials_of_repairs_that_share_beginnings_are_those_of_whole_worlds(monke
     drafts = [
         draft.with_places([box], corner, anew=False) for box, corner in zip((3, 3, 3, 4, 4, 4), corners, strict=True)
     ]
-    requests = [[Asked(one, True, world) for one in some for world in (0, 1, 2)] for some in (drafts[:4], drafts[2:])]
+    requests = [
+        [TrialRequest(one, True, world) for one in some for world in (0, 1, 2)] for some in (drafts[:4], drafts[2:])
+    ]
     question = Question({"engine": shared_engine(), "threads": 1}, RepairOptions(worlds=8))
     steps: list[int] = []
     results: list[list[Trial]] = []

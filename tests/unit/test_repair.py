@@ -52,7 +52,7 @@ from petmjx.repairs.proposals import Target, proposals
 from petmjx.repairs.rebuilds import Failure, rebuilds
 from petmjx.repairs.repair import Repaired, Repairs, _still_odd_note, _weak_note
 from petmjx.repairs.repair_options import RepairOptions
-from petmjx.repairs.requests import Asked, OutOfTime, Steps, Together, Trial, TrialAnswer
+from petmjx.repairs.requests import OutOfTime, Steps, Together, Trial, TrialAnswer, TrialRequest
 from petmjx.repairs.search import ALONE, ALONE_IF_MANY, BUILT_ANEW, MANY_FAULTS, SURPLUS, WIDE_AT_ONCE, Search
 from petmjx.repairs.search_processes import SearchProcesses, Tasks, most_processes
 from petmjx.repairs.trials import Question, Share, TimeLimit, TrialStream
@@ -470,7 +470,7 @@ def test_a_search_asks_for_the_same_worlds_again() -> None:
         search = Search(plan, Simulation(), RepairOptions(worlds=0, trials=20))
         drafts: list[bytes] = []
 
-        def ask(some: list[Asked], question: Question = question, drafts: list[bytes] = drafts) -> list[Trial]:
+        def ask(some: list[TrialRequest], question: Question = question, drafts: list[bytes] = drafts) -> list[Trial]:
             drafts.extend(key_of(one.draft) for one in some)
             return question.trials(some)
 
@@ -485,8 +485,8 @@ def test_a_draft_is_judged_as_it_is_scored() -> None:
     simulation. An exception is the counterweight: its support tilts by 5° before the first box fails."""
     question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=0))
     drafts = [Draft.of(make_plan(boxes=boxes)) for boxes in (COUNTERWEIGHT, TOWER, LATE_SUPPORT, stack(2))]
-    judged = question.trials([Asked(draft, True) for draft in drafts])
-    scored = question.trials([Asked(draft, False) for draft in drafts])
+    judged = question.trials([TrialRequest(draft, True) for draft in drafts])
+    scored = question.trials([TrialRequest(draft, False) for draft in drafts])
     assert [trial.stands for trial in judged] == [trial.stands for trial in scored] == [False, False, False, True]
     assert [t.culprit for t in judged[1:]] == [t.culprit for t in scored[1:]]
     assert (judged[0].culprit, scored[0].culprit) == (1, 2)
@@ -498,12 +498,12 @@ def test_a_judged_plan_that_stands_is_not_simulated_again_for_its_score(monkeypa
     too."""
     question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=0))
     drafts = [Draft.of(make_plan(boxes=boxes)) for boxes in (stack(2), stack(3, 90.0), TOWER)]
-    judged = question.trials([Asked(draft, True) for draft in drafts])
-    scored = question.trials([Asked(draft, False) for draft in drafts])
+    judged = question.trials([TrialRequest(draft, True) for draft in drafts])
+    scored = question.trials([TrialRequest(draft, False) for draft in drafts])
     assert [trial.is_score for trial in judged] == [True, True, False]
     assert [trial._replace(is_score=False) for trial in judged[:2]] == scored[:2]
     monkeypatch.setattr(question, "scores", None)
-    known = [Asked(draft, False, judged=trial) for draft, trial in zip(drafts, judged, strict=True)][:2]
+    known = [TrialRequest(draft, False, judged=trial) for draft, trial in zip(drafts, judged, strict=True)][:2]
     assert question.trials(known) == judged[:2]
 
 
@@ -522,15 +522,15 @@ def test_drafts_join_the_worlds_that_are_being_simulated(monkeypatch: pytest.Mon
     monkeypatch.setattr(question, "scores", lambda asked, _: [runs.append("scored"), *scores(asked)][1:])
     draft = Draft.of(make_plan(boxes=stack(2)))
     stream = TrialStream(question)
-    stream.put("score", [Asked(draft, False)])
-    stream.put("first", [Asked(draft, True)] * 2)
+    stream.put("score", [TrialRequest(draft, False)])
+    stream.put("first", [TrialRequest(draft, True)] * 2)
     tickets = []
     for answer in stream.answers():
         if answer is not None:
             tickets.append(answer.ticket)
             assert all(trial.stands for trial in answer.trials)
             if answer.ticket == "first":
-                stream.put("second", [Asked(draft, True)])
+                stream.put("second", [TrialRequest(draft, True)])
     assert sorted(tickets) == ["first", "score", "second"]
     assert sorted(runs) == ["judged", "scored"]
     assert tickets.index("first") < tickets.index("second")
@@ -538,7 +538,7 @@ def test_drafts_join_the_worlds_that_are_being_simulated(monkeypatch: pytest.Mon
     assert question.progress.message == "", "engines set the message back to an earlier one"
 
 
-Ask = Callable[[list[Asked]], list[Trial]]
+Ask = Callable[[list[TrialRequest]], list[Trial]]
 
 
 def result_of(steps: Steps[Any], ask: Ask) -> Any:
@@ -560,9 +560,9 @@ class Simulated:
     """A simulator of searches: a function instead of an engine."""
 
     def __init__(self, ask: Ask) -> None:
-        self._ask, self._requests = ask, list[tuple[Any, Sequence[Asked]]]()
+        self._ask, self._requests = ask, list[tuple[Any, Sequence[TrialRequest]]]()
 
-    def put(self, ticket: Any, drafts: Sequence[Asked]) -> None:
+    def put(self, ticket: Any, drafts: Sequence[TrialRequest]) -> None:
         self._requests.append((ticket, drafts))
 
     def answers(self) -> Iterator[TrialAnswer | None]:
@@ -578,7 +578,7 @@ def test_parts_of_a_search_wait_only_for_their_own_trials() -> None:
 
     def part(name: str, n_requests: int) -> Steps[str]:
         for number in range(n_requests):
-            (trial,) = yield [Asked(draft, True, number)]
+            (trial,) = yield [TrialRequest(draft, True, number)]
             assert trial == (name, number)
         return name
 
@@ -630,9 +630,9 @@ def test_only_changes_that_are_needed_are_left() -> None:
     def stands(draft: Draft) -> bool:
         return bool((draft.corner_mm[[3, 12], 0] == plan.corner_mm[[3, 12], 0] + 20).all())
 
-    requests = list[Asked]()
+    requests = list[TrialRequest]()
 
-    def ask(drafts: list[Asked]) -> list[Trial]:
+    def ask(drafts: list[TrialRequest]) -> list[Trial]:
         requests.extend(drafts)
         good = [stands(one.draft) for one in drafts]
         return [Trial("stable" if g else "unstable", "", None, (), 16, 16, 0.0) for g in good]
@@ -651,12 +651,12 @@ def test_of_repairs_with_as_many_changes_the_one_that_stands_with_errors_is_firs
     question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=4))
     moves = [Move(1, -float(length), 0.0) for length in (32, 150)]
     drafts = [draft for move in moves if (draft := move.applied(Draft.of(plan))) is not None]
-    trials = question.trials([Asked(draft, is_judged=False) for draft in drafts])
+    trials = question.trials([TrialRequest(draft, is_judged=False) for draft in drafts])
     assert [trial.stands for trial in trials] == [True, True]
     states = [State(draft, (move,), trial) for draft, move, trial in zip(drafts, moves, trials, strict=True)]
-    requests = list[Asked]()
+    requests = list[TrialRequest]()
 
-    def ask(drafts: list[Asked]) -> list[Trial]:
+    def ask(drafts: list[TrialRequest]) -> list[Trial]:
         requests.extend(drafts)
         return question.trials(drafts)
 
@@ -675,9 +675,9 @@ def test_repairs_are_compared_until_enough_of_them_stand() -> None:
     moves = [Move(box, float(length), 0.0) for box in (0, 1) for length in range(5, 30, 5)]
     drafts = [draft for move in moves if (draft := move.applied(Draft.of(plan))) is not None]
     states = [State(draft, (move,), stands) for draft, move in zip(drafts, moves, strict=True)]
-    requests = list[Asked]()
+    requests = list[TrialRequest]()
 
-    def ask(some: list[Asked]) -> list[Trial]:
+    def ask(some: list[TrialRequest]) -> list[Trial]:
         requests.extend(some)
         return [stands] * len(some)
 
@@ -697,7 +697,7 @@ def test_a_repair_that_falls_with_errors_is_changed_further() -> None:
     draft = applied(Draft.of(plan), moves)
     assert draft is not None
     question = Question({"engine": "mujoco", "threads": 1}, RepairOptions())
-    (trial,) = question.trials([Asked(draft, is_judged=False)])
+    (trial,) = question.trials([TrialRequest(draft, is_judged=False)])
     assert trial.stands
     repairs = {}
     for share in (0.25, 1.0):
@@ -729,7 +729,7 @@ def test_few_worlds_with_errors_are_simulated_for_changes_that_do_not_help(is_wi
     batch = [Candidate(draft, (move,), (move,), 0.0, Node(weak)) for move, draft in drafts.items()]
     sizes = []
 
-    def ask(requests: list[Asked]) -> list[Trial]:
+    def ask(requests: list[TrialRequest]) -> list[Trial]:
         sizes.append(len(requests))
         trials = []
         for one in requests:
@@ -761,9 +761,9 @@ def test_a_box_that_is_lowered_between_two_others_gets_room() -> None:
 @pytest.mark.parametrize(("is_wide", "judged"), [(False, [False, False]), (True, [True, True, False])])
 def test_boxes_are_left_out_until_the_rest_stands(is_wide: bool, judged: list[bool]) -> None:
     """The tops of two stacks fall. A GPU judges each plan, and only scores the plan that stands when judged."""
-    plan, requests = make_plan(boxes=[*stack(2), *stack(2, at_mm=(0.0, 500.0))]), list[Asked]()
+    plan, requests = make_plan(boxes=[*stack(2), *stack(2, at_mm=(0.0, 500.0))]), list[TrialRequest]()
 
-    def ask(some: list[Asked]) -> list[Trial]:
+    def ask(some: list[TrialRequest]) -> list[Trial]:
         requests.extend(some)
         return [trial_of(one.draft) for one in some]
 
@@ -813,10 +813,10 @@ def test_faults_are_counted_by_taking_off_what_falls() -> None:
     question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=0))
     moves = (), (Move(1, -60.0, 0.0),), (Move(1, -60.0, 0.0), Move(4, -60.0, 0.0))
     drafts = [draft for changes in moves if (draft := applied(Draft.of(search.plan), changes)) is not None]
-    trials = question.trials([Asked(draft, True) for draft in drafts])
+    trials = question.trials([TrialRequest(draft, True) for draft in drafts])
     requests = []
 
-    def ask(drafts: list[Asked]) -> list[Trial]:
+    def ask(drafts: list[TrialRequest]) -> list[Trial]:
         requests.append([one.draft.order for one in drafts])
         return question.trials(drafts)
 
@@ -847,9 +847,9 @@ def test_faults_of_a_changed_plan_follow_from_those_of_the_plan_before() -> None
 def test_no_draft_is_judged_twice() -> None:
     search = Search(make_plan(boxes=stack(2)), Simulation(), RepairOptions(worlds=0))
     drafts = [draft for x in (5.0, 9.0, 5.0) if (draft := Move(1, x, 0.0).applied(Draft.of(search.plan))) is not None]
-    requests = list[Asked]()
+    requests = list[TrialRequest]()
 
-    def ask(some: list[Asked]) -> list[Trial]:
+    def ask(some: list[TrialRequest]) -> list[Trial]:
         requests.extend(some)
         return [Trial("stable", "", None, (), 2, 2, float(one.draft.corner_mm[1, 0])) for one in some]
 
@@ -867,16 +867,16 @@ def test_a_plan_that_begins_as_one_that_fell_is_not_simulated() -> None:
         Search(plan, Simulation(), RepairOptions(worlds=0)),
         Question(FAST_TRIALS, RepairOptions(worlds=0)),
     )
-    start, requests = Draft.of(plan), list[Asked]()
+    start, requests = Draft.of(plan), list[TrialRequest]()
 
-    def ask(some: list[Asked]) -> list[Trial]:
+    def ask(some: list[TrialRequest]) -> list[Trial]:
         requests.extend(some)
         return question.trials(some)
 
     def judged(draft: Draft | None) -> Trial:
         assert draft is not None
         (trial,) = result_of(search._simulated([draft], judged=True), ask)
-        assert trial[:6] == question.trials([Asked(draft, True)])[0][:6]
+        assert trial[:6] == question.trials([TrialRequest(draft, True)])[0][:6]
         return trial
 
     falls = judged(start)
@@ -983,7 +983,7 @@ def test_two_changes_are_sought_widely_once_three_are_known() -> None:
             return Trial("stable", "", None, (), 6, 6, 1.0, is_score=True)
         return Trial("unstable", "tilt", falls[0], (falls[0],), falls[0] + 1, falls[0] + 1, -1.0)
 
-    def ask(some: list[Asked]) -> list[Trial]:
+    def ask(some: list[TrialRequest]) -> list[Trial]:
         requests.append([one.draft for one in some])
         return [trial_of(one.draft) for one in some]
 
@@ -1029,7 +1029,7 @@ def test_a_gpu_scores_plans_in_doubt_before_plans_are_built_anew(is_score: bool)
     stands = Trial("stable", "", None, (), 2, 2, 1.0, is_score=is_score)
     n_judged = 0
 
-    def ask(some: list[Asked]) -> list[Trial]:
+    def ask(some: list[TrialRequest]) -> list[Trial]:
         nonlocal n_judged
         if some[0].is_judged:
             n_judged += len(some)
@@ -1076,7 +1076,7 @@ def test_a_gpu_judges_more_plans_at_once() -> None:
     search = Search(make_plan(boxes=TWO_FAULTS), Simulation(), RepairOptions(worlds=0), is_wide=True)
     question, sizes = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=0)), list[int]()
 
-    def ask(drafts: list[Asked]) -> list[Trial]:
+    def ask(drafts: list[TrialRequest]) -> list[Trial]:
         sizes.append(len(drafts))
         return question.trials(drafts)
 
@@ -1122,24 +1122,24 @@ def test_on_a_gpu_attempt_1_of_all_plans_is_made_together(monkeypatch: pytest.Mo
     judged: list[str] = []
     make_trial, make_trials, make_jobs = Question.judged, Question.trials, Question.jobs
 
-    def trial_of(question: Question, outcome: Outcome, one: Asked, job: Job, sim: Simulation) -> Trial:
+    def trial_of(question: Question, outcome: Outcome, one: TrialRequest, job: Job, sim: Simulation) -> Trial:
         trial, plan_id = make_trial(question, outcome, one, job, sim), one.draft.plan.plan_id
         if not one.as_score:
             return trial
         judged.append(plan_id[:6].strip())
         return trial._replace(is_score=False, verdict="unstable") if plan_id[:5] == "leans" else trial
 
-    def trials(question: Question, asked: Sequence[Asked], limit: TimeLimit | None = None) -> list[Trial]:
-        calls.append([one.draft.plan.plan_id[:6].strip() for one in asked])
+    def trials(question: Question, requests: Sequence[TrialRequest], limit: TimeLimit | None = None) -> list[Trial]:
+        calls.append([one.draft.plan.plan_id[:6].strip() for one in requests])
         return [
             trial._replace(is_score=False, verdict="stable") if one.draft.plan.plan_id[:5] == "leans" else trial
-            for one, trial in zip(asked, make_trials(question, asked, limit), strict=True)
+            for one, trial in zip(requests, make_trials(question, requests, limit), strict=True)
         ]
 
-    def jobs(question: Question, asked: Sequence[Asked]) -> list[Any]:
-        if not asked[0].is_judged and asked[0].draft.order == (0, 1, 2, 3):
-            scored.append(len(asked))
-        return make_jobs(question, asked)
+    def jobs(question: Question, requests: Sequence[TrialRequest]) -> list[Any]:
+        if not requests[0].is_judged and requests[0].draft.order == (0, 1, 2, 3):
+            scored.append(len(requests))
+        return make_jobs(question, requests)
 
     scored: list[int] = []
     monkeypatch.setattr(Question, "is_wide", True)
@@ -1208,7 +1208,7 @@ def test_searches_in_several_processes_end_as_in_one(monkeypatch: pytest.MonkeyP
         for k in range(8)
     ]
 
-    def ask(requests: list[Asked]) -> list[Trial]:
+    def ask(requests: list[TrialRequest]) -> list[Trial]:
         good = [bool((one.draft.corner_mm[1, :2] > one.draft.plan.size_mm[0, 2] - 100).all()) for one in requests]
         return [Trial("stable" if g else "unstable", "", None if g else 1, () if g else (1,), 2, 1, 0.0) for g in good]
 
@@ -1225,7 +1225,7 @@ def test_searches_in_several_processes_end_as_in_one(monkeypatch: pytest.MonkeyP
     assert Counter(ended) == dict.fromkeys("01234567", 3)
     searches = [Search(plan, Simulation(), RepairOptions(worlds=0)) for plan in plans]
 
-    def ask_until_stopped(requests: list[Asked]) -> list[Trial]:
+    def ask_until_stopped(requests: list[TrialRequest]) -> list[Trial]:
         if any(one.draft.plan.plan_id == "2" and len(one.draft.order) == 1 for one in requests):
             raise KeyboardInterrupt  # plan 0, which is in the same process, had all of its answers before
         trials = zip(requests, ask(requests), strict=True)
@@ -1286,8 +1286,8 @@ def test_judging_ends_when_the_time_is_up() -> None:
     question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=0))
     try:
         with pytest.raises(OutOfTime):
-            question.trials([Asked(draft, is_judged=True) for draft in drafts], TimeLimit(0.0))
-        assert [trial.stands for trial in question.trials([Asked(draft, is_judged=True) for draft in drafts])][1]
+            question.trials([TrialRequest(draft, is_judged=True) for draft in drafts], TimeLimit(0.0))
+        assert [trial.stands for trial in question.trials([TrialRequest(draft, is_judged=True) for draft in drafts])][1]
     finally:
         question.close()
 
@@ -1299,7 +1299,7 @@ def test_scores_and_shares_end_when_the_time_is_up() -> None:
     plan = make_plan(boxes=stack(2))
     try:
         with pytest.raises(OutOfTime):
-            question.trials([Asked(Draft.of(plan), is_judged=False)], TimeLimit(0.0))
+            question.trials([TrialRequest(Draft.of(plan), is_judged=False)], TimeLimit(0.0))
         assert question.shares([plan], TimeLimit(0.0)) == [None]
         assert [share and share.n_worlds for share in question.shares([plan])] == [4]
     finally:
@@ -1351,7 +1351,7 @@ def test_a_search_makes_no_more_trials_than_allowed(is_wide: bool, worlds: int, 
     has_stood = False
     falling = dict[bytes, list[int]]()  # searches with more trials try the same drafts again
 
-    def trial_of(one: Asked) -> Trial:
+    def trial_of(one: TrialRequest) -> Trial:
         nonlocal has_stood
         if (key := key_of(one.draft)) not in falling:
             (balance,) = balances([one.draft], Simulation())
@@ -1418,15 +1418,15 @@ def test_a_changed_plan_that_is_scored_for_too_long_counts_as_one_that_falls(mon
     draft = Draft.of(make_plan(boxes=stack(2)))
     moved = Move(1, 1.0, 0.0).applied(draft)
     assert moved is not None
-    asked = [Asked(draft, is_judged=False), Asked(moved, is_judged=False)]
+    requests = [TrialRequest(draft, is_judged=False), TrialRequest(moved, is_judged=False)]
     question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=0))
-    assert [trial.verdict for trial in question.scores(asked)] == ["stable", "stable"]
+    assert [trial.verdict for trial in question.scores(requests)] == ["stable", "stable"]
     monkeypatch.setattr("petmjx.repairs.trials.SCORED_ITERATIONS", 0)
     monkeypatch.setattr("petmjx.repairs.trials.ITERATIONS_PER_BOX", 10)
-    assert [trial.verdict for trial in question.scores(asked)] == ["stable", "unstable"]
+    assert [trial.verdict for trial in question.scores(requests)] == ["stable", "unstable"]
     monkeypatch.setattr("petmjx.repairs.trials.SCORED_ITERATIONS", 20_000)
     limited = Question({"engine": "mujoco", "threads": 1, "iteration_limit": 20}, RepairOptions(worlds=0))
-    assert [trial.verdict for trial in limited.scores(asked)] == ["invalid", "invalid"], "the user has set the limit"
+    assert [trial.verdict for trial in limited.scores(requests)] == ["invalid", "invalid"], "the user has set the limit"
 
 
 def test_a_repair_with_few_trials_is_told_as_such() -> None:
