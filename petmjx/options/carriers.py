@@ -22,7 +22,12 @@ from petmjx.options.walls import USUAL_WALLS, Side, Walls
 
 
 class Carrier(StrEnum):
-    """The built-in carriers, on which boxes stand."""
+    """The built-in carriers, on which boxes stand.
+
+    Their extents and walls are in this module (``CARRIER_EXTENT_M``, ``WALLS_OF_CARRIERS``), their boards in
+    ``petmjx.world.carrier_boards.BOARDS_OF_CARRIERS``. Carriers that may also be items of a plan have an entry in
+    ``petmjx.plans.plan_fields.PALLET_KINDS``.
+    """
 
     FOOTPRINT = "footprint"
     EURO_PALLET = "euro-pallet"

@@ -39,7 +39,7 @@ _GUIDELINES: Final = {("wood", "wood"): 0.5, ("film", "film"): 0.3, ("film", "st
 Transport (European Commission). The entries there are: sawn timber against wood; shrink film against shrink film;
 shrink film against steel."""
 
-_PALLETS: Final = {
+_PALLETS_ON_TRAILERS: Final = {
     (TRAILER_FLOOR, "wood"): (0.32, 0.26),
     ("new wood", TRAILER_FLOOR): (0.35, 0.29),
     ("hickory", TRAILER_FLOOR): (0.32, 0.21),
@@ -68,12 +68,14 @@ FRICTION_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {
     **_GUIDELINES,
     **_RACKS,
     **_ON_FLOORS,
-    **{pair: static for pair, (static, _) in _PALLETS.items()},
+    **{pair: static for pair, (static, _) in _PALLETS_ON_TRAILERS.items()},
 }
 """Pair of materials in alphabetical order → coefficient of static friction between them. For cargo that already slides,
 the CTU Code uses 75 % of this coefficient (option ``physics.kinetic_friction_share``)."""
 
-KINETIC_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {pair: kinetic for pair, (_, kinetic) in _PALLETS.items()}
+KINETIC_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {
+    pair: kinetic for pair, (_, kinetic) in _PALLETS_ON_TRAILERS.items()
+}
 """Pair of materials in alphabetical order → coefficient of kinetic friction between them. Pairs whose coefficient is
 unknown have no entry."""
 

@@ -29,7 +29,7 @@ from petmjx.plans.input_conventions import USUAL_CONVENTIONS, InputConventions, 
 from petmjx.plans.plan_fields import (
     COM_FIELDS,
     LONGEST_NAME,
-    PALLETS,
+    PALLET_KINDS,
     SPARSE,
     com_along_axes,
     com_fault,
@@ -450,7 +450,7 @@ class _TableReader:
         if "kind" in self._texts:
             names = self._texts["kind"][0]
             is_bad |= np.array([kind_fault(name) is not None for name in names], bool)
-            for row in np.flatnonzero([name in PALLETS for name in names]):
+            for row in np.flatnonzero([name in PALLET_KINDS for name in names]):
                 is_bad[row] |= pallet_fault(names[row], self._size_mm(row)) is not None
         return is_bad
 

@@ -15,7 +15,7 @@ from petmjx.common.text import count_text, printable_name
 from petmjx.common.units import PLAN_UNITS
 from petmjx.options.run_options import Anchor
 from petmjx.plans.input_conventions import InputConventions
-from petmjx.plans.plan_fields import KINDS, KINDS_IN_WORDS, PALLETS, SHEET, SPARSE, pallet_fault
+from petmjx.plans.plan_fields import KINDS, KINDS_IN_WORDS, PALLET_KINDS, SHEET, SPARSE, pallet_fault
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
@@ -207,7 +207,7 @@ class Plan:
     @property
     def pallets(self) -> dict[int, str]:
         """The items that are pallets: number of the item → its kind."""
-        return {box: name for box, name in enumerate(self.kinds) if name in PALLETS}
+        return {box: name for box, name in enumerate(self.kinds) if name in PALLET_KINDS}
 
     @property
     def turned(self) -> NDArray[np.bool_]:

@@ -14,7 +14,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.plans.input_conventions import InputConventions
 from petmjx.plans.placement_table import PlanFields, RefusedPlan, Table, as_column, sorted_columns, table_plans
-from petmjx.plans.plan_fields import PALLETS, SPARSE, plan_id_fault
+from petmjx.plans.plan_fields import PALLET_KINDS, SPARSE, plan_id_fault
 
 SOURCE: Final = "python"
 
@@ -81,9 +81,9 @@ def fields_of_units(
     """
     if fault := plan_id_fault(text_of(plan_id, "plan_id")):
         raise InputError(fault)
-    if pallet not in PALLETS:
-        raise InputError(f"pallet must be {' or '.join(PALLETS)}, {shown_value(pallet)}")
-    size, corners = np.array(PALLETS[pallet]), array_of(corner_mm, "corner_mm", (3,))
+    if pallet not in PALLET_KINDS:
+        raise InputError(f"pallet must be {' or '.join(PALLET_KINDS)}, {shown_value(pallet)}")
+    size, corners = np.array(PALLET_KINDS[pallet]), array_of(corner_mm, "corner_mm", (3,))
     if not loads or len(corners) != len(loads):
         raise InputError(f"corner_mm must have a corner for each of {len(loads)} loads, got {len(corners)}")
     of_pallet = {"item_ids": "pallet", "articles": pallet, "product_groups": "", "materials": material, "kinds": pallet}

@@ -73,7 +73,7 @@ SPARSE: Final = {
 corrugated boxes, for example, have a stiffness of 100 to 500 N/mm."""
 
 SHEET: Final = "sheet"
-PALLETS: Final[Mapping[str, tuple[float, float, float]]] = {
+PALLET_KINDS: Final[Mapping[str, tuple[float, float, float]]] = {
     Carrier.EPAL_1.value: (1200.0, 800.0, 144.0),
     Carrier.GMA_48X40.value: (1219.0, 1016.0, 121.0),
 }
@@ -82,7 +82,7 @@ carriers of the same form."""
 PALLET_SIZE_MM: Final = 1.0
 """Largest difference between the sizes of an item and the sizes of its kind of pallet, mm. Sizes in plans are usually
 whole millimetres, so they may differ by one millimetre."""
-KINDS: Final = ("box", SHEET, *PALLETS)
+KINDS: Final = ("box", SHEET, *PALLET_KINDS)
 """Kinds of items; the default is a box."""
 KINDS_IN_WORDS: Final = f"{', '.join(KINDS[:-1])} or {KINDS[-1]}"
 LONGEST_NAME: Final = 1000
@@ -219,9 +219,9 @@ def pallet_fault(name: str | None, size_mm: Sequence[float]) -> str | None:
         name: the item's kind.
         size_mm: length, width and height of the item, or its extents as placed, mm.
     """
-    if name is None or name not in PALLETS:
+    if name is None or name not in PALLET_KINDS:
         return None
-    length, width, height = PALLETS[name]
+    length, width, height = PALLET_KINDS[name]
     for pallet in (length, width, height), (width, length, height):
         if all(abs(side - extent) <= PALLET_SIZE_MM for side, extent in zip(size_mm, pallet, strict=True)):
             return None

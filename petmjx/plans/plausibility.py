@@ -38,7 +38,7 @@ _DECKS_MM: Final = (
     (13600.0, 2480.0),
 )  # fmt: skip
 """Usual carriers: pallets of Europe, America and Asia, the roll container, sea containers and a trailer."""
-_PALLETS: Final = 10
+_N_COMMON_DECKS: Final = 10
 """Number of carriers at the beginning of ``_DECKS_MM`` that are always considered: the pallets and the roll container.
 The other carriers are considered only if the file names them."""
 _INCHES_48: Final = 1219.2
@@ -239,7 +239,7 @@ def vote_for_other_points(layout: Layout, mm: float, point: FloatArray) -> int:
             y and z. 0 is the near end of the box, 1 the far end.
     """
     tolerance = layout.tolerance
-    decks = [(long / mm, short / mm) for long, short in _DECKS_MM[:_PALLETS]]
+    decks = [(long / mm, short / mm) for long, short in _DECKS_MM[:_N_COMMON_DECKS]]
     decks += [(0.0, 0.0), *((short, long) for long, short in decks)]
     if not np.isnan(layout.container[:2]).any():
         decks = [(0.0, 0.0), (float(layout.container[0]), float(layout.container[1]))]
@@ -427,7 +427,7 @@ def footprint_cost(footprint_mm: FloatArray, free_mm: float, unit: str) -> float
     long, short = float(footprint_mm.max()), float(footprint_mm.min())
     if _fills(long, short, free_mm, unit):
         return _FULL_PALLET_COST
-    if any(long <= (1 + _NEAR) * side and short <= (1 + _NEAR) * other for side, other in _DECKS_MM[:_PALLETS]):
+    if any(long <= (1 + _NEAR) * side and short <= (1 + _NEAR) * other for side, other in _DECKS_MM[:_N_COMMON_DECKS]):
         return 0.0
     return 1.0 + min(_squared(long, 1200.0, _DECK_SPREAD), 6.0)
 
@@ -446,7 +446,7 @@ def _fills(long_mm: float, short_mm: float, free_mm: float, unit: str) -> bool:
             -_NEAR * side < side - length < min(free_mm, _MOST_FREE * side)
             for side, length in ((long, long_mm), (short, short_mm))
         )
-        for long, short in _DECKS_MM[:_PALLETS]
+        for long, short in _DECKS_MM[:_N_COMMON_DECKS]
         if long >= _LARGE_MM and (long == _INCHES_48) == (unit in ("in", "ft"))
     )
 

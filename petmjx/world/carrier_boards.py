@@ -6,7 +6,7 @@ the origin, and its bottom is at z = 0.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
@@ -155,7 +155,7 @@ def _trailer() -> Pallet:
     return Pallet(tuple(boards), (6000.0,), materials=(TRAILER_FLOOR,))
 
 
-PALLETS: Final = {
+BOARDS_OF_CARRIERS: Final[Mapping[Carrier, Callable[[], Pallet]]] = {
     Carrier.EPAL_1: _epal_1,
     Carrier.GMA_48X40: _gma,
     Carrier.PET_EUR: _pet_eur,
@@ -167,6 +167,7 @@ PALLETS: Final = {
     Carrier.CONTAINER_20FT: _container_20ft,
     Carrier.TRAILER: _trailer,
 }
+"""Built-in carrier → function that makes its boards. Built-in carriers without an entry are slabs."""
 
 
 @lru_cache(maxsize=16)
@@ -175,7 +176,7 @@ def pallet(carrier: Carrier | OwnCarrier) -> Pallet | None:
     if isinstance(carrier, OwnCarrier):
         boards = tuple((board.corner_mm, board.size_mm) for board in carrier.boards)
         return Pallet(boards, carrier.masses_kg, carrier.frictions, carrier.materials)
-    return PALLETS[carrier]() if carrier in PALLETS else None
+    return BOARDS_OF_CARRIERS[carrier]() if carrier in BOARDS_OF_CARRIERS else None
 
 
 def body_of(board_pallet: Pallet, physics: Physics) -> Body:

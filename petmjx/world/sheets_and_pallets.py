@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from petmjx.common.units import MM_PER_M, FloatArray, mm_to_m
 from petmjx.options.carriers import Carrier
 from petmjx.plans.plan import Plan
-from petmjx.plans.plan_fields import PALLET_SIZE_MM, PALLETS
+from petmjx.plans.plan_fields import PALLET_KINDS, PALLET_SIZE_MM
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
 from petmjx.world.body_shapes import Body
 from petmjx.world.carrier_boards import pallet
@@ -96,7 +96,7 @@ def with_pallets(
     inertia_box, pieces = half_size.copy(), []
     for box, kind in plan.pallets.items():
         boards = _boards(kind, half_size[box])
-        if abs(plan.size_mm[box, 0] - PALLETS[kind][0]) > PALLET_SIZE_MM:  # the pallet is turned
+        if abs(plan.size_mm[box, 0] - PALLET_KINDS[kind][0]) > PALLET_SIZE_MM:  # the pallet is turned
             order = [1, 0, 2]
             boards = replace(
                 boards,
@@ -118,7 +118,7 @@ def _boards(kind: str, half_size: FloatArray) -> Body:
     boards = pallet(Carrier(kind))
     assert boards is not None
     corner, size = (mm_to_m(np.array(part, np.float64)) for part in zip(*boards.boards, strict=True))
-    extent = np.array(PALLETS[kind]) / MM_PER_M
+    extent = np.array(PALLET_KINDS[kind]) / MM_PER_M
     sides = np.sort(2 * half_size[:2])[::-1] if extent[0] >= extent[1] else np.sort(2 * half_size[:2])
     scale = np.append(sides, 2 * half_size[2]) / extent
     middle = (corner + size / 2 - extent / 2) * scale

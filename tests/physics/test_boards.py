@@ -15,14 +15,14 @@ from petmjx.common.units import MM_PER_M, STANDARD_GRAVITY
 from petmjx.engines.verdict import Verdict
 from petmjx.options.carriers import CARRIER_EXTENT_M, Carrier, OwnCarrier
 from petmjx.options.physics import PHYSICS
-from petmjx.world.carrier_boards import PALLETS, body_of, pallet
+from petmjx.world.carrier_boards import BOARDS_OF_CARRIERS, body_of, pallet
 
 DECK_EDGE_MM = 145.0
 """The y coordinate at which the first deck board of ``epal-1`` ends, mm. The gap behind it is 41 mm wide."""
 POST_MM = (60.0, 60.0, 200.0)
 
 
-@pytest.mark.parametrize("carrier", PALLETS)
+@pytest.mark.parametrize("carrier", BOARDS_OF_CARRIERS)
 def test_a_pallet_is_as_large_as_it_says_and_of_one_piece(carrier: Carrier) -> None:
     shape = pallet(carrier)
     assert shape is not None

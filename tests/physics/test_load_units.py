@@ -20,7 +20,7 @@ from petmjx.options.carriers import Carrier
 from petmjx.options.materials import friction_between, kinetic_share_between
 from petmjx.options.simulation import Check, Schedule, Simulation
 from petmjx.plans.plan import Plan
-from petmjx.plans.plan_fields import PALLETS
+from petmjx.plans.plan_fields import PALLET_KINDS
 from petmjx.runs.hopeless_profiles import slide_m
 from petmjx.show.file_info import file_infos
 from petmjx.world.carrier_boards import pallet
@@ -30,7 +30,7 @@ from petmjx.world.scene import build_scene
 from petmjx.world.supports import bearing_of
 
 G = 9.81
-EPAL_MM = PALLETS["epal-1"]
+EPAL_MM = PALLET_KINDS["epal-1"]
 MARGIN = 0.03
 """Required accuracy of thresholds: at 3 % below a threshold, a load stays; at 3 % above, it slides or topples."""
 WAY = 0.03
@@ -70,12 +70,12 @@ def engine_of(name: str) -> Engine:
     return make_engine(name)
 
 
-@pytest.mark.parametrize("kind", PALLETS)
+@pytest.mark.parametrize("kind", PALLET_KINDS)
 def test_pallets_have_the_extents_of_carriers(kind: str) -> None:
     boards = pallet(Carrier(kind))
     assert boards is not None
     ends = [np.add(corner, size) for corner, size in boards.boards]
-    np.testing.assert_allclose(np.max(ends, axis=0), PALLETS[kind])
+    np.testing.assert_allclose(np.max(ends, axis=0), PALLET_KINDS[kind])
 
 
 def test_units_are_joined_pallet_after_pallet() -> None:
