@@ -171,7 +171,7 @@ class Plan:
         corner_mm: Any,
         *,
         pallet: str = "epal-1",
-        pallet_kg: float = 25.0,
+        pallet_kg: float | None = None,
         material: str = "",
     ) -> Plan:
         """Make one plan from several loaded pallets, which are side by side on a carrier or stacked. Pallets are placed
@@ -183,8 +183,8 @@ class Plan:
             loads: for each pallet, the plan of its load. In the plan of a load, z = 0 is the pallet's top, and the
                 origin is the pallet's corner.
             corner_mm: (u, 3) front-left-bottom corner of each pallet, mm.
-            pallet: the kind of the pallets, "epal-1" or "gma-48x40".
-            pallet_kg: mass of each pallet, kg.
+            pallet: the kind of the pallets, such as "epal-1" (docs/carriers.md#load-units).
+            pallet_kg: mass of each pallet, kg. None: the mass of the carrier with the name ``pallet``.
             material: material of the pallets, for friction that depends on materials; "": unknown.
 
         Raises:

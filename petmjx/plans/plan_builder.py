@@ -14,7 +14,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.plans.input_conventions import InputConventions
 from petmjx.plans.placement_table import PlanFields, RefusedPlan, Table, as_column, sorted_columns, table_plans
-from petmjx.plans.plan_fields import PALLET_KINDS, SPARSE, plan_id_fault
+from petmjx.plans.plan_fields import PALLET_KINDS, SPARSE, joined_names, plan_id_fault
 
 SOURCE: Final = "python"
 
@@ -72,7 +72,7 @@ def fields_from_boxes(
 
 
 def fields_of_units(
-    plan_id: str, loads: Sequence[Any], corner_mm: Any, pallet: str, pallet_kg: float, material: str
+    plan_id: str, loads: Sequence[Any], corner_mm: Any, pallet: str, pallet_kg: float | None, material: str
 ) -> dict[str, Any]:
     """The fields of a plan made from loaded pallets. Arguments are as in ``Plan.of_units``; ``loads`` are plans.
 
@@ -82,10 +82,12 @@ def fields_of_units(
     if fault := plan_id_fault(text_of(plan_id, "plan_id")):
         raise InputError(fault)
     if pallet not in PALLET_KINDS:
-        raise InputError(f"pallet must be {' or '.join(PALLET_KINDS)}, {shown_value(pallet)}")
-    size, corners = np.array(PALLET_KINDS[pallet]), array_of(corner_mm, "corner_mm", (3,))
+        raise InputError(f"pallet must be {joined_names([*PALLET_KINDS], 'or')}, {shown_value(pallet)}")
+    size, corners = np.array(PALLET_KINDS[pallet].size_mm), array_of(corner_mm, "corner_mm", (3,))
     if not loads or len(corners) != len(loads):
         raise InputError(f"corner_mm must have a corner for each of {len(loads)} loads, got {len(corners)}")
+    if pallet_kg is None:
+        pallet_kg = PALLET_KINDS[pallet].mass_kg
     of_pallet = {"item_ids": "pallet", "articles": pallet, "product_groups": "", "materials": material, "kinds": pallet}
     usual = {"mass_center_mm": np.zeros(3), "orientation": 0, **dict.fromkeys(SPARSE, np.nan)}
     fields: dict[str, Any] = {"plan_id": plan_id, "source": SOURCE}

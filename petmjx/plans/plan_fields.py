@@ -6,7 +6,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,12 +73,20 @@ SPARSE: Final = {
 corrugated boxes, for example, have a stiffness of 100 to 500 N/mm."""
 
 SHEET: Final = "sheet"
-PALLET_KINDS: Final[Mapping[str, tuple[float, float, float]]] = {
-    Carrier.EPAL_1.value: (1200.0, 800.0, 144.0),
-    Carrier.GMA_48X40.value: (1219.0, 1016.0, 121.0),
+
+
+class PalletKind(NamedTuple):
+    """A kind of items that are pallets: extents, mm, and usual mass, kg, as of the carrier with the same name."""
+
+    size_mm: tuple[float, float, float]
+    mass_kg: float
+
+
+PALLET_KINDS: Final[Mapping[str, PalletKind]] = {
+    Carrier.EPAL_1.value: PalletKind((1200.0, 800.0, 144.0), 25.0),
+    Carrier.GMA_48X40.value: PalletKind((1219.0, 1016.0, 121.0), 20.0),
 }
-"""Kinds of items that are pallets, and so bear other boxes → their extents, mm. The kinds have the names of the
-carriers of the same form."""
+"""Kinds of items that are pallets, and so bear other boxes."""
 PALLET_SIZE_MM: Final = 1.0
 """Largest difference between the sizes of an item and the sizes of its kind of pallet, mm. Sizes in plans are usually
 whole millimetres, so they may differ by one millimetre."""
@@ -221,7 +229,7 @@ def pallet_fault(name: str | None, size_mm: Sequence[float]) -> str | None:
     """
     if name is None or name not in PALLET_KINDS:
         return None
-    length, width, height = PALLET_KINDS[name]
+    length, width, height = PALLET_KINDS[name].size_mm
     for pallet in (length, width, height), (width, length, height):
         if all(abs(side - extent) <= PALLET_SIZE_MM for side, extent in zip(size_mm, pallet, strict=True)):
             return None
@@ -268,9 +276,9 @@ def kind(value: object) -> str:
     return shortened_text(json.dumps(value))
 
 
-def joined_names(names: Sequence[str]) -> str:
+def joined_names(names: Sequence[str], word: Literal["and", "or"] = "and") -> str:
     """Names in a sentence: "x", "x and y", "x, y and z"."""
-    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+    return f" {word} ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
 class UnreadFields(Counter[str]):

@@ -96,7 +96,7 @@ def with_pallets(
     inertia_box, pieces = half_size.copy(), []
     for box, kind in plan.pallets.items():
         boards = _boards(kind, half_size[box])
-        if abs(plan.size_mm[box, 0] - PALLET_KINDS[kind][0]) > PALLET_SIZE_MM:  # the pallet is turned
+        if abs(plan.size_mm[box, 0] - PALLET_KINDS[kind].size_mm[0]) > PALLET_SIZE_MM:  # the pallet is turned
             order = [1, 0, 2]
             boards = replace(
                 boards,
@@ -118,7 +118,7 @@ def _boards(kind: str, half_size: FloatArray) -> Body:
     boards = pallet(Carrier(kind))
     assert boards is not None
     corner, size = (mm_to_m(np.array(part, np.float64)) for part in zip(*boards.boards, strict=True))
-    extent = np.array(PALLET_KINDS[kind]) / MM_PER_M
+    extent = np.array(PALLET_KINDS[kind].size_mm) / MM_PER_M
     sides = np.sort(2 * half_size[:2])[::-1] if extent[0] >= extent[1] else np.sort(2 * half_size[:2])
     scale = np.append(sides, 2 * half_size[2]) / extent
     middle = (corner + size / 2 - extent / 2) * scale

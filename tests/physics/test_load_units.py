@@ -30,7 +30,7 @@ from petmjx.world.scene import build_scene
 from petmjx.world.supports import bearing_of
 
 G = 9.81
-EPAL_MM = PALLET_KINDS["epal-1"]
+EPAL_MM = PALLET_KINDS["epal-1"].size_mm
 MARGIN = 0.03
 """Required accuracy of thresholds: at 3 % below a threshold, a load stays; at 3 % above, it slides or topples."""
 WAY = 0.03
@@ -71,22 +71,24 @@ def engine_of(name: str) -> Engine:
 
 
 @pytest.mark.parametrize("kind", PALLET_KINDS)
-def test_pallets_have_the_extents_of_carriers(kind: str) -> None:
+def test_pallets_have_the_extents_and_masses_of_carriers(kind: str) -> None:
     boards = pallet(Carrier(kind))
     assert boards is not None
     ends = [np.add(corner, size) for corner, size in boards.boards]
-    np.testing.assert_allclose(np.max(ends, axis=0), PALLET_KINDS[kind])
+    np.testing.assert_allclose(np.max(ends, axis=0), PALLET_KINDS[kind].size_mm)
+    assert sum(boards.masses_kg) == pytest.approx(PALLET_KINDS[kind].mass_kg)
 
 
 def test_units_are_joined_pallet_after_pallet() -> None:
     loads = [replace(make_plan("a", 2), stiffness_n_mm=np.array([5.0, 6.0])), make_plan("b", 1)]
-    plan = Plan.of_units("two", loads, [(0, 0, 0), (1300, 100, 0)], pallet="gma-48x40", pallet_kg=20.0, material="wood")
+    plan = Plan.of_units("two", loads, [(0, 0, 0), (1300, 100, 0)], pallet="gma-48x40", material="wood")
     assert plan.kinds == ("gma-48x40", "", "", "gma-48x40", "")
     assert plan.materials == ("wood", "", "", "wood", "")
     np.testing.assert_array_equal(plan.stiffness_n_mm, [np.nan, 5.0, 6.0, np.nan, np.nan])
     np.testing.assert_array_equal(plan.corner_mm[:, 2], [0, 121, 321, 0, 121])
     np.testing.assert_array_equal(plan.corner_mm[4, :2], [1300, 100])
     np.testing.assert_array_equal(plan.mass_kg, [20, 5, 5, 20, 5])
+    assert Plan.of_units("heavy", loads[1:], [(0, 0, 0)], pallet_kg=30.0).mass_kg[0] == 30
     with pytest.raises(InputError, match="corner_mm must have a corner for each of 2 loads, got 1"):
         Plan.of_units("two", loads, [(0, 0, 0)])
     for not_plans, why in (["load"], r"loads\[0\] must be"), (loads[0], "loads must be a list of"):
