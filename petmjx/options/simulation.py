@@ -92,10 +92,9 @@ class Simulation(CheckedRecord):
     )
     carrier: Annotated[AnyCarrier, CliFlag("--carrier", "NAME|FILE")] = Field(
         Carrier.FOOTPRINT,
-        description="what the boxes stand on: footprint: the plan's bounding box; euro-pallet: 1200×800 mm; "
-        "rollcontainer: 800×700 mm (x × y); carriers of boards with gaps: epal-1 (EN 13698-1), gma-48x40, pet-eur "
-        "(PET-Physics's), rollcontainer-grid, or your own carrier, FILE.toml; carriers with walls: rollcontainer-2, "
-        "-3, -4, gitterbox, container-20ft, trailer",
+        description="what the boxes stand on: footprint: the plan's bounding box; "
+        f"{', '.join(list(Carrier)[1:])}: slabs, or bodies of boards, some with walls (docs/carriers.md has their "
+        "sizes); or your own carrier, FILE.toml",
     )
     walls: Walls = Field(Walls(), description="walls around the carrier's top")
     friction_pairs: tuple[FrictionPair, ...] = Field(

@@ -45,7 +45,7 @@ class Walls(CheckedRecord):
     sides: Annotated[tuple[Side, ...] | None, CliFlag("--walls", "SIDE,…")] = Field(
         None,
         description="sides of the carrier that have a wall: left (at x = 0), right, front (at y = 0), back; by "
-        "default the carrier's own walls, which rollcontainer-2, -3 and -4, gitterbox and container-20ft have",
+        "default the carrier's own walls (docs/carriers.md)",
     )
     open: Annotated[tuple[Side, ...], CliFlag("--open-walls", "SIDE,…")] = Field(
         (),

@@ -189,9 +189,7 @@ def test_bad_options_are_one_line(function: Any, tmp_path: Path) -> None:
         ({"physics": {"gravity_m_s2": -9.81}}, "gravity_m_s2 must be > 0, got -9.81"),
         (
             {"carrier": "raft"},
-            "carrier must be 'footprint', 'euro-pallet', 'rollcontainer', 'epal-1', 'gma-48x40', 'pet-eur', "
-            "'rollcontainer-grid', 'rollcontainer-2', 'rollcontainer-3', 'rollcontainer-4', 'gitterbox', "
-            "'container-20ft', 'trailer' or a TOML file of boards, got 'raft'",
+            f"carrier must be {', '.join(map(repr, map(str, petmjx.Carrier)))} or a TOML file of boards, got 'raft'",
         ),
         ({"threads": 0}, "threads must be ≥ 1, got 0"),
     ):

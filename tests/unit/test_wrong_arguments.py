@@ -174,9 +174,8 @@ NO_PLANS = (
         ("load_plans", "strict", "yes", "strict must be true or false, got 'yes'"),
         ("save_plans", "path", "", "path must be a path, got ''"),
         ("release", "size_mm", "big", "size_mm must be an array of numbers, got 'big'"),
-        ("release", "ground", 3, "ground must be 'plane', 'euro-pallet', 'rollcontainer', 'epal-1', 'gma-48x40', "
-         "'pet-eur', 'rollcontainer-grid', 'rollcontainer-2', 'rollcontainer-3', 'rollcontainer-4', 'gitterbox', "
-         "'container-20ft', 'trailer' or a TOML file of boards, got 3"),
+        ("release", "ground", 3, "ground must be 'plane', "
+         f"{', '.join(map(repr, map(str, [*petmjx.Carrier][1:])))} or a TOML file of boards, got 3"),
         ("release", "times_s", 3, "times_s must have the shape (n), got ()"),
         ("generate", "n", 10**9, "n must be at most 200,000, got 1000000000"),
         ("generate", "n", 2.0, "n must be a whole number, got 2.0"),
