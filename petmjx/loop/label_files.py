@@ -22,11 +22,11 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from petmjx.analysis.criteria_run import criteria, need_packers
-from petmjx.common.arrow_files import open_for_arrow
 from petmjx.common.atomic_write import atomic_write, write_errors
 from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
 from petmjx.common.overwrite_guard import check_outputs
+from petmjx.common.parquet_files import open_for_arrow
 from petmjx.common.safe_read import read_regular
 from petmjx.common.text import count_text, printable
 from petmjx.loop.label_splits import SPLITS

@@ -25,10 +25,10 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from petmjx.common.arrow_files import open_for_arrow
 from petmjx.common.checked_records import option
 from petmjx.common.deferred_signals import defer_signals
 from petmjx.common.errors import InputError
+from petmjx.common.parquet_files import open_for_arrow
 from petmjx.common.safe_read import read_regular
 from petmjx.common.text import count_text
 from petmjx.loop.placement_labels import SCHEMA, Label

@@ -18,9 +18,9 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 
-from petmjx.common.arrow_files import parquet_rows
 from petmjx.common.checked_records import reason
 from petmjx.common.errors import InputError
+from petmjx.common.parquet_files import parquet_rows
 from petmjx.common.text import number_in, printable, printable_name
 from petmjx.common.toml_files import read_toml
 from petmjx.plans.carton_strength import CartonStrength

@@ -96,7 +96,7 @@ def looks_like_table(data: bytes | bytearray) -> bool:
 _LOOKED_AT_TEXT: Final = 1 << 16
 _OWN_JSON: Final = re.compile(rb'"(item_sequence|length/mm)"')
 _OTHER_UNITS: Final = re.compile(rb'"length/(cm|dm|m|in|inch|ft)"')
-_OTHER_TOOLS: Final = (b"PK\x03\x04", b"\x93NUMPY")
+_BINARY_MAGIC: Final = (b"PK\x03\x04", b"\x93NUMPY")
 """The first bytes of ZIP files (workbooks, and archives of NumPy arrays), and the first bytes of NumPy arrays."""
 _MARKUP: Final = re.compile(rb"(?:\xef\xbb\xbf)?\s*<")
 """The beginning of XML, of a MuJoCo scene, and of a web page."""
@@ -119,7 +119,7 @@ def is_of_other_tools(data: bytes | bytearray) -> bool:
     begin = bytes(data[: 1 << 10])
     if (encoding := wide_encoding(data)) is not None:
         begin = begin.decode(encoding, "ignore").encode()
-    return begin.startswith(_OTHER_TOOLS) or _MARKUP.match(begin) is not None
+    return begin.startswith(_BINARY_MAGIC) or _MARKUP.match(begin) is not None
 
 
 def looks_like_json(data: bytes | bytearray) -> bool:

@@ -11,6 +11,7 @@ from typing import Any, Final
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable, printable_name
 from petmjx.plans.cell_numbers import cell_number, cell_triple
+from petmjx.plans.data_frames import sources_of_frame
 from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.foreign_formats import sources_of_bytes
 from petmjx.plans.item_columns import BOX_PROPERTIES, ItemColumns, has_sizes_of_items, item_columns
@@ -20,7 +21,6 @@ from petmjx.plans.known_forms import BoxSource, rows_of
 from petmjx.plans.numpy_arrays import loaded_array
 from petmjx.plans.order_texts import SET_ITEMS, order_source
 from petmjx.plans.plans_as_orders import orders_of_plans
-from petmjx.plans.python_objects_and_py3dbp import sources_of_frame
 from petmjx.plans.raw_tables import BoxList, RawTable
 from petmjx.plans.workbooks import sheets_of_xlsx
 

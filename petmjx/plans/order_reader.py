@@ -153,7 +153,7 @@ def _foreign(path: Path, name: str, reading: OrderReading | None) -> ForeignOrde
     Raises:
         InputError: the file cannot be read as orders.
     """
-    from petmjx.common.arrow_files import parquet_table
+    from petmjx.common.parquet_files import parquet_table
     from petmjx.plans.foreign_orders import foreign_orders, frame_orders
     from petmjx.plans.item_columns import TWO_WAYS
     from petmjx.plans.item_units_and_quantities import OrderReading

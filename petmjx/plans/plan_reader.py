@@ -328,7 +328,7 @@ class _PlanLoader:
 
                 self._read_table(source, lambda: read_parquet(path), lambda: self._read_foreign_parquet(source, path))
             else:
-                self._read_text(source, path)
+                self._read_bytes(source, path)
         except (OSError, ValueError) as error:
             self._skip(source, None, f"{source}: cannot be read ({reason(error)})")
         self._count_unlisted(source)
@@ -347,7 +347,7 @@ class _PlanLoader:
         Raises:
             InputError: the table lacks columns.
         """
-        from petmjx.plans.python_objects_and_py3dbp import sources_of_frame
+        from petmjx.plans.data_frames import sources_of_frame
         from petmjx.plans.table_files import frame_table
 
         foreign = partial(self._read_foreign, FRAME, partial(sources_of_frame, frame))
@@ -370,7 +370,7 @@ class _PlanLoader:
     def _read_foreign_parquet(self, source: str, path: Path) -> InputError | None:
         """Read a Parquet file with other column names than petmjx's. Returns an error if the file cannot be read, else
         None."""
-        from petmjx.plans.python_objects_and_py3dbp import sources_of_frame
+        from petmjx.plans.data_frames import sources_of_frame
         from petmjx.plans.table_files import parquet_frame
 
         return self._read_foreign(source, lambda: sources_of_frame(parquet_frame(path)))
@@ -418,7 +418,7 @@ class _PlanLoader:
             return error
         return None
 
-    def _read_text(self, source: str, path: Path) -> None:
+    def _read_bytes(self, source: str, path: Path) -> None:
         data, fault = read_text_bytes(path)
         if fault is not None and not data:
             content, packing_fault = unpacked_bytes(path)

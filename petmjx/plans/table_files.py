@@ -14,8 +14,8 @@ import pyarrow.compute as pc
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
-from petmjx.common.arrow_files import OversizedFile, open_for_arrow, read_within
 from petmjx.common.checked_records import reason
+from petmjx.common.parquet_files import OversizedFile, open_for_arrow, read_within
 from petmjx.common.text import count_text, is_text, printable_name
 from petmjx.plans.file_formats import COMMA_NUMBER, is_utf8, other_encoding, separator_mark
 from petmjx.plans.placement_table import NAMES, LostRow, Table, TableError, as_column, sorted_columns

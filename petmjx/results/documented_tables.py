@@ -11,8 +11,8 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from petmjx.common.arrow_files import open_for_arrow
 from petmjx.common.overwrite_guard import IsOurs, check_outputs
+from petmjx.common.parquet_files import open_for_arrow
 from petmjx.common.safe_read import read_regular
 from petmjx.results.result_files import Write, csv, parquet, write_together
 

@@ -29,10 +29,10 @@ from typing import Final
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from petmjx.common.arrow_files import open_for_arrow
 from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
 from petmjx.common.overwrite_guard import check_outputs
+from petmjx.common.parquet_files import open_for_arrow
 from petmjx.common.safe_read import read_regular
 
 RUN_FILE: Final = "run.json"

@@ -12,9 +12,9 @@ from typing import Any, Final, Self
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from petmjx.common.arrow_files import OversizedFile, decoded_bytes, open_for_arrow, read_within
 from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
+from petmjx.common.parquet_files import OversizedFile, decoded_bytes, open_for_arrow, read_within
 from petmjx.common.safe_read import allowed_bytes, open_regular, size
 from petmjx.results.result_files import digest_of
 from petmjx.results.run_folder import OF_WORLDS, part_name, part_number

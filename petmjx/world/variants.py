@@ -177,7 +177,7 @@ class Variant:
 MIN_SIZE_FRACTION = 0.1
 """Smallest random extent of a box, as a share of its planned extent. Extents must stay positive."""
 
-LARGEST_SIZE_M = 7.0
+LARGEST_SIZE_WITH_ERRORS_M = 7.0
 """Largest random extent of a box, m. Boxes that are not yet placed hang 8 m apart, so larger boxes might touch."""
 
 MIN_MASS_FRACTION = 0.1
@@ -320,7 +320,7 @@ def _with_friction(scene: Scene, change: PlacementChange, factor: float) -> Scen
 def _changed_half_size(scene: Scene, relative: FloatArray, more_mm: FloatArray) -> FloatArray:
     size = 2.0 * scene.half_size
     changed = size * (1.0 + relative) + mm_to_m(more_mm)
-    half: FloatArray = np.clip(changed, MIN_SIZE_FRACTION * size, LARGEST_SIZE_M) / 2.0
+    half: FloatArray = np.clip(changed, MIN_SIZE_FRACTION * size, LARGEST_SIZE_WITH_ERRORS_M) / 2.0
     return half
 
 

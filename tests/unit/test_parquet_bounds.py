@@ -16,8 +16,8 @@ import pytest
 from support.outcomes import make_outcome, make_plan
 
 import petmjx
-from petmjx.common.arrow_files import open_for_arrow, read_within
 from petmjx.common.errors import InputError
+from petmjx.common.parquet_files import open_for_arrow, read_within
 from petmjx.plans.articles import read_articles
 from petmjx.results.result_files import digest_of
 from petmjx.results.run_writer import RunWriter

@@ -14,8 +14,8 @@ import pytest
 from support.plans import make_plan
 
 import petmjx
-from petmjx.common.arrow_files import parquet_table
 from petmjx.common.errors import InputError, PlanWarning
+from petmjx.common.parquet_files import parquet_table
 from petmjx.loop.episode_orders import Orders
 from petmjx.plans.articles import read_articles
 from petmjx.plans.plan_writer import plans_table

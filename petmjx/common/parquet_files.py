@@ -1,4 +1,4 @@
-"""Reads files with Arrow, and limits the memory that the content of a file may take."""
+"""Reads Parquet files, and limits the memory that the content of a file may take."""
 
 from __future__ import annotations
 
