@@ -1,5 +1,8 @@
-"""Recognises, by the first bytes of a file, the kinds of files that petmjx cannot read, and provides an error text for
-each kind."""
+"""Recognises, by the first bytes of a file, formats that are neither JSON nor CSV, and provides an error text for each.
+
+As plans and orders, petmjx nevertheless reads some of these formats, such as workbooks and NumPy arrays
+(``petmjx.plans.foreign_formats``).
+"""
 
 from __future__ import annotations
 

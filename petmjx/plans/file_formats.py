@@ -14,6 +14,8 @@ from petmjx.common.unreadable_files import ARCHIVE_BYTES, foreign_kind
 PARQUET_MAGIC: Final = b"PAR1"
 PARQUET_SUFFIX: Final = ".parquet"
 CSV_SUFFIXES: Final = (".csv", ".csv.gz", ".tsv", ".tsv.gz")
+PLAN_SUFFIXES: Final = (".json", ".json.gz", *CSV_SUFFIXES, PARQUET_SUFFIX, ".jsonl", ".xlsx", ".ods", ".npy", ".npz")
+"""The ends of the names of those files in a folder that are read as files of plans."""
 
 
 @runtime_checkable
@@ -96,8 +98,12 @@ def looks_like_table(data: bytes | bytearray) -> bool:
 _LOOKED_AT_TEXT: Final = 1 << 16
 _OWN_JSON: Final = re.compile(rb'"(item_sequence|length/mm)"')
 _OTHER_UNITS: Final = re.compile(rb'"length/(cm|dm|m|in|inch|ft)"')
-_BINARY_MAGIC: Final = (b"PK\x03\x04", b"\x93NUMPY")
-"""The first bytes of ZIP files (workbooks, and archives of NumPy arrays), and the first bytes of NumPy arrays."""
+ZIP_MAGIC: Final = b"PK\x03\x04"
+"""The first bytes of ZIP files: workbooks, and archives of NumPy arrays."""
+NUMPY_MAGIC: Final = b"\x93NUMPY"
+_BINARY_MAGIC: Final = (ZIP_MAGIC, NUMPY_MAGIC)
+"""The first bytes of the binary formats that ``petmjx.plans.foreign_formats.sources_of_bytes`` reads. A file of any
+other binary format is refused, or taken for text."""
 _MARKUP: Final = re.compile(rb"(?:\xef\xbb\xbf)?\s*<")
 """The beginning of XML, of a MuJoCo scene, and of a web page."""
 

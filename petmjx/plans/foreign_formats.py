@@ -13,7 +13,7 @@ from petmjx.common.text import blanked
 from petmjx.common.unreadable_files import foreign_kind, program_kind
 from petmjx.plans.cell_numbers import cell_number
 from petmjx.plans.column_names import words_of
-from petmjx.plans.file_formats import NoBoxes, NoGeometry, nul_fault
+from petmjx.plans.file_formats import NUMPY_MAGIC, ZIP_MAGIC, NoBoxes, NoGeometry, nul_fault
 from petmjx.plans.header_and_total_rows import geometric_names
 from petmjx.plans.known_forms import MOST_BYTES, X3D, BoxSource, rows_of, with_known_form, with_named_units
 from petmjx.plans.nested_containers import LAYERS
@@ -42,9 +42,9 @@ def sources_of_bytes(data: bytes | bytearray, path: Path | None = None) -> list[
     if len(data) > MOST_BYTES:
         raise NoBoxes(f"is larger than {MOST_BYTES >> 20} MiB, the limit for files of other tools")
     head = bytes(data[:8])
-    if head.startswith(b"\x93NUMPY"):
+    if head.startswith(NUMPY_MAGIC):
         return sources_of_arrays({"": loaded_array(data)})
-    if head.startswith(b"PK\x03\x04"):
+    if head.startswith(ZIP_MAGIC):
         if b".npy" in bytes(data[: 1 << 16]):
             return sources_of_arrays(loaded_arrays(data))
         if (kind := foreign_kind(data)) is not None and "ZIP" in kind:

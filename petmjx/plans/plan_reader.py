@@ -25,8 +25,7 @@ from petmjx.common.text import count_text, first_names, printable, printable_id,
 from petmjx.options.run_options import Anchor, RunOptions
 from petmjx.plans.convention_checks import warn, with_conventions
 from petmjx.plans.file_formats import (
-    CSV_SUFFIXES,
-    PARQUET_SUFFIX,
+    PLAN_SUFFIXES,
     NoBoxes,
     NoGeometry,
     SupportsArrow,
@@ -67,7 +66,6 @@ OPTIONS_OF_OTHERS: Final = (
     ("reading", "--as"),
 )  # fmt: skip
 """Options that apply only to files of other tools: name of the field, and flag of the command line."""
-_SUFFIXES: Final = (".json", ".json.gz", *CSV_SUFFIXES, PARQUET_SUFFIX, ".jsonl", ".xlsx", ".ods", ".npy", ".npz")
 
 
 def load_plans(
@@ -261,7 +259,7 @@ def plan_files_in(folder: Path) -> list[Path]:
     return sorted(
         member
         for member in folder.iterdir()
-        if member.name.lower().endswith(_SUFFIXES) and not member.name.startswith(".") and not member.is_dir()
+        if member.name.lower().endswith(PLAN_SUFFIXES) and not member.name.startswith(".") and not member.is_dir()
     )
 
 
@@ -419,6 +417,8 @@ class _PlanLoader:
         return None
 
     def _read_bytes(self, source: str, path: Path) -> None:
+        """Read a file that is not Parquet: JSON or CSV, or a text, sheet or array of another tool. The file may be
+        gzipped."""
         data, fault = read_text_bytes(path)
         if fault is not None and not data:
             content, packing_fault = unpacked_bytes(path)
