@@ -32,6 +32,7 @@ from petmjx.common.checked_records import (
 )
 from petmjx.world.error_distributions import Distribution, DistributionShape
 from petmjx.world.random_streams import WorldKey
+from petmjx.world.variants import SIZE_ERRORS
 
 MAX_AXIS_VALUES: Final = 100_000
 """Largest number of values of one axis. Without a limit, a typing error in a step could fill the memory."""
@@ -307,6 +308,11 @@ class AxisKind:
     def placement(self) -> bool:
         """Whether the placement of boxes must be simulated again for each value of the axis."""
         return bool(self.changes)
+
+    @property
+    def changes_sizes(self) -> bool:
+        """Whether the axis changes the sizes of boxes."""
+        return not SIZE_ERRORS.isdisjoint(self.changes)
 
 
 _BOX, _CARRIER = "box_friction_factor", "carrier_friction_factor"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final
 
 from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
@@ -25,11 +24,7 @@ from petmjx.world.job import Drive, Excitation, Job
 from petmjx.world.profiles.profile import Profile, Strength, allowed_sway_m
 from petmjx.world.random_streams import WorldKey
 from petmjx.world.scene import Scene, build_scene
-from petmjx.world.variants import DriveSpec, LegSpec, Variant, apply_all
-
-_ERRORS: Final = frozenset({"size_mm", "size_rel", "x_mm", "y_mm", "yaw_deg"})
-"""Fields of a variant that hold errors of places or sizes. If a variant has such an error, a hand carries boxes to
-their places, unless the options name another way of placing."""
+from petmjx.world.variants import PLACE_AND_SIZE_ERRORS, DriveSpec, LegSpec, Variant, apply_all
 
 
 @dataclass(frozen=True, eq=False)
@@ -311,7 +306,7 @@ class SweepPlan(Design):
     @property
     def has_errors(self) -> bool:
         """Whether places or sizes have errors in some worlds."""
-        return any(_ERRORS & {*AXIS_KINDS[name].changes} for name in self.sweep.axes)
+        return any(not PLACE_AND_SIZE_ERRORS.isdisjoint(axis.kind.changes) for axis in self.sweep.axes.values())
 
     @property
     def all_placements(self) -> int:

@@ -104,6 +104,13 @@ class PlacementChange:
         return any(isinstance(value, Distribution) and value.random for value in values)
 
 
+SIZE_ERRORS: Final = frozenset({"size_mm", "size_rel"})
+"""Fields of `PlacementChange` with errors of sizes."""
+PLACE_AND_SIZE_ERRORS: Final = SIZE_ERRORS | {"x_mm", "y_mm", "yaw_deg"}
+"""Fields of `PlacementChange` with errors of places or sizes. If a variant has such an error, a hand carries boxes to
+their places, unless the options name another way of placing. Each of these fields also has a term in
+``_farthest_m``."""
+
 UNCHANGED = PlacementChange()
 
 PlacementKey = tuple[PlacementChange, int]
@@ -178,7 +185,8 @@ MIN_SIZE_FRACTION = 0.1
 """Smallest random extent of a box, as a share of its planned extent. Extents must stay positive."""
 
 LARGEST_SIZE_WITH_ERRORS_M = 7.0
-"""Largest random extent of a box, m. Boxes that are not yet placed hang 8 m apart, so larger boxes might touch."""
+"""Largest extent of a box with errors of its size, m. (In a plan, extents are at most
+``petmjx.plans.plan_fields.LARGEST_MM``.) Boxes that are not yet placed hang 8 m apart, so larger boxes might touch."""
 
 MIN_MASS_FRACTION = 0.1
 """Smallest random mass of a box, as a share of its mass without errors. MuJoCo refuses bodies without mass."""
@@ -259,8 +267,7 @@ def _changed_scenes(scene: Scene, change: PlacementChange, keys: Sequence[WorldK
         half_size[:, :standing] = scene.half_size[:standing]
     x, y, yaw = (drawn(getattr(change, name), name.partition("_")[0], n) for name in ("x_mm", "y_mm", "yaw_deg"))
     yaw = np.radians(yaw)
-    moved = (change.size_mm, change.size_rel, change.x_mm, change.y_mm, change.yaw_deg)
-    has_errors = not all(error.zero for error in moved)
+    has_errors = not all(getattr(change, name).zero for name in PLACE_AND_SIZE_ERRORS)
     placing = change.placing(scene.placing, errors=has_errors)
     worlds = max(len(half_size), len(x), len(y), len(yaw))
     start_pos = np.repeat(scene.start_pos[None], worlds, axis=0)

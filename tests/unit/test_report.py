@@ -329,6 +329,7 @@ def test_grids_have_their_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     for words in ("Share that stands by level", "Largest level of eumos-40509 by direction", "Which axis matters most"):
         assert words in body
     assert info_of(html)["n"] == len(worlds) == 12
+    assert not info_of(html)["runs"][0]["nominalSizes"]
     keys = [column["key"] for column in info_of(html)["columns"]]
     assert keys.index("x-level_g") < keys.index("verdict") < keys.index("x-mode")
     shares = worlds.assign(stands=worlds["verdict"] == "stable").groupby("level_g")["stands"].mean()
@@ -364,6 +365,7 @@ def test_confidence_has_its_answers(tmp_path: Path) -> None:
     html = page_of(tmp_path / "sure")
     assert "How sure are the verdicts?" in checked(html)
     assert info_of(html)["n"] == 2, "a row a plan, not a row a world"
+    assert info_of(html)["runs"][0]["nominalSizes"], "worlds have errors of sizes, which are not drawn"
     assert {"share", "low", "high"} <= {column["key"] for column in info_of(html)["columns"]}
 
 

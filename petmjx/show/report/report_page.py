@@ -15,6 +15,7 @@ from petmjx.common.text import count_text, printable
 from petmjx.common.units import MM_PER_M
 from petmjx.results.input_files import input_files
 from petmjx.results.run_reader import RunResults
+from petmjx.runs.sweep_axes import AXIS_KINDS
 from petmjx.show.pages.html_page import page
 from petmjx.show.pages.page_arrays import block, integer_column
 from petmjx.show.pages.palette import category, ramp
@@ -105,7 +106,7 @@ def _of_run(run: ReportRun) -> dict[str, Any]:
         "limits": {"shift_mm": MM_PER_M * limits.shift_m, "tilt_deg": limits.tilt_deg},
         "missing": run.plan_files.note,
         "folder": shlex.quote(printable(str(run.results.path))),
-        "nominalSizes": any("size_tolerance" in name for name in run.parameters),
+        "nominalSizes": any(kind.changes_sizes and kind.column in run.parameters for kind in AXIS_KINDS.values()),
     }
 
 
