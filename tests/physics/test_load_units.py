@@ -96,7 +96,7 @@ def test_units_are_joined_pallet_after_pallet() -> None:
             Plan.of_units("two", not_plans, [(0, 0, 0)])
     with pytest.raises(InputError, match="the plan id must be text and not empty"):
         Plan.of_units("", loads, [(0, 0, 0)] * 2)
-    with pytest.raises(InputError, match="pallet must be epal-1 or gma-48x40, got 'skid'"):
+    with pytest.raises(InputError, match=r"pallet must be epal-1.*, got 'skid'"):
         Plan.of_units("two", loads, [(0, 0, 0)] * 2, pallet="skid")
 
 
