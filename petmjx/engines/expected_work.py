@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray, seconds_to_steps
-from petmjx.options.carriers import Carrier, walls_of
+from petmjx.options.carriers import walls_of
 from petmjx.options.placing import Way
 from petmjx.options.simulation import SOFT_START_STEPS, Check, Schedule, Simulation
+from petmjx.world.carrier_boards import pallet
 from petmjx.world.job import Drive
 
 STEP_SHARE = 0.072
@@ -257,10 +258,10 @@ class Work:
 
     @property
     def on_boards(self) -> bool:
-        """Whether boxes may touch boards, or walls on several sides."""
-        slabs = (Carrier.FOOTPRINT, Carrier.EURO_PALLET, Carrier.ROLLCONTAINER, Carrier.TRAILER)
+        """Whether boxes may touch several boards, or walls on several sides."""
+        boards = pallet(self.sim.carrier)
         sides = walls_of(self.sim.carrier, self.sim.walls).sides or ()
-        return self.sim.carrier not in slabs or len(sides) >= FEWEST_WALLS
+        return (boards is not None and len(boards.boards) > 1) or len(sides) >= FEWEST_WALLS
 
     @property
     def fixed_steps(self) -> FloatArray:
