@@ -136,6 +136,12 @@ class BoxMetric:
     compared: bool = True
     relative: bool = False
 
+    @property
+    def is_peak(self) -> bool:
+        """Whether the values are the largest of a time, so that a later part of a simulation can only increase them.
+        The names of such metrics, and of no others, begin with ``max_``."""
+        return self.attribute.startswith("max_")
+
     def nothing(self, *n: int) -> NDArray[np.float64] | NDArray[np.bool_]:
         """The values of (…, n) boxes for which the metric was not measured: NaN, or False for type bool."""
         shape = (*n, len(self.columns)) if len(self.columns) > 1 else n

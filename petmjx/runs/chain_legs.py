@@ -17,7 +17,7 @@ from petmjx.common.checked_records import CheckedRecord, complaint, similar, wit
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.common.units import seconds_to_steps
-from petmjx.engines.metrics import BoxMetrics
+from petmjx.engines.metrics import BoxMetrics, box_metrics
 from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.options.walls import Side
 from petmjx.runs.sweep_axes import Direction, Range, Strengths, Turn
@@ -234,8 +234,9 @@ def after(before: Outcome, leg: Outcome, timestep_s: float) -> Outcome:
     leg = with_sustained_force(leg, before.boxes)
     boxes, old = leg.boxes, before.boxes
     largest = {
-        name: np.fmax(getattr(old, name), getattr(boxes, name))
-        for name in ("max_tilt_deg", "max_lin_acc", "max_ang_acc", "max_top_force_n", "max_sway_m")
+        metric.attribute: np.fmax(getattr(old, metric.attribute), getattr(boxes, metric.attribute))
+        for metric in box_metrics()
+        if metric.is_peak
     }
     history = leg.history
     if history is not None and before.history is not None:

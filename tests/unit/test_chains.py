@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from support.outcomes import make_outcome
 from support.plans import make_plan, stack
 from support.sweeps import QUICK, Recorder, leaning, write_sweep
 
@@ -20,11 +21,13 @@ import petmjx
 from petmjx.common.errors import InputError
 from petmjx.common.units import STANDARD_GRAVITY
 from petmjx.engines.job_stream import JobStream
+from petmjx.engines.metrics import SampleAt, box_metrics
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.protocol import Progress, says_at_hand, takes_stream
 from petmjx.engines.verdict import Outcome
 from petmjx.options.simulation import Simulation
 from petmjx.plans.bundled import bundled_path
+from petmjx.runs.chain_legs import after
 from petmjx.runs.chain_summary import ChainColumns, summarise_chain
 from petmjx.runs.hopeless_profiles import slide_m
 from petmjx.runs.merge import merge_runs
@@ -104,6 +107,17 @@ def test_a_block_slides_on_from_where_the_leg_before_left_it(engine: str, tmp_pa
     frames = run.frames["time_s"].to_numpy()
     assert (np.diff(frames) > 0).all()
     assert frames[-1] == pytest.approx(world["sim_time_s"], abs=0.002)
+
+
+def test_largest_values_are_those_of_all_legs() -> None:
+    """Every number that is measured again and again is the largest so far; other values are those of the last leg."""
+    often = (SampleAt.STEPS, SampleAt.SAMPLES, SampleAt.LOOKS)
+    names = [m.attribute for m in box_metrics() if m.when in often and m.dtype is np.float32]
+    assert names == [metric.attribute for metric in box_metrics() if metric.is_peak]
+    one, two = (make_outcome(**dict.fromkeys(names, values)) for values in (np.arange(3.0), np.arange(3.0)[::-1]))
+    boxes = after(one, two, 0.002).boxes
+    assert [getattr(boxes, name).tolist() for name in names] == [[2.0, 1.0, 2.0]] * len(names)
+    assert (boxes.pos == two.boxes.pos).all()
 
 
 def test_a_world_says_in_which_leg_which_box_failed_and_when(tmp_path: Path) -> None:
