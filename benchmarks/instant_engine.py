@@ -105,11 +105,13 @@ def _outcome(job: int, pos: FloatArray, moved: FloatArray, verdict: Verdict, rea
         n_steps=1000 + int(1e6 * abs(moved[0, 1])),
         flags=flags,
         boxes=BoxMetrics(
-            pos=pos,
-            shift_m=moved,
-            max_tilt_deg=1e3 * np.abs(moved[:, 0]),
-            max_top_force_n=1e5 * abs(moved[:, 1]),
-            **_still(n),
+            **_still(n)
+            | {
+                "pos": pos,
+                "shift_m": moved,
+                "max_tilt_deg": 1e3 * np.abs(moved[:, 0]),
+                "max_top_force_n": 1e5 * abs(moved[:, 1]),
+            }
         ),
         n_at_sign=n if falls else 0,
     )
@@ -117,8 +119,6 @@ def _outcome(job: int, pos: FloatArray, moved: FloatArray, verdict: Verdict, rea
 
 @cache
 def _still(n: int) -> dict[str, Any]:
-    """The other metrics of n boxes. No code changes these arrays."""
-    zero, none = np.zeros(n), np.full(n, np.nan)
-    rest = {"rest_top_force_n": zero, "dropped": np.zeros(n, bool), "drop_s": none, "max_sway_m": none}
-    rest |= {"plan_edge_m": none, "rest_edge_m": none, "sustained_top_force_n": none}
-    return {"max_lin_acc": zero, "max_ang_acc": zero, **rest, "quat": np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))}
+    """Metrics of n boxes that stand still, by name. No code changes these arrays."""
+    zero, upright = np.zeros(n), np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
+    return vars(BoxMetrics.measured(n, max_lin_acc=zero, max_ang_acc=zero, rest_top_force_n=zero, quat=upright))
