@@ -13,7 +13,7 @@ import pyarrow as pa
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable, printable_name, shortened_text
 from petmjx.options.run_options import ALL
-from petmjx.options.walls import Walls
+from petmjx.options.simulation import Simulation
 from petmjx.plans.order_checks import PlanOrderCounts
 from petmjx.results.plan_digests import PlanRecord
 from petmjx.results.run_folder import RUN_FILE
@@ -137,7 +137,7 @@ def _settings_of_command(settings: Mapping[str, Any]) -> Mapping[str, Any]:
     their defaults."""
     settings = {"force_intervals": False, "keep": ALL, **settings}
     if isinstance(simulation := settings.get("simulation"), Mapping):
-        settings["simulation"] = _with_later_fields(simulation)
+        settings["simulation"] = _with_later_options(simulation)
     sweep = settings.get("sweep")
     if settings.get("command") != "score" or not isinstance(sweep, Mapping):
         return settings
@@ -146,17 +146,54 @@ def _settings_of_command(settings: Mapping[str, Any]) -> Mapping[str, Any]:
     return {**other_settings, "confidence": sweep.get("replicates"), "errors": errors}
 
 
-def _with_later_fields(simulation: Mapping[str, Any]) -> dict[str, Any]:
-    """The options of a simulation from ``run.json``. Fields that earlier versions of petmjx did not write are added;
-    each added field has the value that changes nothing."""
-    walls = Walls().model_dump(mode="json")
-    later = {"walls": walls, "iteration_limit": None, **simulation}
-    if isinstance(carrier := later.get("carrier"), Mapping):
-        later["carrier"] = {"walls": walls, **carrier}
-    pairs = later.get("friction_pairs", [])
-    if _are_tables(pairs):
-        later["friction_pairs"] = [{"kinetic": None, **pair} for pair in pairs]
-    return later
+CHANGED_RESULTS: Final = frozenset(
+    {
+        "longest_wait_s",
+        "placing",
+        "physics.falls_into_place",
+        "physics.impratio",
+        "physics.landing_s",
+        "physics.restitution",
+        "physics.skin_m",
+        "physics.slip_correction",
+        "physics.solreffriction",
+        "quiet.landing_steps",
+        "quiet.quiet_m_s",
+        "quiet.slow_m_s",
+        "quiet.still_m_s",
+        "quiet.still_steps",
+        "quiet.tremble_share",
+        "quiet.tremble_steps",
+    }
+)
+"""Options that came with a default that changed results. Versions of petmjx without such an option had other results
+than later versions with the option's default."""
+
+
+def _with_later_options(simulation: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The options of a simulation from ``run.json``. Options that an earlier version of petmjx did not have get their
+    defaults, except the options in ``CHANGED_RESULTS``."""
+    try:
+        complete = Simulation.read(simulation).model_dump(mode="json")
+    except InputError:  # the run has an option or a value that this version does not have
+        return simulation
+    with_defaults: Mapping[str, Any] = _with_defaults(simulation, complete)
+    return with_defaults
+
+
+def _with_defaults(values: Any, complete: Any, path: str = "") -> Any:
+    """The same values, and those that only ``complete`` has, except the values of ``CHANGED_RESULTS``."""
+    if isinstance(values, Mapping) and isinstance(complete, Mapping):
+        later = {
+            name: value
+            for name, value in complete.items()
+            if name not in values and f"{path}{name}" not in CHANGED_RESULTS
+        }
+        earlier = {name: _with_defaults(value, complete.get(name), f"{path}{name}.") for name, value in values.items()}
+        return earlier | later
+    if _are_tables(values) and _are_tables(complete):
+        return [_with_defaults(*tables, path) for tables in zip(values, complete, strict=True)]
+    return values
 
 
 def differing_settings(was: Any, now: Any, path: str = "") -> Iterator[tuple[str, Any, Any]]:
