@@ -7,7 +7,9 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from petmjx.common.units import FloatArray
 from petmjx.engines.metrics import BoxMetrics
 from petmjx.engines.mujoco.box_motion import excess
 from petmjx.engines.verdict import Outcome, Verdict
@@ -47,10 +49,28 @@ def _margins(worlds: Sequence[tuple[Verdict, BoxMetrics, int]], thresholds: Thre
     shift = np.concatenate([boxes.shift_m[rows] for boxes, rows in placed_boxes], dtype=np.float64)
     tilt = np.concatenate([boxes.max_tilt_deg[rows] for boxes, rows in placed_boxes], dtype=np.float64)
     dropped = np.concatenate([boxes.dropped[rows] for boxes, rows in placed_boxes], dtype=np.bool_)
-    largest = np.maximum(excess(shift, tilt, dropped, thresholds), DROPPED_EXCESS * dropped)
     begins = np.cumsum(placed) - np.array(placed)
-    for k, margin in zip(valid, (1.0 - np.maximum.reduceat(largest, begins)).tolist(), strict=True):
-        # The verdict decides the sign of the margin. Near a threshold, the sign of the computed margin may be wrong,
-        # because `judge` may have compared float32 numbers, and the excess is a rounded quotient.
-        margins[k] = max(margin, 0.0) if worlds[k][0] is Verdict.STABLE else min(margin, -_EPSILON)
+    largest = np.maximum.reduceat(excess_for_margin(shift, tilt, dropped, thresholds), begins)
+    stable = np.array([worlds[k][0] is Verdict.STABLE for k in valid])
+    for k, margin in zip(valid, margin_of_excess(largest, stable).tolist(), strict=True):
+        margins[k] = margin
     return margins
+
+
+def excess_for_margin(
+    shift_m: FloatArray, tilt_deg: FloatArray, dropped: NDArray[np.bool_], thresholds: Thresholds
+) -> FloatArray:
+    """(…, n) excess of each box as it counts in margins. ``results`` in petmjx/jax/device_pallets.py computes the same
+    in JAX."""
+    return np.asarray(np.maximum(excess(shift_m, tilt_deg, dropped, thresholds), DROPPED_EXCESS * dropped))
+
+
+def margin_of_excess(largest: FloatArray, stable: NDArray[np.bool_]) -> FloatArray:
+    """(m,) margin of each valid world from the largest excess of its boxes. ``results`` in petmjx/jax/device_pallets.py
+    computes the same in JAX.
+
+    Whether a world is stable decides the sign of its margin. Near a threshold, the sign of the computed margin may be
+    wrong, because `judge` may have compared float32 numbers, and the excess is a rounded quotient.
+    """
+    margin = 1.0 - largest
+    return np.where(stable, np.maximum(margin, 0.0), np.minimum(margin, -_EPSILON))

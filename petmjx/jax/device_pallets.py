@@ -122,7 +122,11 @@ class Device:
 
     def results(self, open_: OpenState, known: jax.Array) -> PlacementArrays:
         """The results of the last placement in each world. ``known`` tells for which worlds a box was placed. In the
-        results of all other worlds, the reason is ``ended``, and numbers are 0 or -1."""
+        results of all other worlds, the reason is ``ended``, and numbers are 0 or -1.
+
+        ``PlacementResults.of_snapshots`` (petmjx/loop/placement_results.py) and petmjx/engines/margin.py compute the
+        same in NumPy.
+        """
         state, worlds, limits = open_.state, open_.worlds, self.sim.thresholds
         here = jnp.arange(self.width) < state.placed[:, None]
         middle, quat = motion.middles(state.qpos, worlds.middle), state.qpos[..., 3:]

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import MM_PER_M, FloatArray
-from petmjx.engines.margin import DROPPED_EXCESS, margins_of
-from petmjx.engines.mujoco.box_motion import has_dropped, shift, tilt_deg
+from petmjx.engines.margin import excess_for_margin, margin_of_excess, margins_of
+from petmjx.engines.mujoco.box_motion import farthest, has_dropped, shift, tilt_deg
 from petmjx.engines.open_world_protocol import Snapshots, joined_records, widened_rows
 from petmjx.engines.verdict import Flag, Outcome, Signs, Verdict, judge_all
 from petmjx.options.thresholds import Thresholds
@@ -90,16 +90,11 @@ class PlacementResults:
             verdict, reason = judge_all(
                 snapshots.flags, Signs(shifted, tilted, snapshots.max_top_force_n, dropped), thresholds
             )
-            x, y, z = np.abs(np.moveaxis(shifted, 2, 0))
-            farthest = np.maximum(np.maximum(x, y), z)
-            over = np.maximum(farthest / thresholds.shift_m, tilted / thresholds.tilt_deg)
-            over = np.nan_to_num(np.maximum(over, DROPPED_EXCESS * dropped), nan=-np.inf)
+            over = np.nan_to_num(excess_for_margin(shifted, tilted, dropped, thresholds), nan=-np.inf)
         stable, invalid = verdict == str(Verdict.STABLE), verdict == str(Verdict.INVALID)
         worst = over.argmax(axis=1) if k else np.zeros(m, np.int64)
         culprit = np.where(snapshots.culprit >= 0, snapshots.culprit, np.where(invalid, -1, worst))
-        margin = 1.0 - over.max(axis=1, initial=0.0)
-        eps = float(np.finfo(np.float64).eps)
-        margin = np.where(stable, np.maximum(margin, 0.0), np.minimum(margin, -eps))
+        margin = margin_of_excess(over.max(axis=1, initial=0.0), stable)
         return cls(
             pallet=np.asarray(pallet, np.int64),
             stable=stable,
@@ -107,7 +102,7 @@ class PlacementResults:
             reason=reason,
             culprit=np.where(stable, -1, culprit),
             margin=np.where(invalid, np.nan, margin),
-            shift_mm=_largest(farthest * MM_PER_M),
+            shift_mm=_largest(farthest(shifted) * MM_PER_M),
             tilt_deg=_largest(tilted),
             n_boxes=snapshots.placed,
             ended=snapshots.ended,
@@ -140,7 +135,7 @@ class PlacementResults:
             reason=np.array([str(outcome.reason) for outcome in outcomes]),
             culprit=np.array([outcome.culprit for outcome in outcomes], np.int64),
             margin=np.array(margins_of(outcomes, thresholds)),
-            shift_mm=_largest(np.abs(boxes("shift_m")).max(axis=2) * MM_PER_M),
+            shift_mm=_largest(farthest(boxes("shift_m")) * MM_PER_M),
             tilt_deg=_largest(boxes("max_tilt_deg")),
             n_boxes=np.array([outcome.n_boxes for outcome in outcomes], np.int64),
             ended=np.array([outcome.verdict is not Verdict.STABLE for outcome in outcomes], bool),
