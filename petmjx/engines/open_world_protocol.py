@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Flag, Outcome
 from petmjx.options.simulation import Schedule, Simulation
-from petmjx.world.friction_pairs import filled_up
 from petmjx.world.growing_scenes import EmptyCarrier, NextBoxes, OpenScenes
 from petmjx.world.job import Drive
 from petmjx.world.scene import OF_BOXES, Scene
+from petmjx.world.surface_pairs import filled_up
 
 MOST_BOXES: Final = 96
 """Default number of boxes for which an open world reserves memory. The value is also the largest number of boxes that a

@@ -33,9 +33,9 @@ from petmjx.plans.plan_sources import PlanSource, usable_plans
 from petmjx.results.schema import data_frame, schemas
 from petmjx.results.world_rows import Part, Row
 from petmjx.runs.study import NOMINAL
-from petmjx.world.friction_pairs import check_surfaces
 from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
+from petmjx.world.surface_pairs import check_surfaces
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.options.thresholds import Thresholds
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
-from petmjx.world.friction_pairs import LARGER
 from petmjx.world.history import CARRIER
 from petmjx.world.pushing_forces import ON_EDGE_M, on_edges, pulls, pushes
 from petmjx.world.rectangle_hulls import HullTable, hull_table
 from petmjx.world.scene import Scene
+from petmjx.world.surface_pairs import LARGER
 
 TOUCH_M: Final = DEFAULT_TOLERANCE_MM / MM_PER_M
 """Largest distance between two faces that count as touching, m. The warnings about plans use the same distance."""

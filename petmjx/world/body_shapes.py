@@ -31,7 +31,7 @@ class Body:
         friction: (s, 3) sliding, torsional and rolling coefficients of the shapes.
         inertia_box: (3,) half extents of the solid box that has the body's mass and moments of inertia, m: MuJoCo's
             equivalent inertia box.
-        surface: (s,) surface number of each shape (petmjx/world/friction_pairs.py). If ``surface`` is None, every shape
+        surface: (s,) surface number of each shape (petmjx/world/surface_pairs.py). If ``surface`` is None, every shape
             has the surface 0.
         walls: sides of a carrier that have a wall. The walls are the body's last shapes, in the order of ``walls``; all
             other shapes are boards.
@@ -213,7 +213,7 @@ class Shapes:
         half_size: (s, 3) half extents of the shapes, m.
         pos: (s, 3) centres of the shapes in their bodies' frames, m.
         friction: (s, 3) sliding, torsional and rolling coefficients of the shapes.
-        surface: (s,) surface number of each shape (petmjx/world/friction_pairs.py).
+        surface: (s,) surface number of each shape (petmjx/world/surface_pairs.py).
     """
 
     body: NDArray[np.intp]

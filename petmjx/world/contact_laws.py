@@ -49,7 +49,7 @@ import numpy as np
 from petmjx.common.units import FloatArray
 from petmjx.options.physics import Cone, Physics, Triple
 from petmjx.options.simulation import Simulation
-from petmjx.world.friction_pairs import FROM_PHYSICS
+from petmjx.world.surface_pairs import FROM_PHYSICS
 
 CONTACTS_PER_FACE = 4
 """Number of contacts that MuJoCo makes between two faces: the corners of their common rectangle."""

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from petmjx.common.units import FloatArray
 from petmjx.options.physics import Cone, Physics, Triple
 from petmjx.world.compliance import Face, compliances, law_between
-from petmjx.world.friction_pairs import LARGER, filled_up
 from petmjx.world.history import CARRIER, FLOOR
 from petmjx.world.scene import IDENTITY_QUAT, Scene
 from petmjx.world.soft_boxes import add_soft_box, check_soft, set_for_soft, soft_friction
+from petmjx.world.surface_pairs import LARGER, filled_up
 
 FLOOR_NAME = "floor"
 CARRIER_NAME = "carrier"
@@ -151,7 +151,7 @@ def geom_bodies(model: mujoco.MjModel, boxes: Sequence[int] | NDArray[np.integer
 
 
 def geom_surfaces(scene: Scene, bodies: NDArray[np.integer]) -> NDArray[np.intp]:
-    """(ngeom,) surface number of each geom (petmjx/world/friction_pairs.py). ``bodies`` is the result of
+    """(ngeom,) surface number of each geom (petmjx/world/surface_pairs.py). ``bodies`` is the result of
     ``geom_bodies``."""
     surface = np.zeros(len(bodies), np.intp)
     if scene.surface is not None:

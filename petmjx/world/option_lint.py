@@ -19,9 +19,9 @@ from petmjx.options.wrap import Wrap
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, MOST_NAMED
 from petmjx.world.carrier_boards import has_walls, pallet
-from petmjx.world.friction_pairs import check_surfaces
 from petmjx.world.scene import build_scene, carrier_of
 from petmjx.world.supports import bearing_of
+from petmjx.world.surface_pairs import check_surfaces
 
 _USES: Final = {
     Way.EXACT: (),

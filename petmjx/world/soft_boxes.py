@@ -33,10 +33,10 @@ from petmjx.common.errors import InputError
 from petmjx.common.units import FloatArray
 from petmjx.options.physics import Physics, Triple
 from petmjx.world.contact_laws import MOST_IMPEDANCE
-from petmjx.world.friction_pairs import LARGER, filled_up
 from petmjx.world.history import CARRIER
 from petmjx.world.rotation import rotations
 from petmjx.world.scene import IDENTITY_QUAT, Scene
+from petmjx.world.surface_pairs import LARGER, filled_up
 
 POINTS: Final = np.array(list(product((-1.0, 0.0, 1.0), repeat=3)))
 """(27, 3) the points of a box whose half sizes are 1."""

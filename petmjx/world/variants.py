@@ -25,10 +25,10 @@ from petmjx.common.units import MM_PER_M, FloatArray, mm_to_m
 from petmjx.options.placing import Placing, Way
 from petmjx.options.walls import Side
 from petmjx.world.error_distributions import Distribution
-from petmjx.world.friction_pairs import scaled_pairs
 from petmjx.world.random_streams import WorldKey, rngs
 from petmjx.world.release_places import make_room
 from petmjx.world.scene import Scene
+from petmjx.world.surface_pairs import scaled_pairs
 
 ZERO = Distribution()
 

@@ -19,10 +19,10 @@ from petmjx.engines.protocol import Engine
 from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.options.simulation import Simulation
 from petmjx.world.body_shapes import Body
-from petmjx.world.friction_pairs import LARGER
 from petmjx.world.history import Record
 from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
 from petmjx.world.scene import Scene
+from petmjx.world.surface_pairs import LARGER
 
 pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 

@@ -31,10 +31,10 @@ from petmjx.engines.mujoco.top_forces import largest_top_forces, top_force_input
 from petmjx.options.materials import FrictionPair, LandingPair
 from petmjx.options.physics import LANDING_S, RESTITUTION
 from petmjx.options.simulation import Simulation
-from petmjx.world.friction_pairs import filled_up
 from petmjx.world.history import Record
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene, build_scene
+from petmjx.world.surface_pairs import filled_up
 
 STACK: tuple[Box, ...] = (((400, 300, 200), (0, 0, 0), 5.0), ((400, 300, 200), (0, 0, 200), 5.0))
 HEIGHT_MM = 100.0

@@ -22,11 +22,11 @@ from petmjx.options.simulation import Simulation
 from petmjx.options.wrap import Wrap
 from petmjx.plans.articles import Article, Articles, with_articles
 from petmjx.world.compliance import sinks_m
-from petmjx.world.friction_pairs import check_surfaces
 from petmjx.world.job import Drive, Excitation, Job
 from petmjx.world.mujoco_model import HeldCarrier, build_spec
 from petmjx.world.scene import IDENTITY_QUAT, Scene, build_scene
 from petmjx.world.supports import bearing_of
+from petmjx.world.surface_pairs import check_surfaces
 
 GRAVITY = 9.81
 WITHIN = 0.05

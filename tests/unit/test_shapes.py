@@ -26,8 +26,8 @@ from petmjx.engines.mjx.timetable import Timetable, build_timetable
 from petmjx.engines.mjx.world_constants import NEVER, Worlds, upload_worlds
 from petmjx.engines.mjx.world_state import Metrics, State, fresh_state, narrow, per_box, put_resized, take_rows
 from petmjx.options.simulation import Simulation
-from petmjx.world.friction_pairs import MOST_SURFACES
 from petmjx.world.job import Job
+from petmjx.world.surface_pairs import MOST_SURFACES
 
 ROWS, WIDTH = 8, 5
 SIM = Simulation()

@@ -17,7 +17,7 @@ from petmjx.engines.mjx.world_constants import Worlds
 from petmjx.engines.mjx.world_state import State
 from petmjx.options.simulation import Simulation
 from petmjx.world.contact_laws import AT_REST, FAST_M_S, lasts_steps
-from petmjx.world.friction_pairs import FROM_PHYSICS
+from petmjx.world.surface_pairs import FROM_PHYSICS
 
 
 class Landing(NamedTuple):

@@ -18,9 +18,9 @@ from petmjx.engines.mjx.world_constants import Worlds
 from petmjx.options.physics import Physics
 from petmjx.options.simulation import Simulation, Solver
 from petmjx.world.body_shapes import Body
-from petmjx.world.friction_pairs import LARGER
 from petmjx.world.mujoco_model import HeldCarrier, build_spec
 from petmjx.world.scene import IDENTITY_QUAT, Scene
+from petmjx.world.surface_pairs import LARGER
 
 FLOOR_GEOM = 0
 CARRIER_BODY, FIRST_BOX_BODY = 1, 2

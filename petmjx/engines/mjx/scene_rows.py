@@ -15,11 +15,11 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.approach_paths import ApproachPath, approach_path_of, approach_paths_of
 from petmjx.world.compliance import compliances, sinks_m
 from petmjx.world.film import film_of
-from petmjx.world.friction_pairs import filled_up
 from petmjx.world.history import CARRIER
 from petmjx.world.release_places import NOTHING, Release, release_of, releases_of
 from petmjx.world.scene import IDENTITY_QUAT, Scene
 from petmjx.world.scene_arrays import equal_shape_groups, stacked_values
+from petmjx.world.surface_pairs import filled_up
 
 MANY: Final = 1_000
 """From this number of rows on, several threads copy faster than one, since NumPy releases the interpreter's lock while

@@ -40,7 +40,7 @@ class Worlds(NamedTuple):
     ``petmjx.world.body_shapes.Body``.
 
     Contacts: ``floor_friction`` and ``friction`` are sliding, torsional and rolling coefficients. For
-    ``shape_surface``, ``pair_friction``, ``pair_landing`` and ``pair_kinetic``, see petmjx/world/friction_pairs.py.
+    ``shape_surface``, ``pair_friction``, ``pair_landing`` and ``pair_kinetic``, see petmjx/world/surface_pairs.py.
     petmjx/world/compliance.py explains ``shape_give`` (m³/N) and ``sinks``, the expected descent of boxes (m).
 
     Drives: ``driven`` states whether a drive follows the placement, and ``held`` whether the drive holds the carrier

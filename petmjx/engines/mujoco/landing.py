@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from petmjx.common.units import FloatArray
 from petmjx.options.simulation import Simulation
 from petmjx.world.contact_laws import FAST_M_S, lasts_steps, pull, stiffness_ratio
-from petmjx.world.friction_pairs import filled_up
 from petmjx.world.mujoco_model import geom_surfaces
 from petmjx.world.scene import Scene
+from petmjx.world.surface_pairs import filled_up
 
 CALM_M_S2 = 0.5
 """Many steps are taken in one call while the norm of all accelerations (m/s² and rad/s²) is at most this value. With

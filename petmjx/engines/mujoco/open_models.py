@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from petmjx.options.physics import Cone, Physics
 from petmjx.options.simulation import Simulation, Solver
-from petmjx.world.friction_pairs import LARGER, filled_up
 from petmjx.world.mujoco_model import build_spec
 from petmjx.world.scene import Scene
+from petmjx.world.surface_pairs import LARGER, filled_up
 
 _SOLVER = {Solver.NEWTON: mujoco.mjtSolver.mjSOL_NEWTON, Solver.CG: mujoco.mjtSolver.mjSOL_CG}
 
@@ -159,9 +159,9 @@ class _Template:
         model.geom_pos[geom:] = scene.middle[order]
         model.geom_aabb[geom:, 3:] = half
         model.geom_rbound[geom:] = np.sqrt((half**2).sum(axis=1))
-        self._fill_friction(model, scene, order)
+        self._fill_pairs(model, scene, order)
 
-    def _fill_friction(self, model: mujoco.MjModel, scene: Scene, order: NDArray[np.intp]) -> None:
+    def _fill_pairs(self, model: mujoco.MjModel, scene: Scene, order: NDArray[np.intp]) -> None:
         """Write the friction of pairs of geoms as ``petmjx.world.mujoco_model`` declares it: the larger friction of the
         two geoms, or the friction given for the pair of their surfaces."""
         boards = len(scene.carrier.half_size)

@@ -24,7 +24,7 @@ from petmjx.world.contact_laws import (
     next_share,
     slack_m_s2,
 )
-from petmjx.world.friction_pairs import FROM_PHYSICS
+from petmjx.world.surface_pairs import FROM_PHYSICS
 
 LOOK_STEPS = 5
 """Number of steps between two checks whether bodies move. At rest, these steps are taken in one call of C, without
