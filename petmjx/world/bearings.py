@@ -26,7 +26,7 @@ from petmjx.world.history import CARRIER
 from petmjx.world.pushing_forces import ON_EDGE_M, on_edges, pulls, pushes
 from petmjx.world.rectangle_hulls import HullTable, hull_table
 from petmjx.world.scene import Scene
-from petmjx.world.surface_pairs import LARGER
+from petmjx.world.surface_pairs import NOT_GIVEN
 
 TOUCH_M: Final = DEFAULT_TOLERANCE_MM / MM_PER_M
 """Largest distance between two faces that count as touching, m. The warnings about plans use the same distance."""
@@ -132,7 +132,7 @@ def _least_friction(scene: Scene) -> FloatArray:
     friction = scene.friction[:, 0]
     if scene.surface is None or scene.pair_friction is None:
         return friction
-    of_pairs = np.where(scene.pair_friction == LARGER, np.inf, scene.pair_friction).min(axis=1)[scene.surface]
+    of_pairs = np.where(scene.pair_friction == NOT_GIVEN, np.inf, scene.pair_friction).min(axis=1)[scene.surface]
     return np.where(np.isfinite(of_pairs), of_pairs, friction)
 
 

@@ -49,7 +49,7 @@ import numpy as np
 from petmjx.common.units import FloatArray
 from petmjx.options.physics import Cone, Physics, Triple
 from petmjx.options.simulation import Simulation
-from petmjx.world.surface_pairs import FROM_PHYSICS
+from petmjx.world.surface_pairs import NOT_GIVEN
 
 CONTACTS_PER_FACE = 4
 """Number of contacts that MuJoCo makes between two faces: the corners of their common rectangle."""
@@ -238,13 +238,13 @@ def pull(
         before_m_s: (k,) speeds at which the contacts would close with the velocities before the landing, m/s.
         depth_m: (k,) depths of the contacts, m.
         normal_z: (k,) z components of the contacts' unit normals.
-        of_pair: (k, 2) restitution and landing time, s, of each contact. ``FROM_PHYSICS`` stands for the value in
+        of_pair: (k, 2) restitution and landing time, s, of each contact. ``NOT_GIVEN`` stands for the value in
             ``physics``.
         physics: the physics, with gravity, timestep and ``solimp``, and with restitution and landing time for contacts
-            that have ``FROM_PHYSICS``.
+            that have ``NOT_GIVEN``.
     """
     usual, step_s = (physics.restitution, physics.landing_s), physics.timestep_s
-    share, landing_s = np.where(of_pair == FROM_PHYSICS, usual, of_pair).T
+    share, landing_s = np.where(of_pair == NOT_GIVEN, usual, of_pair).T
     fall = np.abs(normal_z) * physics.gravity_m_s2
     # each step moves a body with the velocity at the step's end: a body that leaves with the speed v rises by
     # v² / 2g + v · timestep / 2

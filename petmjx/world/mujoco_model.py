@@ -20,7 +20,7 @@ from petmjx.world.compliance import Face, compliances, law_between
 from petmjx.world.history import CARRIER, FLOOR
 from petmjx.world.scene import IDENTITY_QUAT, Scene
 from petmjx.world.soft_boxes import add_soft_box, check_soft, set_for_soft, soft_friction
-from petmjx.world.surface_pairs import LARGER, filled_up
+from petmjx.world.surface_pairs import NOT_GIVEN, filled_up
 
 FLOOR_NAME = "floor"
 CARRIER_NAME = "carrier"
@@ -193,7 +193,7 @@ def _declare_pairs(
         for two in other_partners:
             sliding, torsional, rolling = map(max, one.friction, two.friction)
             table_friction = float(table[one.surface, two.surface])
-            sliding = sliding if table_friction == LARGER else table_friction
+            sliding = sliding if table_friction == NOT_GIVEN else table_friction
             solref, solimp = physics.solref, physics.solimp
             if two.face is not None:
                 solref, solimp = law_between(physics, two.face, one.face)

@@ -77,13 +77,13 @@ class Scene:
             m. If ``inertia_box`` is None, the boxes are solid.
         surface: (n,) surface number of each box. If ``surface`` is None, every box has the number 0.
         pair_friction: (k, k) coefficient of sliding friction between two surfaces. The entry
-            ``petmjx.world.surface_pairs.LARGER`` stands for the larger coefficient of the two shapes. If
+            ``petmjx.world.surface_pairs.NOT_GIVEN`` stands for the larger coefficient of the two shapes. If
             ``pair_friction`` is None, the larger coefficient of the two shapes is used for every pair.
         pair_landing: (k, k, 2) coefficient of restitution between two surfaces, and time in which a landing box is
-            stopped, s. The entry ``petmjx.world.surface_pairs.FROM_PHYSICS`` stands for the value of ``Physics``. If
+            stopped, s. The entry ``petmjx.world.surface_pairs.NOT_GIVEN`` stands for the value of ``Physics``. If
             ``pair_landing`` is None, the values of ``Physics`` are used for every pair.
         pair_kinetic: (k, k) kinetic friction between two surfaces as a share of their static friction. The entry
-            ``petmjx.world.surface_pairs.FROM_PHYSICS`` stands for the value of ``Physics``. If ``pair_kinetic`` is
+            ``petmjx.world.surface_pairs.NOT_GIVEN`` stands for the value of ``Physics``. If ``pair_kinetic`` is
             None, the value of ``Physics`` is used for every pair.
         placing: how boxes are placed.
         approach: (n, 2) horizontal unit vectors along which carried boxes move to their places. If a row is 0, the

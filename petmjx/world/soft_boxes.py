@@ -36,7 +36,7 @@ from petmjx.world.contact_laws import MOST_IMPEDANCE
 from petmjx.world.history import CARRIER
 from petmjx.world.rotation import rotations
 from petmjx.world.scene import IDENTITY_QUAT, Scene
-from petmjx.world.surface_pairs import LARGER, filled_up
+from petmjx.world.surface_pairs import NOT_GIVEN, filled_up
 
 POINTS: Final = np.array(list(product((-1.0, 0.0, 1.0), repeat=3)))
 """(27, 3) the points of a box whose half sizes are 1."""
@@ -321,14 +321,14 @@ def soft_friction(scene: Scene) -> SoftFriction:
     boards = np.flatnonzero(shapes.body == CARRIER)
     soft = np.flatnonzero(scene.soft)
     alike = table[surface, surface]
-    box_friction = np.where(alike == LARGER, box_friction, alike)
+    box_friction = np.where(alike == NOT_GIVEN, box_friction, alike)
     with_boards = table[np.ix_(surface[soft], shapes.surface[boards])]
-    bare = with_boards == LARGER
+    bare = with_boards == NOT_GIVEN
     board_friction = np.where(bare, np.maximum(box_friction[soft][:, None], shapes.friction[boards, 0]), with_boards)
     of_carrier = float(np.where(board_friction > box_friction[soft][:, None] + 1e-9, board_friction, 0.0).max())
     pair_friction = table[np.ix_(surface[soft], surface)]
     pair_friction = np.where(
-        pair_friction == LARGER, np.maximum(scene.friction[soft, 0][:, None], scene.friction[:, 0]), pair_friction
+        pair_friction == NOT_GIVEN, np.maximum(scene.friction[soft, 0][:, None], scene.friction[:, 0]), pair_friction
     )
     np.putmask(pair_friction, np.arange(scene.n_boxes) == soft[:, None], box_friction[soft])
     larger = np.maximum(box_friction[soft][:, None], box_friction), np.maximum(box_friction[soft], of_carrier)[:, None]

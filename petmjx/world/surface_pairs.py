@@ -26,15 +26,10 @@ MOST_SURFACES: Final = 16
 """Largest number of surfaces of a world, including surface 0. On a GPU, a world's tables of friction and landings have
 this number of rows, one per surface."""
 
-LARGER: Final = -1.0
-"""Marks an entry of a friction table without a coefficient. A contact with this entry has the larger coefficient of the
-two shapes, as is usual in MuJoCo."""
-
-
-FROM_PHYSICS: Final = LARGER
-"""Marks an entry without a value in a table of restitutions, of landing times (times in which landing boxes are
-stopped) or of kinetic friction. For a marked entry, ``Physics`` gives the value: restitution, landing time, or kinetic
-friction as a share of static friction."""
+NOT_GIVEN: Final = -1.0
+"""Marks an entry without a value in a table of pairs of surfaces. A contact with such an entry has the larger friction
+coefficient of the two shapes, as is usual in MuJoCo. Its restitution, its landing time (time in which a landing box is
+stopped) and its kinetic friction as a share of static friction are those of ``Physics``."""
 
 
 def scaled_pairs(
@@ -55,19 +50,18 @@ def scaled_pairs(
     factor = np.full(len(table), box_factor)
     if of_boards is not None:
         factor[of_boards] = carrier_factor
-    return np.where(table == LARGER, LARGER, table * np.maximum.outer(factor, factor))
+    return np.where(table == NOT_GIVEN, NOT_GIVEN, table * np.maximum.outer(factor, factor))
 
 
 def filled_up(table: FloatArray | None, entry: tuple[int, ...] = ()) -> FloatArray:
     """(``MOST_SURFACES``, ``MOST_SURFACES``, …) a world's table with an entry for each pair of surfaces: friction,
-    kinetic friction, or landings (restitution and landing time). Entries that ``table`` lacks have the value
-    ``FROM_PHYSICS`` (no value is given), which is the same number as ``LARGER``.
+    kinetic friction, or landings (restitution and landing time). Entries that ``table`` lacks are ``NOT_GIVEN``.
 
     Args:
         table: (k, k, …) the table. If ``table`` is None, no entry has a value.
         entry: shape of an entry: (2,) for landings, () for friction.
     """
-    filled = np.full((MOST_SURFACES, MOST_SURFACES, *entry), FROM_PHYSICS)
+    filled = np.full((MOST_SURFACES, MOST_SURFACES, *entry), NOT_GIVEN)
     if table is not None:
         filled[: len(table), : len(table)] = table
     return filled
@@ -83,11 +77,11 @@ class Surfaces(NamedTuple):
     Attributes:
         of_boxes: (n,) surface number of each box.
         of_boards: (s,) surface number of each board and wall of the carrier.
-        friction: (k, k) coefficient of sliding friction between two surfaces; ``LARGER`` if the larger friction of the
-            two bodies acts.
+        friction: (k, k) coefficient of sliding friction between two surfaces; ``NOT_GIVEN`` if the larger friction of
+            the two bodies acts.
         landing: (k, k, 2) coefficient of restitution between two surfaces, and time in which a landing box is stopped,
-            s. ``FROM_PHYSICS``: the value of ``Physics`` acts.
-        kinetic: (k, k) kinetic friction between two surfaces as a share of their static friction. ``FROM_PHYSICS``: the
+            s. ``NOT_GIVEN``: the value of ``Physics`` acts.
+        kinetic: (k, k) kinetic friction between two surfaces as a share of their static friction. ``NOT_GIVEN``: the
             share of ``Physics`` acts. If ``kinetic`` is None, no pair has a share of its own.
     """
 
@@ -124,7 +118,7 @@ def find_surfaces(plan: Plan, sim: Simulation) -> Surfaces | None:
             f"surfaces (combinations of material and friction), got {len(of_boxes) + len(of_boards)}"
         )
     n = 1 + len(of_boxes) + len(of_boards)
-    table, landing, kinetic = np.full((n, n), LARGER), np.full((n, n, 2), FROM_PHYSICS), np.full((n, n), FROM_PHYSICS)
+    table, landing, kinetic = np.full((n, n), NOT_GIVEN), np.full((n, n, 2), NOT_GIVEN), np.full((n, n), NOT_GIVEN)
     for row, one in enumerate(of_boxes, start=1):
         for column, other in enumerate(of_boxes, start=1):
             table[row, column] = _pair_friction(one, other, sim)
@@ -144,7 +138,7 @@ def find_surfaces(plan: Plan, sim: Simulation) -> Surfaces | None:
         np.array([surface_of_board[board] for board in boards]),
         table,
         landing,
-        kinetic if (kinetic != FROM_PHYSICS).any() else None,
+        kinetic if (kinetic != NOT_GIVEN).any() else None,
     )
 
 
@@ -175,22 +169,22 @@ def check_surfaces(plans: Iterable[Plan], sim: Simulation) -> list[str]:
 def _pair_friction(one: str, other: str, sim: Simulation) -> float:
     """The entry of two materials in the table of friction.
 
-    A pair without known friction also gets ``LARGER``, which has no effect: ``check_pairs`` has made sure that bodies
-    with this pair of materials never touch.
+    A pair without known friction also gets ``NOT_GIVEN``, which has no effect: ``check_pairs`` has made sure that
+    bodies with this pair of materials never touch.
     """
     friction = friction_between(one, other, sim.friction_pairs) if one and other else None
-    return LARGER if friction is None else friction
+    return NOT_GIVEN if friction is None else friction
 
 
 def _kinetic(one: str, other: str, sim: Simulation) -> float:
     """The entry of two materials in the table of kinetic friction as a share of static friction."""
     share = kinetic_share_between(one, other, sim.friction_pairs) if one and other else None
-    return FROM_PHYSICS if share is None else share
+    return NOT_GIVEN if share is None else share
 
 
 def _landing(one: str, other: str, sim: Simulation) -> tuple[float, float]:
     """The entry of two materials in the table of restitutions and landing times."""
     if not (one and other):
-        return FROM_PHYSICS, FROM_PHYSICS
+        return NOT_GIVEN, NOT_GIVEN
     restitution, landing_s = landing_between(one, other, sim.landing_pairs)
-    return FROM_PHYSICS if restitution is None else restitution, FROM_PHYSICS if landing_s is None else landing_s
+    return NOT_GIVEN if restitution is None else restitution, NOT_GIVEN if landing_s is None else landing_s

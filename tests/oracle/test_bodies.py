@@ -22,7 +22,7 @@ from petmjx.world.body_shapes import Body
 from petmjx.world.history import Record
 from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
 from petmjx.world.scene import Scene
-from petmjx.world.surface_pairs import LARGER
+from petmjx.world.surface_pairs import NOT_GIVEN
 
 pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 
@@ -90,7 +90,7 @@ def by_pairs() -> Scene:
     of box and carrier would count, and would hold both boxes.
     """
     boxes = [((SIDE_MM, SIDE_MM, 100), (-300, y, 0), 4.0) for y in (0, 300, 600)]
-    table = np.full((4, 4), LARGER)
+    table = np.full((4, 4), NOT_GIVEN)
     for surface, friction in ((1, LOW), (2, LOWER)):
         table[surface, 3] = table[3, surface] = friction
     carrier = replace(boards(0.9), surface=np.array([3, 3]))

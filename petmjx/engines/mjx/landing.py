@@ -17,7 +17,7 @@ from petmjx.engines.mjx.world_constants import Worlds
 from petmjx.engines.mjx.world_state import State
 from petmjx.options.simulation import Simulation
 from petmjx.world.contact_laws import AT_REST, FAST_M_S, lasts_steps
-from petmjx.world.surface_pairs import FROM_PHYSICS
+from petmjx.world.surface_pairs import NOT_GIVEN
 
 
 class Landing(NamedTuple):
@@ -79,7 +79,7 @@ def act(
     usual, step_s = jnp.array([physics.restitution, physics.landing_s]), physics.timestep_s
     surface = landing.surface[links.geoms]
     of_pair = landing.pair[surface[:, 0], surface[:, 1]]
-    share, landing_s = jnp.where(of_pair == FROM_PHYSICS, usual[None], of_pair).T
+    share, landing_s = jnp.where(of_pair == NOT_GIVEN, usual[None], of_pair).T
     fall = jnp.abs(contact.frame[:, 0, 2]) * physics.gravity_m_s2
     energy = jnp.maximum((share * approach) ** 2 + 2 * fall * (rows.depth - AT_REST * physics.solimp[2]), 0.0)
     opening = jnp.where(share > 0, jnp.sqrt((fall * step_s / 2) ** 2 + energy) - fall * step_s / 2, 0.0)

@@ -20,7 +20,7 @@ from petmjx.options.simulation import Simulation, Solver
 from petmjx.world.body_shapes import Body
 from petmjx.world.mujoco_model import HeldCarrier, build_spec
 from petmjx.world.scene import IDENTITY_QUAT, Scene
-from petmjx.world.surface_pairs import LARGER
+from petmjx.world.surface_pairs import NOT_GIVEN
 
 FLOOR_GEOM = 0
 CARRIER_BODY, FIRST_BOX_BODY = 1, 2
@@ -170,7 +170,7 @@ def override_fields(
         pair_friction = worlds.pair_friction[
             jnp.arange(n_worlds)[:, None], surface[:, model.pair_geom1], surface[:, model.pair_geom2]
         ]
-        sliding = jnp.where(pair_friction == LARGER, partners[..., 0], pair_friction)
+        sliding = jnp.where(pair_friction == NOT_GIVEN, partners[..., 0], pair_friction)
         fields["pair_friction"] = partners[..., jnp.array([0, 0, 1, 2, 2])].at[..., :2].set(sliding[..., None])
         if gives:
             fields |= laws(worlds, model, inv_translation, physics)

@@ -19,7 +19,7 @@ from petmjx.options.physics import Cone, Physics
 from petmjx.options.simulation import Simulation, Solver
 from petmjx.world.mujoco_model import build_spec
 from petmjx.world.scene import Scene
-from petmjx.world.surface_pairs import LARGER, filled_up
+from petmjx.world.surface_pairs import NOT_GIVEN, filled_up
 
 _SOLVER = {Solver.NEWTON: mujoco.mjtSolver.mjSOL_NEWTON, Solver.CG: mujoco.mjtSolver.mjSOL_CG}
 
@@ -173,5 +173,5 @@ class _Template:
         one, two = model.pair_geom1, model.pair_geom2
         larger = np.maximum(friction[one], friction[two])
         pair_friction = filled_up(scene.pair_friction)[surface[one], surface[two]]
-        sliding = np.where(pair_friction == LARGER, larger[:, 0], pair_friction)
+        sliding = np.where(pair_friction == NOT_GIVEN, larger[:, 0], pair_friction)
         model.pair_friction[:] = np.column_stack([sliding, sliding, larger[:, 1], larger[:, 2], larger[:, 2]])

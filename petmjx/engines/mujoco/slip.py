@@ -24,7 +24,7 @@ from petmjx.world.contact_laws import (
     next_share,
     slack_m_s2,
 )
-from petmjx.world.surface_pairs import FROM_PHYSICS
+from petmjx.world.surface_pairs import NOT_GIVEN
 
 LOOK_STEPS = 5
 """Number of steps between two checks whether bodies move. At rest, these steps are taken in one call of C, without
@@ -94,7 +94,7 @@ class SlipLaw:
         if self._of_pairs is None or self._surfaces is None:
             return self._share
         of_pair: FloatArray = self._of_pairs[tuple(self._surfaces[np.asarray(data.contact.geom)[active]].T)]
-        return np.where(of_pair == FROM_PHYSICS, self._share, of_pair)
+        return np.where(of_pair == NOT_GIVEN, self._share, of_pair)
 
     def _solve(
         self, model: mujoco.MjModel, data: mujoco.MjData, normal: NDArray[np.integer], reference: FloatArray
