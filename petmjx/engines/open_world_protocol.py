@@ -36,7 +36,9 @@ class Snapshot:
         top_force_n: (k,) force on each box's top in the last step, N.
         culprit: number of the first box that was beyond a threshold at a sample (a measurement every 0.2 s), or -1 if
             there is none.
-        max_tilt_deg, max_top_force_n: (k,) largest tilt (degrees) and largest force on the top (N) at samples.
+        max_tilt_deg: (k,) largest tilt so far, degrees.
+        max_top_force_n: (k,) largest force on the top so far, N: in the steps that count (docs/rules.md, section 7), or
+            ``top_force_n`` if that is larger, since steps in which all boxes are slow do not count.
         dropped: (k,) whether each box had dropped at a sample.
     """
 

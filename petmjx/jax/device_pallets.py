@@ -136,9 +136,8 @@ class Device:
         over = jnp.maximum(motion.excess(shift, tilt, dropped, limits), DROPPED_EXCESS * dropped)
         full = state.status == Status.OVERFLOWED
         reason = jnp.zeros(len(full), jnp.int32)
-        boxes = SimpleNamespace(
-            shift_m=shift, max_tilt_deg=tilt, dropped=dropped, max_top_force_n=state.metrics.max_top_force
-        )
+        top_force = jnp.fmax(state.metrics.max_top_force, state.top_force)
+        boxes = SimpleNamespace(shift_m=shift, max_tilt_deg=tilt, dropped=dropped, max_top_force_n=top_force)
         failed = (
             *((why, (here & failing).any(axis=1)) for why, failing in reversed(list(failures(boxes, limits)))),
             *((why, (state.flags & int(bits)) != 0) for bits, why in reversed(INVALID_FLAGS)),

@@ -105,6 +105,7 @@ def test_boxes_can_be_put_in_one_by_one(engine: MujocoEngine | MjxWarpEngine) ->
             if isinstance(engine, MjxWarpEngine):
                 assert_same_but_for_a_digit_of_tilts(outcome, expected)
             np.testing.assert_allclose(outcome.boxes.pos, expected.boxes.pos, atol=FLOAT64)
+            assert (snapshot.max_top_force_n >= snapshot.top_force_n).all(), "a force at rest also counts"
         assert snapshot.ended == (outcome.verdict is Verdict.UNSTABLE and outcome.sim_time_s == snapshot.time_s)
 
 

@@ -136,7 +136,7 @@ class OpenWorld(WorldRun):
         """The state of the world, with ``Flag.MOVING`` if the world paused because its time was up, although boxes were
         still moving."""
         live, k = self._live, self._live.n_placed
-        pose = live.pose[:k]
+        pose, top_force_n = live.pose[:k], live.top_forces()
         moves = self.paused and not (self._quiet.holds or self._metrics.has_failed)
         return Snapshot(
             time_s=self._clock.time_s(self._step),
@@ -144,10 +144,10 @@ class OpenWorld(WorldRun):
             flags=self._flags | (Flag.MOVING if moves else Flag.NONE),
             pos=pose[:, :3],
             quat=pose[:, 3:],
-            top_force_n=live.top_forces(),
+            top_force_n=top_force_n,
             culprit=self._metrics.culprit,
             max_tilt_deg=self._metrics.max_tilt_deg[:k].copy(),
-            max_top_force_n=self._metrics.max_top_force_n[:k].copy(),
+            max_top_force_n=np.fmax(self._metrics.max_top_force_n[:k], top_force_n),
             dropped=np.isfinite(self._metrics.drop_s[:k]),
         )
 

@@ -155,6 +155,6 @@ def snapshots_of(report: SnapshotInputs, half_size: FloatArray, target: FloatArr
         half_size=half_size,
         top_force_n=doubles(np.asarray(state.top_force)),
         max_tilt_deg=doubles(np.asarray(state.max_tilt)),
-        max_top_force_n=doubles(np.asarray(state.max_top_force)),
+        max_top_force_n=doubles(np.fmax(state.max_top_force, state.top_force)),
         dropped=(np.asarray(state.drop_step)[:, :width] >= 0) & ~beyond,
     )
