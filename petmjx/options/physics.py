@@ -70,7 +70,8 @@ def _contact_times(values: tuple[float, float]) -> tuple[float, float]:
 
 Friction = Annotated[Triple, AfterValidator(_no_negatives)]
 """MuJoCo's coefficients of sliding, torsional and rolling friction of a geom. When two geoms touch, MuJoCo uses the
-larger of the two geoms' values for each of the three coefficients."""
+larger of the two geoms' values for each of the three coefficients. Only the coefficient of sliding friction has an
+effect, since contacts have three dimensions (``condim`` 3)."""
 
 CUSTOM: Final = "custom"
 
@@ -90,15 +91,18 @@ class Physics(CheckedRecord):
     cone: Cone = Field(Cone.ELLIPTIC, description="friction cone")
     carrier_friction: Friction = Field(
         (0.5, 0.005, 0.0001),
-        description="coefficients of sliding, torsional and rolling friction of the carrier, as in MuJoCo",
+        description="coefficients of sliding, torsional and rolling friction of the carrier, as in MuJoCo; "
+        "only sliding friction acts",
     )
     box_friction: Friction = Field(
         (0.5, 0.005, 0.0001),
-        description="coefficients of sliding, torsional and rolling friction of boxes, as in MuJoCo",
+        description="coefficients of sliding, torsional and rolling friction of boxes, as in MuJoCo; "
+        "only sliding friction acts",
     )
     floor_friction: Friction = Field(
         (1.0, 0.005, 0.0001),
-        description="coefficients of sliding, torsional and rolling friction of the floor, as in MuJoCo",
+        description="coefficients of sliding, torsional and rolling friction of the floor, as in MuJoCo; "
+        "only sliding friction acts",
     )
     floor_z_m: Annotated[float, within(-20, 0)] = Field(
         -0.144,
