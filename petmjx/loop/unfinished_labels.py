@@ -34,7 +34,7 @@ from petmjx.common.text import count_text
 from petmjx.loop.placement_labels import SCHEMA, Label
 from petmjx.results.result_files import write_text
 from petmjx.results.run_folder import part_files, part_name, part_number
-from petmjx.results.run_manifest import differing_settings
+from petmjx.results.run_manifest import differing_settings, with_later_options
 from petmjx.results.run_table_reader import LISTED, Parts
 from petmjx.results.schema import SCHEMA_VERSION
 from petmjx.results.table_parts import Tables
@@ -161,11 +161,16 @@ def n_unfinished(folder: Path) -> int:
 
 
 def check_same_set(folder: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
-    """Raise InputError if the labels in a folder belong to another set. The message names the difference. A file of
-    orders with a new name but the same content is not a difference."""
+    """Raise InputError if the labels in a folder belong to another set. The message names the difference.
+
+    A file of orders with a new name but the same content is not a difference. An option that an earlier version did not
+    have is no difference, either, if it has its default now.
+    """
     orders, orders_now = before.get("orders"), now["orders"]
     if isinstance(orders, Mapping) and orders_now["sha256"] and orders.get("sha256") == orders_now["sha256"]:
         before = {**before, "orders": {**orders, "source": orders_now["source"]}}
+    if isinstance(simulation := before.get("simulation"), Mapping):
+        before = {**before, "simulation": with_later_options(simulation)}
     for name, earlier, later in differing_settings(before, now):
         if earlier != later:  # both are None if one setting is null and the other is missing
             different = f"{name} was {json.dumps(earlier)}, is {json.dumps(later)}"

@@ -137,7 +137,7 @@ def _settings_of_command(settings: Mapping[str, Any]) -> Mapping[str, Any]:
     their defaults."""
     settings = {"force_intervals": False, "keep": ALL, **settings}
     if isinstance(simulation := settings.get("simulation"), Mapping):
-        settings["simulation"] = _with_later_options(simulation)
+        settings["simulation"] = with_later_options(simulation)
     sweep = settings.get("sweep")
     if settings.get("command") != "score" or not isinstance(sweep, Mapping):
         return settings
@@ -170,7 +170,7 @@ CHANGED_RESULTS: Final = frozenset(
 than later versions with the option's default."""
 
 
-def _with_later_options(simulation: Mapping[str, Any]) -> Mapping[str, Any]:
+def with_later_options(simulation: Mapping[str, Any]) -> Mapping[str, Any]:
     """The options of a simulation from ``run.json``. Options that an earlier version of petmjx did not have get their
     defaults, except the options in ``CHANGED_RESULTS``."""
     try:

@@ -8,6 +8,7 @@ import re
 import shutil
 import sys
 from collections.abc import Iterator
+from contextlib import nullcontext
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,7 @@ from petmjx.loop.episode_orders import Boxes, Orders, order_reading
 from petmjx.loop.label_files import CARD, README, RULES, baselines, label_files, write_labels
 from petmjx.loop.label_splits import SPLITS, split_of
 from petmjx.loop.placement_labels import COLUMNS, Label, Labeller, plans_of_labels
-from petmjx.loop.unfinished_labels import LabelParts, labels_of
+from petmjx.loop.unfinished_labels import LabelParts, check_same_set, labels_of
 
 MUJOCO: dict[str, Any] = {"engine": "mujoco", "threads": 1}
 
@@ -285,6 +286,14 @@ def test_labels_that_were_interrupted_go_on_as_if_they_had_not_been(
     assert len(list(out.iterdir())) == 5
     assert main([*command, "3", "-n", "60", "--resume"]) == 0, "finished labels stay as they are"
     assert main([*command, "3", "-n", "60", "--resume", "--overwrite"]) == 2
+
+
+def test_labels_of_an_earlier_version_are_continued(tmp_path: Path) -> None:
+    now = {"orders": {"sha256": None}, "simulation": petmjx.Simulation().model_dump(mode="json")}
+    for name, differs in (("wrap", ""), ("longest_wait_s", "simulation.longest_wait_s was null, is 10.0")):
+        before = {**now, "simulation": {key: value for key, value in now["simulation"].items() if key != name}}
+        with pytest.raises(InputError, match=differs) if differs else nullcontext():
+            check_same_set(tmp_path, before, now)
 
 
 @pytest.fixture(scope="module")
