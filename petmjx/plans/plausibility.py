@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
-from petmjx.plans.plan_warnings import meets, overlap, shared_length
+from petmjx.plans.plan_warnings import meets, overlap
 
 _OVERLAP, _FLOAT, _OUTSIDE, _SUPPORT, _TOUCH = 25.0, 20.0, 20.0, 4.0, 2.0
 """Costs of five faults of a layout: boxes overlap, float, are outside the carrier, hang over, or touch no neighbour.
@@ -173,14 +173,15 @@ def _contacts(
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], FloatArray, NDArray[np.bool_]]:
     """Four arrays (n,): whether a box overlaps another one, whether it floats, the supported share of its base, and
     whether it touches a box at a side or has no neighbours. The deck is at height 0."""
-    common = shared_length(low.T, high.T)
-    x_wide, y_wide, z_wide = common > tolerance
-    # whether the upper end of the row's box meets the lower end of the column's box
-    x_meets, y_meets, on_top = np.abs(high.T[:, :, None] - low.T[:, None, :]) <= tolerance
+    x_wide, y_wide, z_wide = overlap(low.T, high.T, tolerance)
+    x_meets, y_meets, z_meets = meets(low.T, high.T, tolerance)
+    above = x_wide & y_wide
+    np.fill_diagonal(above, False)
+    carried = z_meets & above  # rows are lower boxes, columns upper boxes
+    lower, upper = np.nonzero(carried)
+    common = np.minimum(high[lower], high[upper]) - np.maximum(low[lower], low[upper])
     base = (high - low)[:, 0] * (high - low)[:, 1]
-    above = x_wide & y_wide & ~np.eye(len(low), dtype=bool)
-    carried = on_top & above
-    share = np.fmin(np.where(carried, common[0] * common[1], 0.0).sum(axis=0) / base, 1.0)
+    share = np.fmin(np.bincount(upper, common[:, 0] * common[:, 1], len(low)) / base, 1.0)
     on_deck = np.abs(low[:, 2]) <= tolerance
     share = np.where(on_deck, 1.0, share)
     overlapping = (above & z_wide).any(axis=1)
