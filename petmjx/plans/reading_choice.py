@@ -218,7 +218,7 @@ def _judge(columns: BoxColumns, wishes: Wishes, candidate: Candidate, sample: _S
     all_rows = np.concatenate([rows for rows, _ in sample])
     n_boxes = len(all_rows)
     evidence = Evidence(n_boxes, int(sums[0]), int(sums[1]), int(sums[2]), float(sums[3] / n_boxes))
-    origin = max(set(origins), key=origins.count)
+    origin = max(origins, key=origins.count)
     cost = sum(costs) / n_boxes + _UNEQUAL_FLOOR_COST * share_at_other_heights(layouts)
     return _Judged(columns, wishes, candidate, cost, origin, evidence, tuple(layouts), all_rows)
 
