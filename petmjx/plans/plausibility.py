@@ -10,13 +10,14 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from statistics import median  # of a few numbers, many times faster than that of NumPy
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
-from petmjx.plans.plan_warnings import meets, overlap, shared_length
+from petmjx.plans.plan_warnings import meets, overlap
 
 _OVERLAP, _FLOAT, _OUTSIDE, _SUPPORT, _TOUCH = 25.0, 20.0, 20.0, 4.0, 2.0
 """Costs of five faults of a layout: boxes overlap, float, are outside the carrier, hang over, or touch no neighbour.
@@ -67,7 +68,7 @@ class Layout:
     @cached_property
     def tolerance(self) -> float:
         """The largest gap or overlap that counts as touching: a share of the smallest side of a typical box."""
-        return _TOLERANCE * float(np.median(self.size.min(axis=1)))
+        return _TOLERANCE * float(median(self.size.min(axis=1).tolist()))
 
 
 def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]]:
@@ -83,8 +84,8 @@ def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]
     offset = 0.0
     if abs(bottom) > tolerance:
         extent = float(((low + size).max(axis=0) - low.min(axis=0))[:2].max())
-        offset = 1.0 if 0 < bottom < max(1.2 * float(np.median(size[:, 2])), _HIGHEST_DECK * extent) else 4.0
-        if abs(bottom - float(np.median(size[heights <= tolerance, 2])) / 2) <= tolerance:
+        offset = 1.0 if 0 < bottom < max(1.2 * median(size[:, 2].tolist()), _HIGHEST_DECK * extent) else 4.0
+        if abs(bottom - median(size[heights <= tolerance, 2].tolist()) / 2) <= tolerance:
             offset = 3.0  # the lowest box is at half of its height, so heights are probably those of centres
         half = layout.container[2] / 2
         if not np.isnan(half) and abs(bottom + half) <= 2 * tolerance:
@@ -104,7 +105,7 @@ def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]
         + _odd_cost(floating, _FLOAT)
         + _odd_cost(outside, _OUTSIDE)
         + _SUPPORT * poor
-        + _TOUCH * (1 - touching.mean()) * (n > 1)
+        + _TOUCH * (1 - np.count_nonzero(touching) / n) * (n > 1)
         + offset
         + origin_cost
     )
@@ -123,18 +124,17 @@ def _floor_of(low: FloatArray, high: FloatArray, tolerance: float) -> float:
     """The height of the floor: usually the bottom of the lowest box. Exception: several boxes stand at one level, on no
     other box, and only a few boxes are lower. Then the floor is at this level, and the heights of the few lower boxes
     are errors of the file."""
-    bottoms = np.sort(low[:, 2])
-    for level in np.unique(bottoms[1 : max(1, int(_FEW_BELOW * len(low))) + 1]):
+    bottoms: list[float] = np.sort(low[:, 2]).tolist()
+    lowest = dict.fromkeys(bottoms[1 : max(1, int(_FEW_BELOW * len(low))) + 1])
+    for level in (level for level in lowest if bottoms[0] < level - tolerance):
         below, at = low[:, 2] < level - tolerance, np.abs(low[:, 2] - level) <= tolerance
-        if not below.any():
-            continue
         carries = np.repeat(np.abs(high[below, 2] - level)[:, None] <= tolerance, np.count_nonzero(at), axis=1)
         for axis in range(2):
             ends = np.minimum.outer(high[below, axis], high[at, axis])
             carries &= ends - np.maximum.outer(low[below, axis], low[at, axis]) > tolerance
         if np.count_nonzero(~carries.any(axis=0)) >= max(_LEAST_AT_FLOOR, below.sum() + 1):
-            return float(level)
-    return float(bottoms[0])
+            return level
+    return bottoms[0]
 
 
 _HIGHEST_DECK: Final = 0.2
@@ -173,28 +173,23 @@ def _contacts(
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], FloatArray, NDArray[np.bool_]]:
     """Four arrays (n,): whether a box overlaps another one, whether it floats, the supported share of its base, and
     whether it touches a box at a side or has no neighbours. The deck is at height 0."""
-    common = [shared_length(low[:, axis], high[:, axis]) for axis in range(3)]
-    wide = [length > tolerance for length in common]
-    overlaps = wide[0] & wide[1] & wide[2]
-    np.fill_diagonal(overlaps, False)
-    on_top = np.abs(np.subtract.outer(high[:, 2], low[:, 2])) <= tolerance  # rows are lower boxes, columns upper boxes
-    carried = on_top & wide[0] & wide[1]
-    np.fill_diagonal(carried, False)
+    x_wide, y_wide, z_wide = overlap(low.T, high.T, tolerance)
+    x_meets, y_meets, z_meets = meets(low.T, high.T, tolerance)
+    above = x_wide & y_wide
+    np.fill_diagonal(above, False)
+    carried = z_meets & above  # rows are lower boxes, columns upper boxes
+    lower, upper = np.nonzero(carried)
+    common = np.minimum(high[lower], high[upper]) - np.maximum(low[lower], low[upper])
     base = (high - low)[:, 0] * (high - low)[:, 1]
-    share = np.minimum((np.where(carried, common[0] * common[1], 0.0).sum(axis=0)) / base, 1.0)
+    share = np.fmin(np.bincount(upper, common[:, 0] * common[:, 1], len(low)) / base, 1.0)
     on_deck = np.abs(low[:, 2]) <= tolerance
     share = np.where(on_deck, 1.0, share)
-    overlapping = overlaps.any(axis=1)
+    overlapping = (above & z_wide).any(axis=1)
     floating = ~on_deck & ~carried.any(axis=0) & ~overlapping
-    sides = np.zeros_like(overlaps)
-    for axis, other in ((0, 1), (1, 0)):
-        meets = np.abs(np.subtract.outer(high[:, axis], low[:, axis])) <= tolerance
-        beside = meets & wide[other] & wide[2]
-        sides |= beside | beside.T
-    beside_some = wide[2].copy()
-    np.fill_diagonal(beside_some, False)
-    touching = np.asarray(sides.any(axis=1) | ~beside_some.any(axis=1))
-    return np.asarray(overlapping), np.asarray(floating), np.asarray(share), touching
+    beside = (x_meets & y_wide | y_meets & x_wide) & z_wide
+    np.fill_diagonal(z_wide, False)
+    touching = beside.any(axis=0) | beside.any(axis=1) | ~z_wide.any(axis=1)
+    return overlapping, floating, share, touching
 
 
 def _outside(
@@ -220,6 +215,10 @@ def _outside(
     return corner, 0.0, "given"
 
 
+_HALF_DECKS_MM: Final = (
+    np.array([(0.0, 0.0), *(deck[::way] for deck in _DECKS_MM[:_N_COMMON_DECKS] for way in (1, -1))]) / 2
+)
+"""Half lengths and widths of pallets that lie along x or along y, mm. The first deck has no size."""
 _POINTS: Final = np.array([(0.0, 0.0), (0.5, 0.5), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (0.5, 1.0)])
 """Points of a box that coordinates may describe, as shares of its extents along two axes. The last point is the centre
 of the top, if y is the vertical axis."""
@@ -239,11 +238,9 @@ def vote_for_other_points(layout: Layout, mm: float, point: FloatArray) -> int:
             y and z. 0 is the near end of the box, 1 the far end.
     """
     tolerance = layout.tolerance
-    decks = [(long / mm, short / mm) for long, short in _DECKS_MM[:_N_COMMON_DECKS]]
-    decks += [(0.0, 0.0), *((short, long) for long, short in decks)]
+    half_decks = _HALF_DECKS_MM / mm
     if not np.isnan(layout.container[:2]).any():
-        decks = [(0.0, 0.0), (float(layout.container[0]), float(layout.container[1]))]
-    half_decks = np.array(decks) / 2
+        half_decks = np.array([(0.0, 0.0), layout.container[:2] / 2])
     fit_given_point = []
     for level in ((0, 1), (0, 2)):
         low, size = layout.low[:, level], layout.size[:, level]
@@ -272,7 +269,8 @@ def order_cost(layouts: Sequence[Layout]) -> float:
     coordinate may really be the vertical axis. A box is hardly ever placed below a box that is listed before it. In
     lists in any other order, such as the order of articles, all axes have about the same cost.
     """
-    return min(_cost_in_order(layouts, 1), _cost_in_order(layouts, -1))
+    cost = _cost_in_order(layouts, 1)
+    return min(cost, _cost_in_order(layouts, -1)) if cost else 0.0
 
 
 def are_listed_downwards(layouts: Sequence[Layout]) -> bool:
@@ -343,7 +341,7 @@ def share_at_other_heights(layouts: Sequence[Layout]) -> float:
     some plans have their lowest box at 0, a plan whose lowest box is at the height of any box of these plans is not
     counted, since it may lack its bottom layer."""
     low = [layout.low[:, 2] for layout in layouts if np.isnan(layout.container[2])]
-    if not low:
+    if len(low) < 2:
         return 0.0
     tolerance = max(layout.tolerance for layout in layouts)
     bottoms = np.array([heights.min() for heights in low])
@@ -442,10 +440,8 @@ def _fills(long_mm: float, short_mm: float, free_mm: float, unit: str) -> bool:
     """Whether a footprint leaves no room on a usual pallet for one more box with a side of ``free_mm``. Lengths in
     inches are compared with the pallet of 48 × 40 inches, and other lengths with the other pallets."""
     return any(
-        all(
-            -_NEAR * side < side - length < min(free_mm, _MOST_FREE * side)
-            for side, length in ((long, long_mm), (short, short_mm))
-        )
+        -_NEAR * long < long - long_mm < min(free_mm, _MOST_FREE * long)
+        and -_NEAR * short < short - short_mm < min(free_mm, _MOST_FREE * short)
         for long, short in _DECKS_MM[:_N_COMMON_DECKS]
         if long >= _LARGE_MM and (long == _INCHES_48) == (unit in ("in", "ft"))
     )

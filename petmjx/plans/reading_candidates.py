@@ -305,7 +305,7 @@ def candidates_of_corners(columns: BoxColumns, wishes: Wishes) -> Iterator[Candi
     names, the form or the caller give the anchor (the point of a box that coordinates describe)."""
     free = [geometry for geometry in columns.geometries if not geometry.anchor and geometry.turn is None]
     is_known = not free or wishes.anchor or columns.source.form.anchor
-    for corner in () if is_known else ANCHORS.keys() - _ANCHOR_PRIOR.keys():
+    for corner in () if is_known else [anchor for anchor in ANCHORS if anchor not in _ANCHOR_PRIOR]:
         chosen = replace(columns, geometries=free), replace(wishes, anchor=corner)
         for candidate in chain(candidates(*chosen), candidates_on_side(*chosen)):
             yield replace(candidate, prior=candidate.prior + _OTHER_CORNER_COST)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -52,7 +53,6 @@ from petmjx.plans.readings import (
     tie_text,
     up_words,
 )
-from petmjx.plans.size_and_place_columns import Geometry
 
 TIE: Final = 1.5
 """Two readings whose costs differ by less than this value are a tie. Costs behave like negative log likelihoods: a
@@ -89,6 +89,8 @@ all boxes."""
 _LOWEST_UNIT_COST: Final = -2.5
 """Smallest possible cost of units: the cost for boxes of usual sizes and densities on a usual carrier."""
 
+_ALTERNATIVES: Final = 3
+"""Number of readings that are listed as alternatives to the chosen one."""
 _UNIT_PRIOR: Final = {"mm": 0.0, "cm": 0.0, "m": 0.0, "in": 0.7, "tick": 1.0, "ft": 3.0}
 MASS_PRIOR: Final = {"kg": 0.0, "g": 0.0, "lb": 0.7, "t": 3.0}
 """Unit of masses that is tried if the file names no unit of masses → cost of this unit, before any numbers are
@@ -115,30 +117,55 @@ class _Units(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Judged:
-    """A candidate (a possible reading) with its costs.
+    """A candidate (a possible reading) with its costs. All costs except that of the layout are computed when they are
+    used, because most candidates have layouts that are too implausible.
 
     Attributes:
+        columns, wishes: the boxes of the file, and the options of the caller.
         layouts: the layout of each plan that is used to judge readings.
         rows: the row numbers of all boxes of the layouts.
-        units: all choices of units, cheapest first. The costs of units depend on which sides of the load lie on the
-            deck.
-        begin_cost: how implausible it is that the load begins where it does.
-        order_cost: how implausible it is that boxes are listed in this order, and turned in this way.
     """
 
+    columns: BoxColumns
+    wishes: Wishes
     candidate: Candidate
     layout_cost: float
     origin: str
     evidence: Evidence
     layouts: tuple[Layout, ...]
     rows: NDArray[np.int64]
-    units: tuple[_Units, ...] = ()
-    begin_cost: float = 0.0
-    order_cost: float = 0.0
 
     @property
+    def least_cost(self) -> float:
+        """A lower bound of ``cost``."""
+        return self.candidate.prior + self.layout_cost + _LOWEST_UNIT_COST
+
+    @cached_property
     def cost(self) -> float:
         return self.candidate.prior + self.layout_cost + self.units[0].cost + self.begin_cost + self.order_cost
+
+    @cached_property
+    def units(self) -> list[_Units]:
+        """All choices of units, cheapest first. The costs of units depend on which sides of the load lie on the
+        deck."""
+        return _units(self)
+
+    @cached_property
+    def begin_cost(self) -> float:
+        """How implausible it is that the loads begin where they do."""
+        if self.candidate.geometry.anchor or self.wishes.anchor or self.layout_cost > 2 * WEAK:
+            return 0.0  # the point of a box that coordinates describe is known, or the reading cannot win
+        mm, point = LENGTH_UNITS[self.units[0].length], self.candidate.point
+        is_other = sum(vote_for_other_points(layout, mm, point) for layout in self.layouts) > 0
+        return _OTHER_POINT_COST * is_other * (1.0 if "corner" in self.candidate.anchor else 0.5)
+
+    @cached_property
+    def order_cost(self) -> float:
+        """How implausible it is that boxes are listed in this order, and turned in this way."""
+        weight = _PY3DBP_ORDER_WEIGHT if self.columns.source.form.rule == "py3dbp" else 1.0
+        walls = float(np.mean([is_wall(layout) for layout in self.layouts]))
+        cost = weight * order_cost(self.layouts) + _WALL_COST * walls
+        return cost + tipping_cost(self.columns, self.candidate, self.rows)
 
 
 _Sample = list[tuple[NDArray[np.int64], Mapping[str, float]]]
@@ -154,7 +181,7 @@ def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], dama
     """
     is_good = np.ones(columns.n_boxes, bool)
     is_good[[*columns.faults, *(columns.turns.faults if columns.turns is not None else ())]] = False
-    is_good &= np.any([_are_positive(geometry) for geometry in columns.geometries], axis=0)
+    is_good &= np.any([geometry.is_positive for geometry in columns.geometries], axis=0)
     sample: _Sample = []
     taken = 0
     good_plans = {name: rows for name, rows in plans.items() if name not in damaged and is_good[rows].all()}
@@ -166,11 +193,6 @@ def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], dama
             sample.append((used, container_of(columns.source.boxes.containers, name)))
             taken += len(used)
     return sample
-
-
-def _are_positive(geometry: Geometry) -> NDArray[np.bool_]:
-    """(n,) for each box, whether the geometry has three positive sizes and all coordinates of the place."""
-    return np.asarray((geometry.size > 0).all(axis=1) & ~np.isnan(geometry.place).any(axis=1))
 
 
 def container_of(containers: Mapping[str, Mapping[str, float]], name: str) -> Mapping[str, float]:
@@ -185,7 +207,7 @@ def _judge(columns: BoxColumns, wishes: Wishes, candidate: Candidate, sample: _S
     costs: list[float] = []
     origins: list[str] = []
     sums = np.zeros(4)
-    is_positive = _are_positive(candidate.geometry)
+    is_positive = candidate.geometry.is_positive
     sample = [(rows[is_positive[rows]], container) for rows, container in sample if is_positive[rows].any()]
     for rows, container in sample:
         layouts.append(layout_of(columns, candidate, rows, container))
@@ -196,15 +218,9 @@ def _judge(columns: BoxColumns, wishes: Wishes, candidate: Candidate, sample: _S
     all_rows = np.concatenate([rows for rows, _ in sample])
     n_boxes = len(all_rows)
     evidence = Evidence(n_boxes, int(sums[0]), int(sums[1]), int(sums[2]), float(sums[3] / n_boxes))
-    origin = max(set(origins), key=origins.count)
+    origin = max(origins, key=origins.count)
     cost = sum(costs) / n_boxes + _UNEQUAL_FLOOR_COST * share_at_other_heights(layouts)
-    judged = _Judged(candidate, cost, origin, evidence, tuple(layouts), all_rows)
-    units = tuple(_units(judged, columns, wishes))
-    weight = _PY3DBP_ORDER_WEIGHT if columns.source.form.rule == "py3dbp" else 1.0
-    knows_anchor = bool(candidate.geometry.anchor or wishes.anchor)
-    begin, order = _begin_and_order_cost(judged, LENGTH_UNITS[units[0].length], weight, knows_anchor)
-    order += tipping_cost(columns, candidate, all_rows)
-    return replace(judged, units=units, begin_cost=begin, order_cost=order)
+    return _Judged(columns, wishes, candidate, cost, origin, evidence, tuple(layouts), all_rows)
 
 
 _UNEQUAL_FLOOR_COST: Final = 5.0
@@ -216,28 +232,10 @@ _PY3DBP_ORDER_WEIGHT: Final = 0.4
 py3dbp fills a container along x, then y, then z, whichever axis is the vertical."""
 
 
-def _begin_and_order_cost(judged: _Judged, mm: float, weight: float, knows_anchor: bool) -> tuple[float, float]:
-    """How implausible it is that the loads begin where they do, and that boxes are listed in this order.
-
-    Args:
-        mm: number of millimetres in the layouts' unit of length.
-        weight: weight with which the order of boxes counts.
-        knows_anchor: whether column names or the caller give the anchor, the point of a box that coordinates describe.
-    """
-    anchor = judged.candidate.anchor
-    is_close = judged.layout_cost <= 2 * WEAK  # readings with higher costs cannot win
-    point = judged.candidate.point
-    is_other = (
-        is_close and not knows_anchor and sum(vote_for_other_points(layout, mm, point) for layout in judged.layouts) > 0
-    )
-    begin_cost = _OTHER_POINT_COST * is_other * (1.0 if "corner" in anchor else 0.5)
-    walls = float(np.mean([is_wall(layout) for layout in judged.layouts]))
-    return begin_cost, weight * order_cost(judged.layouts) + _WALL_COST * walls
-
-
-def _units(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[_Units]:
+def _units(judged: _Judged) -> list[_Units]:
     """All choices of units, cheapest first."""
-    form, geometry = columns.source.form, judged.candidate.geometry
+    columns, wishes, geometry = judged.columns, judged.wishes, judged.candidate.geometry
+    form = columns.source.form
     size = np.concatenate([layout.size for layout in judged.layouts])
     side = float(np.exp(np.log(size).mean(axis=1)).mean())
     of_places = _unit_of_places(judged.candidate) if _has_unnamed_places(judged.candidate) else geometry.place_unit
@@ -255,7 +253,7 @@ def _units(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[_Units]
         densities = densities[np.isfinite(densities) & (densities > 0)]
         unit_density = float(np.median(densities)) if len(densities) else math.nan
     choices = []
-    deck, is_deck = _deck_of(judged, wishes)
+    deck, is_deck = _deck_of(judged)
     largest_side, smallest_side, free = float(size.max()), float(size.min()), float(size[:, :2].min())
     for length, length_prior in lengths.items():
         factor = LENGTH_UNITS[length]
@@ -273,7 +271,7 @@ def _units(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[_Units]
     return sorted(choices)
 
 
-def _deck_of(judged: _Judged, wishes: Wishes) -> tuple[FloatArray, bool]:
+def _deck_of(judged: _Judged) -> tuple[FloatArray, bool]:
     """If the container is known: its extents along x and y in the file's unit, and True. If it is unknown: the extents
     of the load, and False."""
     layout = judged.layouts[0]
@@ -321,13 +319,13 @@ def choose_reading(
         if possible[1].candidate.up != best.candidate.up and not is_weak:
             further = _along_further_axes(judged, possible[:2])
             possible = [*possible[:2], *further, *(other for other in possible[2:] if other not in further)]
-        readings = [_reading(one, columns, wishes) for one in possible[:4]]
+        readings = [_reading(one) for one in possible[:4]]
         raise AmbiguousFile(tie_text(readings, is_weak), readings)
     if _is_impossible(best, columns, wishes):
-        reading = _reading(best, columns, wishes)
+        reading = _reading(best)
         raise AmbiguousFile(implausible_text(reading), [reading])
-    units = _likely_units(best, wishes)
-    readings = [_reading(best, columns, wishes, choice) for choice in units]
+    units = _likely_units(best)
+    readings = [_reading(best, choice) for choice in units]
     if len(units) > 1:
         raise AmbiguousFile(tie_text(readings, weak=False), readings)
     (reading,) = readings
@@ -338,7 +336,7 @@ def choose_reading(
         reading = replace(reading, notes=(*reading.notes, note))
     if wishes.anchor and not wishes.exact:
         reading = replace(reading, notes=(*reading.notes, *_changes_by_anchor(reading, columns, wishes, sample)))
-    alternatives = tuple(_reading(one, columns, wishes) for one in judged[1:4])
+    alternatives = tuple(_reading(one) for one in judged[1 : 1 + _ALTERNATIVES])
     return replace(reading, alternatives=alternatives), best.candidate
 
 
@@ -406,7 +404,7 @@ def _changes_by_anchor(reading: Reading, columns: BoxColumns, wishes: Wishes, sa
     judged = _judged_candidates(columns, replace(wishes, anchor=""), sample)
     for other in judged:
         if other.cost < judged[0].cost + TIE:
-            changes = differences(_reading(other, columns, wishes), reading)
+            changes = differences(_reading(other), reading)
             words = ", ".join(f"{new} instead of {old}" for option, old, new in changes if option != "--anchor")
             if words:
                 return [f"because of the anchor given: {words}"]
@@ -465,7 +463,8 @@ def _is_impossible(best: _Judged, columns: BoxColumns, wishes: Wishes) -> bool:
 
 
 def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> list[_Judged]:
-    """Candidates with their costs, cheapest first. Candidates whose prior costs are too high to win are left out."""
+    """Candidates that a result may mention, cheapest first. Candidates whose prior costs are too high to win are left
+    out."""
     ranked = sorted(candidates(columns, wishes), key=lambda candidate: candidate.prior)
     judged: list[_Judged] = []
     lowest = math.inf
@@ -475,9 +474,10 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
         other = _judge(columns, wishes, candidate, sample)
         if other.layout_cost <= _POOR or not _has_guessed_turns(columns, candidate):
             judged.append(other)
-            lowest = min(lowest, other.cost)
+            lowest = min(lowest, other.cost) if other.least_cost < lowest else lowest
     for further in (candidates_on_side, candidates_of_corners, candidates_downwards):
-        if further is not candidates_of_corners or _is_doubtful(min(judged, key=lambda one: one.cost)):
+        near = (one for one in judged if one.least_cost <= lowest)
+        if further is not candidates_of_corners or _is_doubtful(min(near, key=lambda one: one.cost)):
             for candidate in sorted(further(columns, wishes), key=lambda one: one.prior):
                 if candidate.prior + _LOWEST_UNIT_COST > lowest + WEAK_LEAD:
                     break
@@ -496,6 +496,21 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
                 other = _judge(columns, wishes, scaled, sample)
                 if _unit_of_sizes(other, other.units[0].length) is not None and _within_reach(other):
                     judged.append(other)
+    return _ranked(judged)
+
+
+def _ranked(judged: Sequence[_Judged]) -> list[_Judged]:
+    """Candidates, cheapest first. Only candidates that a result may mention are ranked: those that may be chosen, be
+    rivals or be alternatives by their costs, and those in which no more boxes are odd than in the chosen one."""
+    costs = [one.cost for one in sorted(judged, key=lambda one: one.least_cost)[: 1 + _ALTERNATIVES]]
+    # the chosen reading may cost almost ``TIE`` more than the cheapest one, and its rivals almost ``WEAK_LEAD`` more
+    highest = round(max(*costs, min(costs) + TIE + WEAK_LEAD), 9)
+    near = _cheapest_first(one for one in judged if round(one.least_cost, 9) <= highest)
+    n_odd = max(one.evidence.n_odd for one in near if one.cost <= near[0].cost + TIE)
+    return _cheapest_first(one for one in judged if round(one.least_cost, 9) <= highest or one.evidence.n_odd <= n_odd)
+
+
+def _cheapest_first(judged: Iterable[_Judged]) -> list[_Judged]:
     # of equally plausible readings, the more usual one comes first; they may differ only in a shift
     return sorted(judged, key=lambda one: (round(one.cost, 9), one.candidate.prior))
 
@@ -514,7 +529,7 @@ def _within_reach(judged: _Judged) -> bool:
     return all(fits_a_carrier(extent * factor) for extent in extents)
 
 
-def _likely_units(best: _Judged, wishes: Wishes) -> list[_Units]:
+def _likely_units(best: _Judged) -> list[_Units]:
     """The units of a reading. If two units are a tie, both are returned.
 
     Two units of lengths are a tie in two cases. Boxes and load fit a carrier equally well in both units, whatever the
@@ -529,7 +544,7 @@ def _likely_units(best: _Judged, wishes: Wishes) -> list[_Units]:
         cheapest: dict[str, _Units] = {}
         for choice in best.units:
             cheapest.setdefault(choice.length, choice)
-        fits = {unit: _fit(best, unit, wishes) for unit in cheapest if unit in _TRIED or unit == first.length}
+        fits = {unit: _fit(best, unit) for unit in cheapest if unit in _TRIED or unit == first.length}
         most = max(fits.values())
         equal = [unit for unit, fit in fits.items() if fit == most]
         if most and equal != [first.length]:
@@ -562,12 +577,12 @@ _CONVERTED, _NOT_CONVERTED = 0.95, 0.6
 ``_NOT_CONVERTED`` are whole millimetres."""
 
 
-def _fit(best: _Judged, unit: str, wishes: Wishes) -> int:
+def _fit(best: _Judged, unit: str) -> int:
     """How well boxes and load fit a carrier if coordinates are in a certain unit (a result of ``load_fit``)."""
     factor = LENGTH_UNITS[unit]
     size = np.concatenate([layout.size for layout in best.layouts])
     load = np.max([(one.low + one.size).max(axis=0) - one.low.min(axis=0) for one in best.layouts], axis=0)
-    deck, is_deck = _deck_of(best, wishes)
+    deck, is_deck = _deck_of(best)
     side = float(np.exp(np.log(size).mean(axis=1)).mean())
     return load_fit(side * factor, load * factor, deck * factor, is_deck, float(size[:, :2].min()) * factor, unit)
 
@@ -630,10 +645,10 @@ def _unit_of_sizes(judged: _Judged, places: str) -> str | None:
     return next((name for name in ("mm", "cm", "dm", "m", "in") if math.isclose(LENGTH_UNITS[name], mm)), None)
 
 
-def _reading(judged: _Judged, columns: BoxColumns, wishes: Wishes, units: _Units | None = None) -> Reading:
+def _reading(judged: _Judged, units: _Units | None = None) -> Reading:
     """The ``Reading`` that a possible reading and a choice of units give. If ``units`` is None, the most plausible
     units are used."""
-    candidate = judged.candidate
+    candidate, columns = judged.candidate, judged.columns
     units = units or judged.units[0]
     names = {**candidate.geometry.columns, **columns.columns}
     if columns.turns is not None and columns.turns.guess_cost and candidate.rule == "none":
@@ -648,7 +663,7 @@ def _reading(judged: _Judged, columns: BoxColumns, wishes: Wishes, units: _Units
         along=candidate.along,
         sizes="placed" if candidate.rule in ("none", *POSES) else "item",
         rule=candidate.rule,
-        origin=wishes.origin or judged.origin,
+        origin=judged.wishes.origin or judged.origin,
         cost=judged.cost,
         layout_cost=judged.layout_cost,
         evidence=replace(judged.evidence, density_kg_m3=units.density_kg_m3, side_mm=units.side_mm),

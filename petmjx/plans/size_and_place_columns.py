@@ -6,6 +6,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -89,6 +90,11 @@ class Geometry:
     turn: FloatArray | None = None
     named_up: str = ""
     faults: Mapping[int, tuple[str, str]] = field(default_factory=dict)
+
+    @cached_property
+    def is_positive(self) -> NDArray[np.bool_]:
+        """(n,) for each box, whether it has three positive sizes and all coordinates of the place."""
+        return np.asarray((self.size > 0).all(axis=1) & ~np.isnan(self.place).any(axis=1))
 
 
 class Sizes(NamedTuple):

@@ -8,6 +8,7 @@ import json
 import re
 import struct
 import zipfile
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -537,6 +538,15 @@ def test_origins_in_the_middle_of_containers_have_levels_of_their_own(tmp_path: 
     content = json.dumps({"bins": [bin_of("A", 1000), bin_of("B", 2000)]})
     plans = load(tmp_path, "a.json", content, up="z").plans
     assert [plan.corner_mm[:, 2].tolist() for plan in plans] == [[0, 200], [0, 200]]
+
+
+def test_the_first_plan_decides_between_two_origins_of_equal_frequency(tmp_path: Path) -> None:
+    header, block = "plan,x,y,z,length,width,height", list(product((0, 400), (0, 300), (0, 200)))
+    corner = [f"A,{x},{y},{z},400,300,200" for x, y, z in block]
+    middle = [f"B,{x - 400},{y - 300},{z},400,300,200" for x, y, z in block]
+    for origin, rows in {"given": (*corner, *middle), "middle": (*middle, *corner)}.items():
+        plan_set = load(tmp_path, "a.csv", "\n".join((header, *rows)))
+        assert [reading.origin for reading in plan_set.readings.values()] == [origin]
 
 
 def test_a_plan_without_its_bottom_layer_floats_beside_others(tmp_path: Path) -> None:
