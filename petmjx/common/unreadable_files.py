@@ -9,10 +9,16 @@ from __future__ import annotations
 import re
 from typing import Final
 
+ZIP_MAGIC: Final = b"PK\x03\x04"
+"""The first bytes of ZIP files: workbooks, and archives of NumPy arrays."""
+NUMPY_MAGIC: Final = b"\x93NUMPY"
+ARCHIVE_BYTES: Final = 1 << 16
+"""Number of bytes at the beginning of a ZIP archive from which its content is recognised."""
+
 _SAVE: Final = "save the sheet as CSV"
 
 _MAGIC: Final = (
-    (b"\x93NUMPY", "is a NumPy array (.npy), which has no named columns: save the plans as a table in CSV or Parquet"),
+    (NUMPY_MAGIC, "is a NumPy array (.npy), which has no named columns: save the plans as a table in CSV or Parquet"),
     (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", f"is an Excel workbook of the old kind (.xls): {_SAVE}"),
     (b"ARROW1", "is an Arrow file (Feather): save the table as Parquet"),
     (b"FEA1", "is a Feather file: save the table as Parquet"),
@@ -32,8 +38,6 @@ _MARKUP: Final = re.compile(rb"\s*<(\?xml|!doctype \w+|!--|[a-z][\w:.-]*)[\s/>]"
 _PICKLE: Final = re.compile(rb"\x80[\x02-\x05]")
 _SNIFFED_BYTES: Final = 1 << 12
 """Number of bytes at the beginning of a file from which its format is recognised."""
-ARCHIVE_BYTES: Final = 1 << 16
-"""Number of bytes at the beginning of a ZIP archive from which its content is recognised."""
 
 
 def foreign_kind(data: bytes | bytearray) -> str | None:
@@ -41,7 +45,7 @@ def foreign_kind(data: bytes | bytearray) -> str | None:
     The result is None if the file may be JSON or CSV.
     """
     begin = bytes(data[:_SNIFFED_BYTES])
-    if begin.startswith(b"PK\x03\x04"):
+    if begin.startswith(ZIP_MAGIC):
         return _zip_kind(bytes(data[:ARCHIVE_BYTES]))
     kind = next((text for magic, text in _MAGIC if begin.startswith(magic)), None)
     if kind is not None:

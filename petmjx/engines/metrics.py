@@ -139,7 +139,8 @@ class BoxMetric:
     @property
     def is_peak(self) -> bool:
         """Whether the values are the largest of a time, so that a later part of a simulation can only increase them.
-        The names of such metrics, and of no others, begin with ``max_``."""
+        The names of such metrics begin with ``max_``. ``sustained_top_force_n``, which is also the largest of a time,
+        does not count: ``petmjx.runs.chain_legs.with_sustained_force`` computes it for several legs."""
         return self.attribute.startswith("max_")
 
     def nothing(self, *n: int) -> NDArray[np.float64] | NDArray[np.bool_]:

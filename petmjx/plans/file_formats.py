@@ -9,11 +9,14 @@ from typing import Final, Protocol, runtime_checkable
 from petmjx.common.errors import InputError
 from petmjx.common.safe_read import open_regular
 from petmjx.common.text import count_text, number_in, shortened_text
-from petmjx.common.unreadable_files import ARCHIVE_BYTES, foreign_kind
+from petmjx.common.unreadable_files import ARCHIVE_BYTES, NUMPY_MAGIC, ZIP_MAGIC, foreign_kind
 
 PARQUET_MAGIC: Final = b"PAR1"
 PARQUET_SUFFIX: Final = ".parquet"
 CSV_SUFFIXES: Final = (".csv", ".csv.gz", ".tsv", ".tsv.gz")
+BINARY_MAGIC: Final = (ZIP_MAGIC, NUMPY_MAGIC)
+"""The first bytes of the binary formats that ``petmjx.plans.foreign_formats.sources_of_bytes`` reads. A file of any
+other binary format is refused, or taken for text."""
 PLAN_SUFFIXES: Final = (".json", ".json.gz", *CSV_SUFFIXES, PARQUET_SUFFIX, ".jsonl", ".xlsx", ".ods", ".npy", ".npz")
 """The ends of the names of those files in a folder that are read as files of plans."""
 
@@ -56,6 +59,9 @@ def is_parquet(path: Path) -> bool:
         return is_parquet_name(path) or file.read(len(PARQUET_MAGIC)) == PARQUET_MAGIC
 
 
+COMMA_NUMBER: Final = r"^\s*[+-]?(\d*,\d+|\d+,|\d{1,3}(\.\d{3})+,\d+)([eE][+-]?\d+)?\s*$"
+"""A number with a decimal comma, possibly with points between its thousands."""
+
 _N_NEEDED: Final = 5
 _COLUMN: Final = re.compile(rb"(plan_id|sequence|article|(length|width|height|weight)[\w/ ()]*|[xyz]_mm)")
 """Names of columns in tables of placements. If the name of a file does not show that the file is a table, text with
@@ -68,8 +74,6 @@ _SEPARATOR_MARK: Final = re.compile(rb"\s*\"?sep=.\"?[\s;,]*", re.IGNORECASE)
 
 _LONGEST_NUMBER: Final = 40
 _DECIMAL_COMMA: Final = re.compile(r"[+-]?\d*,\d+")
-COMMA_NUMBER: Final = r"^\s*[+-]?(\d*,\d+|\d+,|\d{1,3}(\.\d{3})+,\d+)([eE][+-]?\d+)?\s*$"
-"""A number with a decimal comma, possibly with points between its thousands."""
 _POINTS: Final = re.compile(r"[+-]?\d{1,3}(\.\d{3})+")
 _GROUPED: Final = re.compile(
     r"[+-]?\d{1,3}(?P<mark>[.,'\u2019 \u00a0\u202f])\d{3}(?:(?P=mark)\d{3})*(?:(?P<decimal>[.,])\d+)?"
@@ -98,12 +102,6 @@ def looks_like_table(data: bytes | bytearray) -> bool:
 _LOOKED_AT_TEXT: Final = 1 << 16
 _OWN_JSON: Final = re.compile(rb'"(item_sequence|length/mm)"')
 _OTHER_UNITS: Final = re.compile(rb'"length/(cm|dm|m|in|inch|ft)"')
-ZIP_MAGIC: Final = b"PK\x03\x04"
-"""The first bytes of ZIP files: workbooks, and archives of NumPy arrays."""
-NUMPY_MAGIC: Final = b"\x93NUMPY"
-_BINARY_MAGIC: Final = (ZIP_MAGIC, NUMPY_MAGIC)
-"""The first bytes of the binary formats that ``petmjx.plans.foreign_formats.sources_of_bytes`` reads. A file of any
-other binary format is refused, or taken for text."""
 _MARKUP: Final = re.compile(rb"(?:\xef\xbb\xbf)?\s*<")
 """The beginning of XML, of a MuJoCo scene, and of a web page."""
 
@@ -125,7 +123,7 @@ def is_of_other_tools(data: bytes | bytearray) -> bool:
     begin = bytes(data[: 1 << 10])
     if (encoding := wide_encoding(data)) is not None:
         begin = begin.decode(encoding, "ignore").encode()
-    return begin.startswith(_BINARY_MAGIC) or _MARKUP.match(begin) is not None
+    return begin.startswith(BINARY_MAGIC) or _MARKUP.match(begin) is not None
 
 
 def looks_like_json(data: bytes | bytearray) -> bool:

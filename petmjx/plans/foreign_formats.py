@@ -10,10 +10,10 @@ from typing import Any, Final
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import blanked
-from petmjx.common.unreadable_files import foreign_kind, program_kind
+from petmjx.common.unreadable_files import NUMPY_MAGIC, ZIP_MAGIC, foreign_kind, program_kind
 from petmjx.plans.cell_numbers import cell_number
 from petmjx.plans.column_names import words_of
-from petmjx.plans.file_formats import NUMPY_MAGIC, ZIP_MAGIC, NoBoxes, NoGeometry, nul_fault
+from petmjx.plans.file_formats import NoBoxes, NoGeometry, nul_fault
 from petmjx.plans.header_and_total_rows import geometric_names
 from petmjx.plans.known_forms import MOST_BYTES, X3D, BoxSource, rows_of, with_known_form, with_named_units
 from petmjx.plans.nested_containers import LAYERS

@@ -15,7 +15,7 @@ from petmjx.common.text import count_text, printable_name
 from petmjx.common.units import PLAN_UNITS
 from petmjx.options.run_options import Anchor
 from petmjx.plans.input_conventions import InputConventions
-from petmjx.plans.plan_fields import KINDS, KINDS_IN_WORDS, PALLET_KINDS, SHEET, SPARSE, pallet_fault
+from petmjx.plans.plan_fields import KINDS, PALLET_KINDS, SHEET, SPARSE, joined_names, pallet_fault
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
@@ -97,7 +97,7 @@ class Plan:
         }
         kinds = names["kinds"]
         if not set(kinds) <= {"", *KINDS}:
-            raise InputError(f"kinds must be {KINDS_IN_WORDS} for each box")
+            raise InputError(f"kinds must be {joined_names(KINDS, 'or')} for each box")
         fields |= {name: values for name, values in names.items() if values}
         if self.mass_center_mm is not None:
             fields["mass_center_mm"] = array_of(self.mass_center_mm, "mass_center_mm", (3,))

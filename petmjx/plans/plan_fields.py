@@ -92,7 +92,6 @@ PALLET_SIZE_MM: Final = 1.0
 whole millimetres, so they may differ by one millimetre."""
 KINDS: Final = ("box", SHEET, *PALLET_KINDS)
 """Kinds of items; the default is a box."""
-KINDS_IN_WORDS: Final = f"{', '.join(KINDS[:-1])} or {KINDS[-1]}"
 LONGEST_NAME: Final = 1000
 """Largest number of characters of a plan id, an item id, an article or a product group."""
 
@@ -217,7 +216,7 @@ def kind_fault(value: object) -> str | None:
     """The error text for the kind of an item; None if the kind is allowed."""
     if value is None or value == "" or (isinstance(value, str) and value in KINDS):
         return None
-    return f"kind must be {KINDS_IN_WORDS}, got {kind(value)}"
+    return f"kind must be {joined_names(KINDS, 'or')}, got {kind(value)}"
 
 
 def pallet_fault(name: str | None, size_mm: Sequence[float]) -> str | None:
@@ -276,9 +275,9 @@ def kind(value: object) -> str:
     return shortened_text(json.dumps(value))
 
 
-def joined_names(names: Sequence[str], word: Literal["and", "or"] = "and") -> str:
+def joined_names(names: Sequence[str], conjunction: Literal["and", "or"] = "and") -> str:
     """Names in a sentence: "x", "x and y", "x, y and z"."""
-    return f" {word} ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+    return f" {conjunction} ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
 class UnreadFields(Counter[str]):

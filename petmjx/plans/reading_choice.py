@@ -72,11 +72,11 @@ WEAK_LEAD: Final = 3.0
 value. If a plan really has odd boxes, even more boxes are odd in wrong readings."""
 _OTHER_POINT_COST: Final = 3.6
 """Cost of a reading in which coordinates are those of corners, if they are probably those of other points
-(``vote_for_other_points``). The cost exceeds the priors of all other points of a box (at most 3.0, see
-``reading_candidates``). So if two readings are otherwise equally plausible, the reading with the other point has the
-lower cost. With 3.8, corners of loads whose origin is the middle of a deck would be read as centres
-(``test_answers_of_graphql``). For a reading with coordinates of centres, the cost is half as large: such coordinates
-may be those of the middles of tops, if y is the vertical axis."""
+(``vote_for_other_points``). The cost exceeds the priors of all other points of a box, which are at most 3.0 if the file
+does not name the point (see ``reading_candidates``). So if two readings are otherwise equally plausible, the reading
+with the other point has the lower cost. With 3.8, corners of loads whose origin is the middle of a deck would be read
+as centres (``test_answers_of_graphql``). For a reading with coordinates of centres, the cost is half as large: such
+coordinates may be those of the middles of tops, if y is the vertical axis."""
 _WALL_COST: Final = 2.0
 """Cost of a reading in which boxes form a wall (``is_wall``) in all plans. If only some plans are walls, the cost is
 multiplied by their share. If y is as likely to be the vertical as z, and the file has more than a few boxes, the

@@ -16,6 +16,7 @@ from xml.etree import ElementTree
 from petmjx.common.errors import InputError
 from petmjx.common.safe_read import allowed_bytes
 from petmjx.common.text import printable_name
+from petmjx.common.unreadable_files import ZIP_MAGIC
 from petmjx.plans.cell_numbers import cell_number
 from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.raw_tables import MOST_COLUMNS, MOST_ROWS, RawTable
@@ -293,7 +294,7 @@ def read_raw_tables(data: bytes | bytearray) -> tuple[list[RawTable], str]:
     Raises:
         InputError: the file contains no table. The error does not name the file.
     """
-    if bytes(data[:4]) == b"PK\x03\x04":
+    if data.startswith(ZIP_MAGIC):
         if b"opendocument.spreadsheet" in bytes(data[: 1 << 16]):
             return tables_of_ods(data), "a workbook (.ods)"
         return tables_of_xlsx(data), "a workbook (.xlsx)"

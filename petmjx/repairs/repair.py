@@ -418,10 +418,11 @@ def _repaired(plans: Iterable[Plan], question: Question, options: RepairOptions,
 def _judge(searches: Sequence[Search], question: Question, processes: SearchProcesses, on_end: OnEnd) -> None:
     """Make attempt 1 of the scores of all plans. If a plan stands, and needs no further attempt, the search for its
     repairs ends. All other searches begin in groups, while further plans are being judged."""
-    drafts = [TrialRequest(Draft.of(one.plan, question.film_turns), is_judged=True, as_score=True) for one in searches]
+    unchanged = [Draft.of(search.plan, question.film_turns) for search in searches]
+    requests = [TrialRequest(draft, is_judged=True, as_score=True) for draft in unchanged]
     stream = TrialStream(question)
-    for number, draft in enumerate(drafts):
-        stream.put(number, [draft])
+    for number, request in enumerate(requests):
+        stream.put(number, [request])
     group: list[Search] = []
     size, n_left = math.ceil(len(searches) / _GROUPS), len(searches)
     for answer in stream.answers():
@@ -429,7 +430,7 @@ def _judge(searches: Sequence[Search], question: Question, processes: SearchProc
             continue
         search, (trial,) = searches[answer.ticket], answer.trials
         search.judged = trial
-        if question.is_known(drafts[answer.ticket]._replace(judged=trial)):
+        if question.is_known(requests[answer.ticket]._replace(judged=trial)):
             search.begin(trial)
         if search.complete:
             on_end(search.plan.plan_id)

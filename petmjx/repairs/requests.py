@@ -90,12 +90,12 @@ class Together(NamedTuple):
 
 Result = TypeVar("Result")
 Steps = Generator[list[TrialRequest] | Together, Any, Result]
-"""A search, or a part of a search. A search yields drafts and is sent the list of their trials; or it yields
+"""A search, or a part of a search. A search yields requests and is sent the list of their trials; or it yields
 ``Together``."""
 
 
 class TrialAnswer(NamedTuple):
-    """The trials of all drafts of a request."""
+    """The trials of all drafts of a batch of requests."""
 
     ticket: Any
     trials: list[Trial]

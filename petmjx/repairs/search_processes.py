@@ -55,11 +55,11 @@ so the function may be called twice for them."""
 class Simulator(Protocol):
     """Simulates drafts while further ones are requested (``TrialStream``)."""
 
-    def put(self, ticket: Any, drafts: Sequence[TrialRequest]) -> None:
+    def put(self, ticket: Any, requests: Sequence[TrialRequest]) -> None:
         """Request the trials of drafts."""
 
     def answers(self) -> Iterator[TrialAnswer | None]:
-        """The answers, until no request is left. Raises ``OutOfTime`` if the time is up."""
+        """The answers, until no batch of requests is left. Raises ``OutOfTime`` if the time is up."""
         ...
 
 
@@ -89,27 +89,27 @@ class Tasks:
         on_end: function that is called with the number of each search that has ended.
 
     Attributes:
-        requests: (ticket, drafts) of each request for trials that was not sent to a simulator yet. The ticket is the
-            number of the request.
+        batches: (ticket, requests) of each batch of requests that was not sent to a simulator yet. The ticket is the
+            number of the batch.
     """
 
     def __init__(self, searches: Iterable[Steps[Any]], on_end: Callable[[int], object] = lambda number: None) -> None:
-        self.requests: list[tuple[int, list[TrialRequest]]] = []
+        self.batches: list[tuple[int, list[TrialRequest]]] = []
         self._on_end = on_end
         self._waiting: dict[int, _Task] = {}
-        self._n_requests = 0
+        self._n_batches = 0
         for number, steps in enumerate(searches):
             self._go_on(_Task(steps, place=number), None)
 
     def take(self, answer: TrialAnswer) -> None:
-        """Continue the task whose request is answered."""
+        """Continue the task whose requests are answered."""
         self._go_on(self._waiting.pop(answer.ticket), answer.trials)
 
     def send_to(self, simulator: Simulator) -> None:
         """Send the requests that were not sent yet."""
-        requests, self.requests = self.requests, []
-        for ticket, drafts in requests:
-            simulator.put(ticket, drafts)
+        batches, self.batches = self.batches, []
+        for ticket, requests in batches:
+            simulator.put(ticket, requests)
 
     def _go_on(self, task: _Task, results: Any) -> None:
         """Continue a task with the trials or results for which it waits, until it waits for further trials or results.
@@ -137,9 +137,9 @@ class Tasks:
                 parts = [(_Task(part, task, place), None) for place, part in enumerate(wants.parts)]
                 ready += reversed(parts)
             else:
-                self._waiting[self._n_requests] = task
-                self.requests.append((self._n_requests, wants))
-                self._n_requests += 1
+                self._waiting[self._n_batches] = task
+                self.batches.append((self._n_batches, wants))
+                self._n_batches += 1
 
 
 def most_processes(threads: int, *, is_wide: bool) -> int:
@@ -276,8 +276,8 @@ class _Server:
             self._dead.append(number)
             self._working.discard(number)
             return
-        for ticket, drafts in message.requests:
-            self._simulator.put((number, ticket), drafts)
+        for ticket, requests in message.batches:
+            self._simulator.put((number, ticket), requests)
         for plan_id in message.ended:
             self._on_end(plan_id)
         if message.searches is not None:
@@ -300,12 +300,12 @@ class _Message(NamedTuple):
     """A message from a process that runs searches.
 
     Attributes:
-        requests: (ticket, drafts) of each request for trials since the last message.
+        batches: (ticket, requests) of each batch of requests since the last message.
         ended: plan ids of the searches that have ended since the last message.
         searches: all searches of the process, in the last message; None before.
     """
 
-    requests: Sequence[tuple[int, Sequence[TrialRequest]]]
+    batches: Sequence[tuple[int, Sequence[TrialRequest]]]
     ended: Sequence[str]
     searches: Sequence[Search] | None
 
@@ -320,7 +320,7 @@ class _PipedSimulator:
 
     def __init__(self) -> None:
         self._tasks, self._answers = own_pipes(NICE)
-        self._requests: list[tuple[int, Sequence[TrialRequest]]] = []
+        self._batches: list[tuple[int, Sequence[TrialRequest]]] = []
         self.ended: list[str] = []
         self._n_open = 0
 
@@ -329,15 +329,15 @@ class _PipedSimulator:
         searches: list[Search] | None = next_of(self._tasks)
         return searches
 
-    def put(self, ticket: Any, drafts: Sequence[TrialRequest]) -> None:
+    def put(self, ticket: Any, requests: Sequence[TrialRequest]) -> None:
         """See ``Simulator``."""
-        self._requests.append((ticket, drafts))
+        self._batches.append((ticket, requests))
         self._n_open += 1
 
     def answers(self) -> Iterator[TrialAnswer]:
         """See ``Simulator``."""
         while self._n_open:
-            if self._requests or self.ended:
+            if self._batches or self.ended:
                 self.send(None)
             answer: TrialAnswer | None = next_of(self._tasks)
             if answer is None:
@@ -347,9 +347,9 @@ class _PipedSimulator:
 
     def send(self, searches: Sequence[Search] | None) -> None:
         """Send a message. ``searches``: see ``_Message``."""
-        pickle.dump(_Message(self._requests, self.ended, searches), self._answers)
+        pickle.dump(_Message(self._batches, self.ended, searches), self._answers)
         self._answers.flush()
-        self._requests.clear()
+        self._batches.clear()
         self.ended.clear()
 
 

@@ -103,7 +103,7 @@ MOST_LISTED: Final = 1024
 """Largest number of worlds that are given at once to an engine that takes no stream of jobs."""
 
 SWITCH: Final = 4
-"""While drafts are being judged, scores begin only if at least this many requests wait for scores."""
+"""While drafts are being judged, scores begin only if at least this many batches of requests wait for scores."""
 
 
 class Share(NamedTuple):
@@ -456,40 +456,40 @@ class Lane(NamedTuple):
 
 
 @dataclass(eq=False)
-class _Request:
-    """Drafts whose trials are wanted at the same time."""
+class _Batch:
+    """Requests whose trials are answered together."""
 
     ticket: Any
-    drafts: Sequence[TrialRequest]
+    requests: Sequence[TrialRequest]
     trials: dict[int, Trial] = field(default_factory=dict)
 
     @property
     def answer(self) -> TrialAnswer:
-        return TrialAnswer(self.ticket, [self.trials[number] for number in range(len(self.drafts))])
+        return TrialAnswer(self.ticket, [self.trials[number] for number in range(len(self.requests))])
 
 
 @dataclass(eq=False)
 class _Queue:
-    """Requests that wait for one kind of simulation, each with the numbers of its drafts and their jobs.
+    """Batches that wait for one kind of simulation, each with the numbers of its requests and their jobs.
 
     Attributes:
-        lane: the run of an engine that judges the drafts of these requests; None if the drafts are scored.
+        lane: the run of an engine that judges the drafts of these batches; None if the drafts are scored.
         common: the common placements of the worlds of this queue; None if the engine simulates each world from its
             beginning.
     """
 
     lane: Lane | None
-    common: CommonPlacements[tuple[_Request, int]] | None = None
-    entries: deque[tuple[_Request, list[tuple[int, Job | None]]]] = field(default_factory=deque)
+    common: CommonPlacements[tuple[_Batch, int]] | None = None
+    entries: deque[tuple[_Batch, list[tuple[int, Job | None]]]] = field(default_factory=deque)
 
 
 class TrialStream:
-    """Simulates drafts while further ones are requested. A request is answered as soon as its own drafts are simulated.
-    So a search does not wait for the trials of other searches.
+    """Simulates drafts while further ones are requested. A batch of requests is answered as soon as its own drafts are
+    simulated. So a search does not wait for the trials of other searches.
 
     A draft is either only judged (simulated once) or scored (``TrialRequest.is_judged``). Drafts to be judged join the
     worlds that an engine is simulating. Scores have other options, so they need a run of their own. The run of scores
-    begins when no draft is being judged, or when at least ``SWITCH`` requests, and at least a quarter of all requests,
+    begins when no draft is being judged, or when at least ``SWITCH`` batches, and at least a quarter of all batches,
     wait for scores.
 
     Args:
@@ -504,26 +504,26 @@ class TrialStream:
         self.scores: dict[str, Trial] = {}
         self._question, self._limit, self._share = question, limit or TimeLimit(), share
         self._queues: dict[object, _Queue] = {}
-        self._complete: deque[_Request] = deque()
+        self._complete: deque[_Batch] = deque()
         self._last: _Queue | None = None
         self._n_open = self._most_boxes = 0
 
-    def put(self, ticket: Any, drafts: Sequence[TrialRequest]) -> None:
-        """Request the trials of at least one draft.
+    def put(self, ticket: Any, requests: Sequence[TrialRequest]) -> None:
+        """Request the trials of at least one draft. The requests of one call are a batch.
 
         Args:
-            ticket: a value that the answer returns, so that the answer can be assigned to the request.
+            ticket: a value that the answer returns, so that the answer can be assigned to the batch.
         """
-        request = _Request(ticket, drafts)
+        batch = _Batch(ticket, requests)
         self._n_open += 1
         # Tables of the engine always have room for the largest plan of any search, even while none of its drafts is
         # judged. Its search may soon request judged drafts again, and a larger table would then need programs that are
         # not compiled yet.
-        self._most_boxes = max(self._most_boxes, *(one.draft.plan.n_boxes for one in drafts))
+        self._most_boxes = max(self._most_boxes, *(one.draft.plan.n_boxes for one in requests))
         numbered: dict[object, list[tuple[int, Job | None]]] = {}
-        for number, (one, job) in enumerate(zip(drafts, self._question.jobs(drafts), strict=True)):
+        for number, (one, job) in enumerate(zip(requests, self._question.jobs(requests), strict=True)):
             if (known := self._known(one)) is not None:
-                self._take(request, number, known)
+                self._take(batch, number, known)
                 continue
             lane = None if job is None else self._question.lane(one, job)
             key = None if lane is None else (id(lane.engine), id(lane.sim))
@@ -532,7 +532,7 @@ class TrialStream:
                 self._queues[key] = _Queue(lane, CommonPlacements() if can_pause else None)
             numbered.setdefault(key, []).append((number, job))
         for kind, jobs in numbered.items():
-            self._queues[kind].entries.append((request, jobs))
+            self._queues[kind].entries.append((batch, jobs))
 
     def _known(self, one: TrialRequest) -> Trial | None:
         """The score of a draft that need not be simulated; None if it must be simulated."""
@@ -543,7 +543,7 @@ class TrialStream:
         return score if one.draft.is_unchanged(self._question.film_turns) else None
 
     def answers(self) -> Iterator[TrialAnswer | None]:
-        """The answers, until no request is left. An answer None means that the engine pauses, so further requests can
+        """The answers, until no batch is left. An answer None means that the engine pauses, so further requests can
         be put.
 
         Raises:
@@ -560,19 +560,19 @@ class TrialStream:
 
     def _scored(self, queue: _Queue) -> Iterator[TrialAnswer]:
         """Score all drafts that wait for a score."""
-        waiting = [(request, number) for request, jobs in queue.entries for number, _ in jobs]
+        waiting = [(batch, number) for batch, jobs in queue.entries for number, _ in jobs]
         queue.entries.clear()
         ends = _WorldEnds(self._limit, self._share)
-        trials = self._question.scores([request.drafts[number] for request, number in waiting], ends)
-        for (request, number), trial in zip(waiting, trials, strict=True):
-            self._take(request, number, trial)
+        trials = self._question.scores([batch.requests[number] for batch, number in waiting], ends)
+        for (batch, number), trial in zip(waiting, trials, strict=True):
+            self._take(batch, number, trial)
         yield from self._answered()
 
     def _judged(self, queue: _Queue, lane: Lane) -> Iterator[TrialAnswer | None]:
         """Judge the drafts of a queue, until the queue is empty or another queue needs the engine."""
         most = self._most_boxes + SHEETS_MORE
         bounds = JobBounds(self._question.rows, range(1, most + 1), drive_steps=0, excitations=None)
-        stream = JobStream[Placement[tuple[_Request, int]]](feedback=True, bounds=bounds)
+        stream = JobStream[Placement[tuple[_Batch, int]]](feedback=True, bounds=bounds)
         stream.close()  # drafts that are requested later enter the stream as jobs that follow from an outcome
         self._feed(stream, queue, lane)
         progress = self._question.progress
@@ -592,19 +592,19 @@ class TrialStream:
                     # the outcome is final for all worlds of the placement: a box fell before the worlds begin to differ
                     else:
                         for world in placement.worlds:
-                            request, number = world.tag
-                            trial = self._question.judged(outcome, request.drafts[number], world.job, lane.sim)
-                            self._take(request, number, trial)
+                            batch, number = world.tag
+                            trial = self._question.judged(outcome, batch.requests[number], world.job, lane.sim)
+                            self._take(batch, number, trial)
                 yield from self._answered()
                 self._feed(stream, queue, lane)
                 stream.followed()
 
-    def _feed(self, stream: JobStream[Placement[tuple[_Request, int]]], queue: _Queue, lane: Lane) -> None:
+    def _feed(self, stream: JobStream[Placement[tuple[_Batch, int]]], queue: _Queue, lane: Lane) -> None:
         """Give the engine the drafts that wait in a queue, unless the engine is needed for other queues."""
         n_others = sum(len(other.entries) for other in self._queues.values() if other is not queue)
         if not queue.entries or n_others >= max(SWITCH, self._n_open / 4):
             return
-        entries = [(job, (request, number)) for request, jobs in queue.entries for number, job in jobs]
+        entries = [(job, (batch, number)) for batch, jobs in queue.entries for number, job in jobs]
         queue.entries.clear()
         jobs = [job for job, _ in entries if job is not None]
         if queue.common is None:
@@ -616,13 +616,13 @@ class TrialStream:
         for placement in queue.common.begin(worlds):
             stream.put(placement.job, placement)
 
-    def _take(self, request: _Request, number: int, trial: Trial) -> None:
-        request.trials[number] = trial
+    def _take(self, batch: _Batch, number: int, trial: Trial) -> None:
+        batch.trials[number] = trial
         self._question.n_trials += 1
         # the engine sets ``message`` back to what it was at the start of its run
         self._question.progress.caller_message = count_text(self._question.n_trials, "trial")
-        if len(request.trials) == len(request.drafts):
-            self._complete.append(request)
+        if len(batch.trials) == len(batch.requests):
+            self._complete.append(batch)
 
     def _answered(self) -> Iterator[TrialAnswer]:
         while self._complete:

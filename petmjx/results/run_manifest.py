@@ -148,6 +148,7 @@ def _settings_of_command(settings: Mapping[str, Any]) -> Mapping[str, Any]:
 
 CHANGED_RESULTS: Final = frozenset(
     {
+        "landing_pairs",
         "longest_wait_s",
         "placing",
         "physics.falls_into_place",
@@ -160,6 +161,8 @@ CHANGED_RESULTS: Final = frozenset(
         "quiet.landing_steps",
         "quiet.quiet_m_s",
         "quiet.slow_m_s",
+        "quiet.slowing",
+        "quiet.steps",
         "quiet.still_m_s",
         "quiet.still_steps",
         "quiet.tremble_share",
@@ -174,10 +177,10 @@ def with_later_options(simulation: Mapping[str, Any]) -> Mapping[str, Any]:
     """The options of a simulation from ``run.json``. Options that an earlier version of petmjx did not have get their
     defaults, except the options in ``CHANGED_RESULTS``."""
     try:
-        complete = Simulation.read(simulation).model_dump(mode="json")
-    except InputError:  # the run has an option or a value that this version does not have
-        return simulation
-    with_defaults: Mapping[str, Any] = _with_defaults(simulation, complete)
+        complete = Simulation.read(simulation)
+    except InputError:  # the run has an option or a value that this version does not have, and a message will name it
+        complete = Simulation()
+    with_defaults: Mapping[str, Any] = _with_defaults(simulation, complete.model_dump(mode="json"))
     return with_defaults
 
 
@@ -185,13 +188,15 @@ def _with_defaults(values: Any, complete: Any, path: str = "") -> Any:
     """The same values, and those that only ``complete`` has, except the values of ``CHANGED_RESULTS``."""
     if isinstance(values, Mapping) and isinstance(complete, Mapping):
         later = {
-            name: value
+            name: {} if isinstance(value, Mapping) else value
             for name, value in complete.items()
             if name not in values and f"{path}{name}" not in CHANGED_RESULTS
         }
-        earlier = {name: _with_defaults(value, complete.get(name), f"{path}{name}.") for name, value in values.items()}
-        return earlier | later
-    if _are_tables(values) and _are_tables(complete):
+        return {
+            name: _with_defaults(value, complete.get(name), f"{path}{name}.")
+            for name, value in {**values, **later}.items()
+        }
+    if _are_tables(values) and _are_tables(complete) and len(values) == len(complete):
         return [_with_defaults(*tables, path) for tables in zip(values, complete, strict=True)]
     return values
 

@@ -228,7 +228,8 @@ def apply(scene: Scene, plan_id: str, variant: Variant, seed: int, *, standing: 
         variant: the variant.
         seed: seed of the random numbers.
         standing: number of boxes, from the first on, that already stand. Boxes that already stand keep their sizes,
-            places and masses.
+            places and masses. A further change of single boxes must leave the first ``standing`` rows alone, too. Only
+            friction changes for all boxes, since a world has one factor.
 
     Returns:
         The changed scene, or ``scene`` itself if nothing changes.

@@ -3,6 +3,7 @@ reports."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import jax
@@ -13,7 +14,9 @@ import pytest
 import petmjx
 import petmjx.jax
 from petmjx.common.errors import InputError
+from petmjx.engines.verdict import Reason, failures
 from petmjx.jax.placement_arrays import REASONS, PlacementArrays
+from petmjx.options.thresholds import Thresholds
 
 pytestmark = pytest.mark.usefixtures("few_spare_worlds", "ranks_may_differ")
 
@@ -73,14 +76,24 @@ def test_a_jitted_scan_places_as_pallets_do() -> None:
 
 
 @pytest.mark.slow
-def test_on_mjx_warp_the_kernel_runs_inside_the_program() -> None:
+def test_on_mjx_warp_the_kernel_runs_inside_the_program(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A further reason is that a box bears more than 50 N. Of two boxes, one gets 59 N when a candidate is set down on
+    it, and the other one 29 N."""
     pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
     from support.tiny_worlds import engine
 
-    corners = np.array([[0, 0, 200], [1100, 100, 0]], np.float32)
-    report, tried = check_program(engine(), STEPS[:1], (SIZE, corners, MASS, np.array([0, 1])), 4)
+    def failures_with_load(boxes: Any, limits: Thresholds) -> Iterator[tuple[Reason, Any]]:
+        yield from failures(boxes, limits)
+        yield Reason.SINKING, boxes.max_top_force_n > 50.0
+
+    for module in ("petmjx.engines.verdict", "petmjx.jax.device_pallets"):
+        monkeypatch.setattr(f"{module}.failures", failures_with_load)
+    corners = np.array([[0, 0, 200], [1100, 100, 0], [100, 100, 250]], np.float32)
+    candidates = (SIZE[[0, 1, 1]], corners, MASS[[0, 1, 1]], np.array([0, 1, 1]))
+    report, tried = check_program(engine(), STEPS[:1], candidates, 4)
     assert report.stable.tolist() == [[True, True]]
-    assert tried.stable.tolist() == [True, False]
+    assert tried.stable.tolist() == [False, False, True]
+    assert [REASONS[number] for number in tried.reason] == ["sinking", "drop", ""]
     one = petmjx.jax.empty(1, engine=engine(), most_boxes=4)
     place = jax.jit(jax.vmap(lambda *box: petmjx.jax.place(one, *box)[1]))
     vmapped = jax.tree.map(np.asarray, place(SIZE[:, None], STEPS[0][:, None].astype(np.float32), MASS[:, None]))

@@ -34,6 +34,11 @@ pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 
 SIM = Simulation()
 NAMES = ("hand-one-box", "hand-bridge", "hand-falls-off", "brickwork", "falls 60 mm flat", "corner overhang of 70 %")
+GENTLE = ("hand-bridge", "brickwork")
+"""Plans whose boxes never press much harder than with their weight."""
+NEAR = 0.01
+"""Tolerance of the largest force on a box: a box that is placed gently presses up to 0.4 % harder than with its
+weight."""
 LAST_DIGIT = 2**-22
 """Relative tolerance of tilts in single precision: two units in the last place. A program for tables of one size
 measures the tilt of the last pose, and may round differently from the program for another size."""
@@ -93,8 +98,8 @@ def test_boxes_can_be_put_in_one_by_one(engine: MujocoEngine | MjxWarpEngine) ->
         open_ones = [k for k, scene in enumerate(plans) if scene.n_boxes >= count and not snapshots[k].ended]
         worlds.put(open_ones, [plans[k].first(count) for k in open_ones])
     worlds.go_on()
-    for snapshot, outcome, expected in zip(
-        worlds.read(range(len(plans))), everything(worlds), run(engine), strict=True
+    for name, snapshot, outcome, expected in zip(
+        NAMES, worlds.read(range(len(plans))), everything(worlds), run(engine), strict=True
     ):
         assert (outcome.verdict, outcome.reason, outcome.culprit) == (
             expected.verdict,
@@ -105,7 +110,9 @@ def test_boxes_can_be_put_in_one_by_one(engine: MujocoEngine | MjxWarpEngine) ->
             if isinstance(engine, MjxWarpEngine):
                 assert_same_but_for_a_digit_of_tilts(outcome, expected)
             np.testing.assert_allclose(outcome.boxes.pos, expected.boxes.pos, atol=FLOAT64)
-            assert (snapshot.max_top_force_n >= snapshot.top_force_n).all(), "a force at rest also counts"
+            if name in GENTLE:
+                weight = expected.boxes.rest_top_force_n
+                np.testing.assert_allclose(snapshot.max_top_force_n, weight, rtol=NEAR, atol=NEAR, err_msg=name)
         assert snapshot.ended == (outcome.verdict is Verdict.UNSTABLE and outcome.sim_time_s == snapshot.time_s)
 
 

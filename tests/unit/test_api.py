@@ -181,6 +181,12 @@ def test_help_lists_every_option(function: Any) -> None:
             assert f"    {name}: {field.description}." in function.__doc__
 
 
+def test_no_carrier_loses_its_name() -> None:
+    carriers = ["container-20ft", "epal-1", "euro-pallet", "footprint", "gitterbox", "gma-48x40", "pet-eur", "trailer"]
+    carriers += ["rollcontainer", "rollcontainer-2", "rollcontainer-3", "rollcontainer-4", "rollcontainer-grid"]
+    assert {*map(str, petmjx.Carrier)} >= {*carriers}
+
+
 @pytest.mark.parametrize("function", [petmjx.score, petmjx.sweep])
 def test_bad_options_are_one_line(function: Any, tmp_path: Path) -> None:
     first = write(tmp_path / "x.toml", "nominal = true") if function is petmjx.sweep else PLANS

@@ -222,8 +222,8 @@ def test_copies_of_a_process_run_beside_each_other_and_end_with_it() -> None:
             one.tasks.put(pickle.dumps([Search(plan, SIM, RepairOptions(worlds=0))]))
         for k, one in enumerate(copies):
             message = one.answers.get(timeout=60)
-            ((_, (asked,)),) = message.requests
-            assert (asked.draft.plan.plan_id, message.ended, message.searches) == (f"{k}", [], None)
+            ((_, (request,)),) = message.batches
+            assert (request.draft.plan.plan_id, message.ended, message.searches) == (f"{k}", [], None)
         copies[0].end()
         (search,) = copies[0].answers.get(timeout=60).searches
         assert (search.plan.plan_id, search.complete) == ("0", False)

@@ -519,7 +519,7 @@ def test_drafts_join_the_worlds_that_are_being_simulated(monkeypatch: pytest.Mon
 
     scores = question.scores
     monkeypatch.setattr("petmjx.repairs.trials.outcomes_of_stream", counted)
-    monkeypatch.setattr(question, "scores", lambda asked, _: [runs.append("scored"), *scores(asked)][1:])
+    monkeypatch.setattr(question, "scores", lambda requests, _: [runs.append("scored"), *scores(requests)][1:])
     draft = Draft.of(make_plan(boxes=stack(2)))
     stream = TrialStream(question)
     stream.put("score", [TrialRequest(draft, False)])
@@ -549,10 +549,10 @@ def result_of(steps: Steps[Any], ask: Ask) -> Any:
         results.append((yield from steps))
 
     tasks = Tasks([noting()])
-    while tasks.requests:
-        requests, tasks.requests = tasks.requests, []
-        for ticket, drafts in requests:
-            tasks.take(TrialAnswer(ticket, ask(drafts)))
+    while tasks.batches:
+        batches, tasks.batches = tasks.batches, []
+        for ticket, requests in batches:
+            tasks.take(TrialAnswer(ticket, ask(requests)))
     return results[0]
 
 
@@ -560,16 +560,16 @@ class Simulated:
     """A simulator of searches: a function instead of an engine."""
 
     def __init__(self, ask: Ask) -> None:
-        self._ask, self._requests = ask, list[tuple[Any, Sequence[TrialRequest]]]()
+        self._ask, self._batches = ask, list[tuple[Any, Sequence[TrialRequest]]]()
 
-    def put(self, ticket: Any, drafts: Sequence[TrialRequest]) -> None:
-        self._requests.append((ticket, drafts))
+    def put(self, ticket: Any, requests: Sequence[TrialRequest]) -> None:
+        self._batches.append((ticket, requests))
 
     def answers(self) -> Iterator[TrialAnswer | None]:
-        while self._requests:
-            requests, self._requests = self._requests, []
-            for ticket, drafts in requests:
-                yield TrialAnswer(ticket, self._ask([*drafts]))
+        while self._batches:
+            batches, self._batches = self._batches, []
+            for ticket, requests in batches:
+                yield TrialAnswer(ticket, self._ask([*requests]))
             yield None
 
 
@@ -593,10 +593,10 @@ def test_parts_of_a_search_wait_only_for_their_own_trials() -> None:
         results.append((yield from whole()))
 
     tasks = Tasks([noting()])
-    (long_part, _), (short_part, _) = tasks.requests
+    (long_part, _), (short_part, _) = tasks.batches
     for number in range(3):
         tasks.take(TrialAnswer(long_part, [("long", number)]))  # type: ignore[list-item]
-        long_part, (request,) = tasks.requests[-1]
+        long_part, (request,) = tasks.batches[-1]
         assert request.world == min(number + 1, 2)
     assert not results
     tasks.take(TrialAnswer(short_part, [("short", 0)]))  # type: ignore[list-item]
@@ -615,7 +615,7 @@ def test_any_number_of_rounds_without_simulations_may_follow_one_another() -> No
     rounds: list[list[str]] = []
     tasks = Tasks([search()])
     assert rounds == [["known"]] * 5000
-    assert not tasks.requests
+    assert not tasks.batches
 
 
 def test_only_changes_that_are_needed_are_left() -> None:

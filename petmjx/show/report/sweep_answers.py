@@ -56,7 +56,7 @@ DIRECTIONS_CAPTION: Final = (
 LEGS_CAPTION: Final = (
     "Share of worlds that stand after a leg, among the worlds that reached it. Line: Wilson’s 95 % interval."
 )
-WEAKEST_LEG_CAPTION: Final = "The leg with the most failures of a plan."
+WEAKEST_LEG_CAPTION: Final = "Number of plans by their weakest leg: the leg with the most failures of a plan."
 
 
 def sweep_answers(run: ReportRun) -> Markup:
