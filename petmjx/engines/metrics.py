@@ -261,9 +261,9 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
         of_world="largest angle between any box's z axis and the world's z axis",
     ),
     BoxMetric(
-        "dropped", TEXT, {"dropped": "whether the box fell off the carrier"}, SampleAt.LOOKS,
+        "dropped", TEXT, {"dropped": "whether the box fell off the carrier, or floated when placed"}, SampleAt.LOOKS,
         "true once c_z < 0, or once the box's lowest point c_z − Σⱼ |R_zj|·hⱼ is below `drop_hull_z_m`; `c` is the "
-        "box's centre, R its rotation matrix, h its half sizes",
+        "box's centre, R its rotation matrix, h its half sizes. Also true for boxes that floated when they were placed",
         dtype=np.bool_, of_world=WorldReduction("n_dropped", Reduction.COUNT, "number of boxes that dropped"),
     ),
     BoxMetric(

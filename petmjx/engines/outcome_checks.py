@@ -1,6 +1,7 @@
-"""Checks of outcomes, which are the same for all engines. The checks find three things: verdicts that soft contacts may
-have decided; boxes that came to rest tilted, or lower than planned; and loads so near to an edge of their supports that
-a tiny error might change the verdict. The checks also compute the margin of each world.
+"""Checks of outcomes, which are the same for all engines. The checks find four things: verdicts that soft contacts may
+have decided; boxes that floated when they were placed; boxes that came to rest tilted, or lower than planned; and loads
+so near to an edge of their supports that a tiny error might change the verdict. The checks also compute the margin of
+each world.
 
 If engines run in worker processes, each worker checks its own outcomes. If the run's own process checked all outcomes,
 the checks of small worlds would take almost half of the time of this process.
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from petmjx.common.units import FloatArray
 from petmjx.engines.contact_penetration import note_penetration
 from petmjx.engines.contact_tilt import contact_tilt_suspects, n_loading, places_with_errors
+from petmjx.engines.floating_boxes import note_floating
 from petmjx.engines.knife_edges import AT_REST, BY_PLAN, NEAR_M, WHILE_BUILT, KnifeEdge, edges_when, sets_flag
 from petmjx.engines.margin import margins_of
 from petmjx.engines.metrics import BoxMetrics
@@ -60,7 +62,7 @@ def outcome_checks(
             ``verdicts_only``, worlds that stand get no distances from edges, no ``Flag.KNIFE_EDGE`` and no
             ``Flag.LEANS``. Computing these distances and flags takes most of the time of all checks.
     """
-    noted = note_penetration(outcomes, jobs, sim)
+    noted = note_floating(note_penetration(outcomes, jobs, sim), jobs, sim)
     for outcome, margin in zip(noted, margins_of(noted, sim.thresholds), strict=True):
         outcome.flags &= ~Flag.RERUN_AFTER_OVERFLOW
         outcome.margin = margin

@@ -25,6 +25,7 @@ from petmjx.engines.attempt_with_fallback import outcomes_of_stream
 from petmjx.engines.contact_penetration import note_penetration
 from petmjx.engines.engine_choice import Choice
 from petmjx.engines.engine_registry import make_engine, options_of
+from petmjx.engines.floating_boxes import note_floating
 from petmjx.engines.job_stream import JobBounds, JobStream
 from petmjx.engines.margin import margins_of
 from petmjx.engines.metrics import BoxMetrics
@@ -312,6 +313,7 @@ class Question:
         Args:
             sim: the options with which the draft was judged.
         """
+        (outcome,) = note_floating([outcome], [job], sim)
         trial = _trial_of(outcome, one.draft.order, sim)
         if trial.reason == Reason.ITERATION_LIMIT.value and self._is_own_limit(job.iteration_limit):
             return trial._replace(verdict=Verdict.UNSTABLE.value)
