@@ -109,8 +109,15 @@ _POSITION: Final = word_set(
 _ENDS: Final = word_set("max maximum end extremity extremities extremite")
 """Words for the corner of a box with the largest x, y and z. In "endCoordinates.width", too, the value is a coordinate
 of this corner, not a size."""
-_LOW: Final = word_set("min minimum low lower start begin from von flb front minimal")
-_HIGH: Final = word_set("max maximum high upper end to bis rrt far maximal top") | _ENDS
+_LOW: Final = word_set(
+    "min minimum low lower start begin from von flb front minimal anfang debut inicio inizio poczatek zacatek baslangic"
+)
+_HIGH: Final = (
+    word_set(
+        "max maximum high upper end to bis rrt far maximal top ende fin fine fim koniec konec son bitis slut loppu"
+    )
+    | _ENDS
+)
 CENTRE_WORDS: Final = word_set(
     "center centre centers centres centroid mid middle midpoint mitte mittelpunkt zentrum schwerpunkt milieu centro "
     "centroide srodek com"

@@ -85,8 +85,9 @@ def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]
     if abs(bottom) > tolerance:
         extent = float(((low + size).max(axis=0) - low.min(axis=0))[:2].max())
         offset = 1.0 if 0 < bottom < max(1.2 * median(size[:, 2].tolist()), _HIGHEST_DECK * extent) else 4.0
-        if abs(bottom - median(size[heights <= tolerance, 2].tolist()) / 2) <= tolerance:
-            offset = 3.0  # the lowest box is at half of its height, so heights are probably those of centres
+        its_height = median(size[heights <= tolerance, 2].tolist())
+        if min(abs(bottom - its_height / 2), abs(bottom - its_height)) <= tolerance:
+            offset = 3.0  # heights are probably those of centres or of tops
         half = layout.container[2] / 2
         if not np.isnan(half) and abs(bottom + half) <= 2 * tolerance:
             offset = 0.8
