@@ -51,7 +51,7 @@ MASS_UNITS: Final = {
     "g": 0.001, "gr": 0.001, "gram": 0.001, "grams": 0.001, "gramm": 0.001, "grammes": 0.001, "gramos": 0.001,
     "lb": 0.45359237, "lbs": 0.45359237, "pound": 0.45359237, "pounds": 0.45359237, "pfund": 0.5,
     "kgm": 1.0, "grm": 0.001, "lbr": 0.45359237, "tne": 1000.0,
-    "oz": 0.028349523125, "t": 1000.0, "tonne": 1000.0, "tonnes": 1000.0,
+    "oz": 0.028349523125, "t": 1000.0, "tonne": 1000.0, "tonnes": 1000.0, "hg": 0.1, "dag": 0.01, "dkg": 0.01,
 }  # fmt: skip
 """Name of a unit of mass → kilograms."""
 _INCH_M3: Final = 0.0254**3

@@ -475,6 +475,11 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
         if other.layout_cost <= _POOR or not _has_guessed_turns(columns, candidate):
             judged.append(other)
             lowest = min(lowest, other.cost) if other.least_cost < lowest else lowest
+    if not judged:
+        raise InputError(
+            "no reading is plausible in which a guessed column of rotations turns boxes; say which column has "
+            "rotations with --columns rotation=NAME"
+        )
     for further in (candidates_on_side, candidates_of_corners, candidates_downwards):
         near = (one for one in judged if one.least_cost <= lowest)
         if further is not candidates_of_corners or _is_doubtful(min(near, key=lambda one: one.cost)):

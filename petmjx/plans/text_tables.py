@@ -203,8 +203,8 @@ def _plain_fields(text: str, delimiter: str) -> Iterator[list[str]]:
     if delimiter == _SPACES:
         yield from _spaced_fields(text.splitlines())
         return
-    if delimiter == "|":  # a line of dashes, as below the header in Markdown, is removed
-        text = "\n".join("" if _RULE.match(line) else line for line in text.split("\n"))
+    if delimiter == "|":  # lines of dashes, as below the header in Markdown or around a table, are removed
+        text = "\n".join("" if _FRAME.match(line) else line for line in text.split("\n"))
     try:
         yield from csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)
     except csv.Error as error:
@@ -213,6 +213,9 @@ def _plain_fields(text: str, delimiter: str) -> Iterator[list[str]]:
 
 _RULE: Final = re.compile(r"^(?=.*[-=_]{2})[\s|+:]*[-=_]+(?:[\s|+:]+[-=_]+)+[\s|+:]*$")
 """A line of dashes below a header, as in printed tables. Below a narrow column, there is only one dash."""
+
+_FRAME: Final = re.compile(r"^[\s|+:]*[-=_]+[-=_\s|+:]*$")
+"""A line of dashes anywhere in a table whose fields are separated by "|"."""
 
 
 def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:

@@ -2339,3 +2339,32 @@ def test_columns_chosen_for_sizes_hold_no_places(tmp_path: Path) -> None:
     columns = {f"{axis} size": f"bounds[{number}]" for number, axis in enumerate("xyz")}
     (plan,) = load(tmp_path, "bounds.json", json.dumps(boxes), columns=columns).plans
     check_pile(plan)
+
+
+@pytest.mark.parametrize("end", ["son", "ende", "fin", "koniec"])
+def test_ends_along_axes_are_far_corners_in_a_framed_table(tmp_path: Path, end: str) -> None:
+    frame = f"+{'-' * 60}+"
+    names = ["Boy mm", "En mm", "Yükseklik mm", *(f"{axis} {end} mm" for axis in "XYZ"), "Gewicht hg"]
+    lines = [frame, f"| {' | '.join(names)} |", frame]
+    for x, y, z, length, width, height, kg in PILE:
+        cells = (length, width, height, x + length, y + width, z + height, 10 * kg)
+        lines.append(f"| {' | '.join(map(str, cells))} |")
+    (plan,) = load(tmp_path, "far.txt", "\n".join([*lines, frame])).plans
+    check_pile(plan)
+
+
+def test_heights_that_begin_at_one_box_are_asked(tmp_path: Path) -> None:
+    """Unnamed far corners: with corners, the load would begin at the height of one box."""
+    rows = [(400, 300, 230, 400 + 500 * (k // 4), 300, 230 * (k % 4 + 1)) for k in range(8)]
+    text = "length;width;height;x zz;y zz;z zz\n" + "".join(";".join(map(str, row)) + "\n" for row in rows)
+    plan_set = load(tmp_path, "tops.csv", text, units="mm")
+    lows = {plan.corner_mm[:, 2].min() for plan in plan_set.plans}
+    assert lows == {0} or "can be read in two ways" in plan_set.skipped[0].message
+    assert "begin" not in "".join(reading.line() for reading in plan_set.readings.values())
+
+
+def test_guessed_rotations_with_which_no_reading_is_plausible_are_named(tmp_path: Path) -> None:
+    rows = [(400, 300, 200, 400 * k, 0, 0, "AB"[k % 2]) for k in range(6)]
+    text = "length;width;height;x;y;z;code\n" + "".join(";".join(map(str, row)) + "\n" for row in rows)
+    (skipped,) = load(tmp_path, "codes.csv", text, sizes="item").skipped
+    assert "--columns rotation=NAME" in skipped.message
