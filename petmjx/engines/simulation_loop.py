@@ -33,7 +33,8 @@ from petmjx.world.job import Job
 
 MOST_PENDING: Final = 13 * GPU_WORLDS // 8
 """Largest number of worlds in a list, for an engine that cannot read a stream of jobs. The thread that makes worlds
-also pauses when this number of worlds waits for a further attempt."""
+also pauses while this number of worlds waits for a further attempt on the run's engine, or for the fallback
+engine."""
 
 ATTEMPT_WAIT_S: Final = 0.02
 """Time between two checks whether new worlds follow from results, s. These checks are made while the engine is idle,

@@ -1,9 +1,9 @@
-"""The attempt process simulates single worlds beside a run, on engines with one thread: worlds that are simulated again
-(further *attempts*), and long worlds of a GPU.
+"""Processes that simulate single worlds beside a run, on engines with one thread. The attempt process simulates worlds
+again (further *attempts*). The process of long worlds simulates long worlds of a GPU to their ends.
 
-``AttemptProcess`` sends tasks to the process, and receives the answers. ``serve_attempts`` is the work of the process.
-The process sees no GPU, so its JAX and Warp use the CPU, even if JAX and Warp use a GPU in the run's process. The
-process ends when its pipe of tasks ends, and so also when the process that started it ends.
+``AttemptProcess`` sends tasks to such a process, and receives the answers. ``serve_attempts`` is the work of the
+process. The process sees no GPU, so its JAX and Warp use the CPU, even if JAX and Warp use a GPU in the run's process.
+The process ends when its pipe of tasks ends, and so also when the process that started it ends.
 """
 
 from __future__ import annotations

@@ -36,13 +36,14 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 
 UNDER_WAY = 2
-"""Number of slices that the CPU starts ahead of the slice that it reads, so that the device is never idle. While a
-slice runs, the CPU reads the worlds that ended in earlier slices."""
+"""Number of slices that are started and not yet read, so that the device is never idle. While a slice runs, the CPU
+reads the worlds that ended in earlier slices."""
 
 MOST_AHEAD: Final = 40
-"""Largest number of slices whose ended worlds may wait for the CPU: 4 s of a GPU's work. Each slice holds copies of the
-rows of its ended worlds, padded to hundreds of rows. All slices together take 200 MB for plans of up to 76 boxes and
-700 MB for 250 boxes. If slices hold several batches of ended worlds, these numbers are larger."""
+"""Number of slices whose ended worlds may wait for the CPU before no further slice is started: 4 s of a GPU's work.
+Each slice holds copies of the rows of its ended worlds, padded to hundreds of rows. All slices together take 200 MB for
+plans of up to 76 boxes and 700 MB for 250 boxes. If slices hold several batches of ended worlds, these numbers are
+larger."""
 
 
 class Slice(NamedTuple):
