@@ -45,7 +45,8 @@ def headline(story: Story) -> str:
         return text + ("" if math.isnan(outcome.margin) else f", margin {outcome.margin:.2f}")
     if outcome.culprit < 0:
         return text
-    return f"{text}: first {box_name(story, outcome.culprit)}, at {outcome.first_sign_s:.2f} s"
+    time_text = "" if math.isnan(outcome.first_sign_s) else f", at {outcome.first_sign_s:.2f} s"
+    return f"{text}: first {box_name(story, outcome.culprit)}{time_text}"
 
 
 def box_name(story: Story, box: int) -> str:
@@ -235,7 +236,7 @@ def first_box_in_words(story: Story) -> str:
     time_text = "" if math.isnan(story.outcome.first_sign_s) else f" at {story.outcome.first_sign_s:.2f} s"
     gap_mm = _gap_mm(story, box)
     planned = f"was planned {_mm(gap_mm / MM_PER_M)} in the air and " if gap_mm > DEFAULT_TOLERANCE_MM else ""
-    signs = " and ".join(_signs(story, box)) or "crossed a limit"
+    signs = " and ".join(_signs(story, box)) or ("fell" if planned else "crossed a limit")
     return f"{_subject(story, box)} {planned}failed first:{time_text} it {signs}."
 
 

@@ -11,6 +11,7 @@ from support.outcomes import make_outcome
 from support.plans import make_plan
 
 import petmjx
+from petmjx.analysis.story_in_words import first_box_in_words, headline
 from petmjx.engines.floating_boxes import gaps_m, note_floating
 from petmjx.engines.verdict import Reason, Verdict
 from petmjx.options.simulation import Simulation
@@ -42,6 +43,12 @@ def test_a_box_that_is_thrown_back_to_its_place_has_dropped(thrown: petmjx.Plan)
     assert world.margin == pytest.approx(-1.0)
     assert results.boxes.dropped.tolist() == [True, False, False]
     assert math.isnan(results.boxes.drop_s[0])
+
+
+def test_its_story_says_that_it_fell(thrown: petmjx.Plan) -> None:
+    story = petmjx.tell(thrown, engine="mujoco")
+    assert headline(story) == "unstable by drop: first box 0 (article-0)"
+    assert first_box_in_words(story) == "Box 0 (article-0) was planned 200 mm in the air and failed first: it fell."
 
 
 def test_so_it_has_when_a_repair_judges_it(thrown: petmjx.Plan) -> None:
