@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Final
 
 from petmjx.common.units import MM_PER_M, FloatArray
@@ -46,8 +47,10 @@ def note_floating(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulat
     return noted
 
 
+@lru_cache(maxsize=256)
 def gaps_m(scene: Scene) -> FloatArray:
     """(n,) height of each box's planned bottom above the highest box below it that is placed earlier, m. If no box is
-    below it, the height above the carrier's top."""
+    below it, the height above the carrier's top. The gaps are cached, since many worlds of a sweep have the same
+    scene."""
     low_mm, size_mm = (scene.target - scene.half_size) * MM_PER_M, 2 * scene.half_size * MM_PER_M
     return gaps_mm(low_mm, size_mm) / MM_PER_M

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import blanked
-from petmjx.common.unreadable_files import NUMPY_MAGIC, ZIP_MAGIC, foreign_kind, program_kind
+from petmjx.common.unreadable_files import ARCHIVE_BYTES, NUMPY_MAGIC, ZIP_MAGIC, foreign_kind, program_kind
 from petmjx.plans.cell_numbers import cell_number
 from petmjx.plans.column_names import words_of
 from petmjx.plans.file_formats import NoBoxes, NoGeometry, nul_fault
@@ -45,7 +45,7 @@ def sources_of_bytes(data: bytes | bytearray, path: Path | None = None) -> list[
     if head.startswith(NUMPY_MAGIC):
         return sources_of_arrays({"": loaded_array(data)})
     if head.startswith(ZIP_MAGIC):
-        if b".npy" in bytes(data[: 1 << 16]):
+        if b".npy" in bytes(data[:ARCHIVE_BYTES]):
             return sources_of_arrays(loaded_arrays(data))
         if (kind := foreign_kind(data)) is not None and "ZIP" in kind:
             raise InputError(kind)

@@ -85,8 +85,8 @@ def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]
     if abs(bottom) > tolerance:
         extent = float(((low + size).max(axis=0) - low.min(axis=0))[:2].max())
         offset = 1.0 if 0 < bottom < max(1.2 * median(size[:, 2].tolist()), _HIGHEST_DECK * extent) else 4.0
-        its_height = median(size[heights <= tolerance, 2].tolist())
-        if min(abs(bottom - its_height / 2), abs(bottom - its_height)) <= tolerance:
+        lowest_box_height = median(size[heights <= tolerance, 2].tolist())
+        if min(abs(bottom - lowest_box_height / 2), abs(bottom - lowest_box_height)) <= tolerance:
             offset = 3.0  # heights are probably those of centres or of tops
         half = layout.container[2] / 2
         if not np.isnan(half) and abs(bottom + half) <= 2 * tolerance:

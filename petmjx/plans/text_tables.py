@@ -214,8 +214,9 @@ def _plain_fields(text: str, delimiter: str) -> Iterator[list[str]]:
 _RULE: Final = re.compile(r"^(?=.*[-=_]{2})[\s|+:]*[-=_]+(?:[\s|+:]+[-=_]+)+[\s|+:]*$")
 """A line of dashes below a header, as in printed tables. Below a narrow column, there is only one dash."""
 
-_FRAME: Final = re.compile(r"^[\s|+:]*[-=_]+[-=_\s|+:]*$")
-"""A line of dashes anywhere in a table whose fields are separated by "|"."""
+_FRAME: Final = re.compile(r"^(?=.*[-=_]{2})[-=_\s|+:]+$")
+"""A line of dashes anywhere in a table whose fields are separated by "|". A row of single dashes, which may stand for
+missing values, is no such line."""
 
 
 def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:

@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 from petmjx.common.errors import InputError
 from petmjx.common.safe_read import allowed_bytes
 from petmjx.common.text import printable_name
-from petmjx.common.unreadable_files import ZIP_MAGIC
+from petmjx.common.unreadable_files import ARCHIVE_BYTES, ZIP_MAGIC
 from petmjx.plans.cell_numbers import cell_number
 from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.raw_tables import MOST_COLUMNS, MOST_ROWS, RawTable
@@ -295,7 +295,7 @@ def read_raw_tables(data: bytes | bytearray) -> tuple[list[RawTable], str]:
         InputError: the file contains no table. The error does not name the file.
     """
     if data.startswith(ZIP_MAGIC):
-        if b"opendocument.spreadsheet" in bytes(data[: 1 << 16]):
+        if b"opendocument.spreadsheet" in bytes(data[:ARCHIVE_BYTES]):
             return tables_of_ods(data), "a workbook (.ods)"
         return tables_of_xlsx(data), "a workbook (.xlsx)"
     return tables_of_text(data), "a table as text"

@@ -313,7 +313,8 @@ class Question:
         Args:
             sim: the options with which the draft was judged.
         """
-        (outcome,) = note_floating([outcome], [job], sim)
+        if not one.as_score:  # below, ``outcome_checks`` notes the floating boxes of a score
+            (outcome,) = note_floating([outcome], [job], sim)
         trial = _trial_of(outcome, one.draft.order, sim)
         if trial.reason == Reason.ITERATION_LIMIT.value and self._is_own_limit(job.iteration_limit):
             return trial._replace(verdict=Verdict.UNSTABLE.value)

@@ -2368,3 +2368,11 @@ def test_guessed_rotations_with_which_no_reading_is_plausible_are_named(tmp_path
     text = "length;width;height;x;y;z;code\n" + "".join(";".join(map(str, row)) + "\n" for row in rows)
     (skipped,) = load(tmp_path, "codes.csv", text, sizes="item").skipped
     assert "--columns rotation=NAME" in skipped.message
+
+
+def test_a_row_of_single_dashes_is_a_box_without_values(tmp_path: Path) -> None:
+    boxes = [f"| 400 | 300 | 200 | {400 * k} | 0 | 0 |" for k in range(3)]
+    lines = ["| length mm | width mm | height mm | x mm | y mm | z mm |", "|---|---|---|---|---|---|", *boxes]
+    assert load(tmp_path, "dashes.md", "\n".join([*lines, "| -- | -- |"])).plans[0].n_boxes == 3
+    (skipped,) = load(tmp_path, "missing.md", "\n".join([*lines, "| - | - | - | - | - | - |"])).skipped
+    assert 'length mm must be a number, got "-"' in skipped.message
