@@ -122,7 +122,7 @@ MOST_FINALISTS: Final = 4
 compared."""
 
 MOST_COMPARED: Final = 12
-"""Largest number of repairs that are judged at once in a few worlds with errors (``COMPARED_IN``)."""
+"""Largest number of repairs that are judged in the first of a few worlds with errors (``COMPARED_IN``)."""
 
 ALL_WORLDS: Final = range(1, ERROR_WORLDS + 1)
 COMPARED_IN: Final = ALL_WORLDS[: ERROR_WORLDS // 2]
@@ -139,6 +139,11 @@ by this factor, and the search has fewer rounds. (For single changes, ``WIDE_AT_
 STRENGTHENED: Final = 0.33
 """Share of all trials that may be spent on further changes of a repair, so that the repair stands in more worlds with
 errors."""
+
+MOST_VAIN: Final = 2
+"""Further changes of a repair for worlds with errors end after this number of rounds in a row that found no stronger
+repair. Each round takes a tenth of the trials, and nearly all of its time is spent in worlds with errors. A plan that
+stands in no world after two rounds hardly ever stands in more after four."""
 
 MORE_TO_COMPARE: Final = 24
 """Number of additional changed plans that are judged at once, so that simulations with errors can choose among more
@@ -424,7 +429,9 @@ class Search(Candidates):
         return batch_of(queues, min(MORE_TO_COMPARE, count))
 
     def _compared(self, scored: Sequence[State], judged: Sequence[State]) -> Steps[list[State]]:
-        """Of repairs with the same number of changes, those that stand most often in a few worlds with errors.
+        """Of repairs with the same number of changes, those that stand most often in a few worlds with errors. Repairs
+        are judged in the first of these worlds until enough of them stand there, and only the repairs that stand there
+        in the other worlds. If fewer than ``MOST_FINALISTS`` stand in the first world, statics chooses the others.
 
         Args:
             scored: plans that stand when scored.
@@ -434,9 +441,13 @@ class Search(Candidates):
         chosen = [different[k] for k in self._safest(different)[:MOST_COMPARED]]
         counted: list[State] = []
         for begin in range(0, len(chosen), MOST_FINALISTS):
-            counted += yield from self._judged_in(chosen[begin : begin + MOST_FINALISTS], COMPARED_IN)
-            if sum(state.n_good == len(COMPARED_IN) for state in counted) >= _n_finalists(counted):
-                break  # enough repairs stand in all compared worlds, and no other repair can stand more often
+            counted += yield from self._judged_in(chosen[begin : begin + MOST_FINALISTS], COMPARED_IN[:1])
+            first_stands = [state.errors[COMPARED_IN[0]].stands for state in counted]
+            if sum(first_stands) >= _n_finalists(counted):
+                break  # enough repairs stand in the first world
+        # The repairs that stand in the first world come first; of equal repairs, the one that statics prefers.
+        counted = [counted[k] for k in sorted(range(len(counted)), key=lambda k: not first_stands[k])]
+        counted = yield from self._judged_in(counted[: max(sum(first_stands), MOST_FINALISTS)], COMPARED_IN)
         counted.sort(key=lambda state: -state.n_good)
         best, sure = counted[: 2 * MOST_FINALISTS], {key_of(state.draft) for state in scored}
         unsure = [k for k, state in enumerate(best) if key_of(state.draft) not in sure]
@@ -622,15 +633,15 @@ class Search(Candidates):
             return
         self._seen.clear()
         nodes, best = [Node(state) for state in compared], compared[0]
-        last = self.n_trials + min(int(STRENGTHENED * options.trials), self._n_left)
-        while nodes and best.n_good < wanted and self.n_trials < last:
+        last, n_vain = self.n_trials + min(int(STRENGTHENED * options.trials), self._n_left), 0
+        while nodes and best.n_good < wanted and self.n_trials < last and n_vain < MOST_VAIN:
             node = min(nodes, key=lambda node: (node.n_rounds - node.state.n_good, node.state.cost))
             if node.queue is None:
                 node.queue = self._changes(node, kinds)
             if not node.queue:
                 nodes.remove(node)
                 continue
-            node.n_rounds += 1
+            node.n_rounds, n_vain = node.n_rounds + 1, n_vain + 1
             batch = batch_of([node.queue], min(self._scale * MORE_TO_COMPARE, self._n_left))
             try:
                 better = yield from self._stronger(node.state, batch, wanted)
@@ -638,7 +649,8 @@ class Search(Candidates):
                 better.sort(key=lambda state: (-state.n_good, state.cost))
                 if better and better[0].n_good > best.n_good:
                     (most,) = yield from self._scored(better[:1])
-                    best = most if most.trial.stands else best
+                    if most.trial.stands:
+                        best, n_vain = most, 0
             except TrialsSpent:
                 self.trials_spent = True
                 break

@@ -667,25 +667,31 @@ def test_of_repairs_with_as_many_changes_the_one_that_stands_with_errors_is_firs
     assert best.n_good == 4 > worst.n_good
 
 
-def test_repairs_are_compared_until_enough_of_them_stand() -> None:
-    """The first four repairs stand in all four worlds with errors. No other repair can stand more often, so no other
-    one is simulated."""
+@pytest.mark.parametrize(
+    ("stand", "worlds"), [("all", 4 + 4 * 3), ("none", 10 + 4 * 3), ("all but the first four", 8 + 4 * 3)]
+)
+def test_repairs_are_compared_until_enough_of_them_stand(stand: str, worlds: int) -> None:
+    """Ten repairs are judged in the first world, four at once, until four of them stand. Four are then compared in the
+    other three worlds."""
     plan = make_plan(boxes=stack(2))
     search, stands = Search(plan, Simulation(), RepairOptions(worlds=4)), Trial("stable", "", None, (), 2, 2, 0.5)
     moves = [Move(box, float(length), 0.0) for box in (0, 1) for length in range(5, 30, 5)]
     drafts = [draft for move in moves if (draft := move.applied(Draft.of(plan))) is not None]
     states = [State(draft, (move,), stands) for draft, move in zip(drafts, moves, strict=True)]
     requests = list[TrialRequest]()
+    first = {key_of(states[k].draft) for k in search._safest(states)[:4]}
 
     def ask(some: list[TrialRequest]) -> list[Trial]:
         requests.extend(some)
-        return [stands] * len(some)
+        good = [stand == "all" or (stand != "none" and key_of(one.draft) not in first) for one in some]
+        return [stands if is_good else stands._replace(verdict="unstable") for is_good in good]
 
-    assert len(result_of(search._compared(states, states), ask)) == 4
-    assert len(requests) == 16
-    assert len({key_of(one.draft) for one in requests}) == 4
+    compared = result_of(search._compared(states, states), ask)
+    assert len(requests) == worlds
+    best = {key_of(state.draft) for state in compared[:4]}
+    assert (best == first) if stand != "all but the first four" else best.isdisjoint(first)
     result_of(search._compared(states, states), ask)
-    assert len(requests) == 16, "no world is simulated twice"
+    assert len(requests) == worlds, "no world is simulated twice"
 
 
 def test_a_repair_that_falls_with_errors_is_changed_further() -> None:
