@@ -134,7 +134,8 @@ worlds."""
 
 WIDE: Final = 2
 """A GPU judges many plans as fast as a few. So on a GPU, the number of plans that a search judges at once is multiplied
-by this factor, and the search has fewer rounds. (For single changes, ``WIDE_AT_ONCE`` holds instead.)"""
+by this factor, and the search has fewer rounds. (For single changes, ``WIDE_AT_ONCE`` holds instead. Worlds with errors
+keep even a GPU busy, so a search on a GPU compares as few plans in them as on CPU threads.)"""
 
 STRENGTHENED: Final = 0.33
 """Share of all trials that may be spent on further changes of a repair, so that the repair stands in more worlds with
@@ -671,7 +672,7 @@ class Search(Candidates):
         """
         judged = yield from self._judged(batch)
         standing = [state for state in judged if state.trial.stands]
-        falling = [standing[k] for k in self._safest(standing)[: self._scale * MOST_COMPARED]]
+        falling = [standing[k] for k in self._safest(standing)[:MOST_COMPARED]]
         worlds, good = [*weak.lost][:MOST_LOST], list[State]()
         for world in worlds:
             states = yield from self._judged_in(falling, [world])
@@ -679,12 +680,11 @@ class Search(Candidates):
             falling = [state for state in states if not state.errors[world].stands]
             if len(good) >= MOST_FINALISTS:
                 break
-        good = yield from self._judged_in(good[: self._scale * 2 * MOST_FINALISTS], worlds)
+        good = yield from self._judged_in(good[: 2 * MOST_FINALISTS], worlds)
         good.sort(key=lambda state: -state.n_good)
         better: list[State] = []
-        at_once = MOST_FINALISTS if self.is_wide else 1
-        for begin in range(0, self._scale * MOST_FINALISTS, at_once):
-            states = yield from self._judged_in(good[begin : begin + at_once], ALL_WORLDS)
+        for begin in range(0, MOST_FINALISTS, self._scale):
+            states = yield from self._judged_in(good[begin : begin + self._scale], ALL_WORLDS)
             better += [state for state in states if state.n_good > weak.n_good]
             if any(state.n_good >= wanted for state in better):
                 break
