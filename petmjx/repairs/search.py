@@ -122,11 +122,10 @@ MOST_FINALISTS: Final = 4
 compared."""
 
 MOST_COMPARED: Final = 12
-"""Largest number of repairs that are judged in the first of a few worlds with errors (``COMPARED_IN``)."""
+"""Largest number of repairs of which worlds with errors choose ``MOST_FINALISTS`` (``Search._standing_in``)."""
 
 ALL_WORLDS: Final = range(1, ERROR_WORLDS + 1)
-COMPARED_IN: Final = ALL_WORLDS[: ERROR_WORLDS // 2]
-"""Numbers of the worlds with errors in which repairs are compared."""
+"""Numbers of the worlds with errors."""
 
 MOST_LOST: Final = 3
 """If a repair falls in some worlds with errors, further changes of it are first judged in at most this many of these
@@ -430,9 +429,9 @@ class Search(Candidates):
         return batch_of(queues, min(MORE_TO_COMPARE, count))
 
     def _compared(self, scored: Sequence[State], judged: Sequence[State]) -> Steps[list[State]]:
-        """Of repairs with the same number of changes, those that stand most often in a few worlds with errors. Repairs
-        are judged in the first of these worlds until enough of them stand there, and only the repairs that stand there
-        in the other worlds. If fewer than ``MOST_FINALISTS`` stand in the first world, statics chooses the others.
+        """Of repairs with the same number of changes, those that stand most often in worlds with errors. The first of
+        these worlds, and otherwise statics, decide which repairs are judged in the other worlds. No further repair is
+        judged once one stands in all worlds.
 
         Args:
             scored: plans that stand when scored.
@@ -440,21 +439,42 @@ class Search(Candidates):
         """
         different = [*{key_of(state.draft): state for state in (*judged, *scored)}.values()]
         chosen = [different[k] for k in self._safest(different)[:MOST_COMPARED]]
-        counted: list[State] = []
-        for begin in range(0, len(chosen), MOST_FINALISTS):
-            counted += yield from self._judged_in(chosen[begin : begin + MOST_FINALISTS], COMPARED_IN[:1])
-            first_stands = [state.errors[COMPARED_IN[0]].stands for state in counted]
-            if sum(first_stands) >= _n_finalists(counted):
-                break  # enough repairs stand in the first world
-        # The repairs that stand in the first world come first; of equal repairs, the one that statics prefers.
-        counted = [counted[k] for k in sorted(range(len(counted)), key=lambda k: not first_stands[k])]
-        counted = yield from self._judged_in(counted[: max(sum(first_stands), MOST_FINALISTS)], COMPARED_IN)
+        standing, falling = yield from self._standing_in(chosen, ALL_WORLDS[:1], _n_finalists(chosen))
+        finalists = (standing + falling)[: max(len(standing), MOST_FINALISTS)]
+        counted = yield from self._judged_until(finalists, ERROR_WORLDS)
         counted.sort(key=lambda state: -state.n_good)
-        best, sure = counted[: 2 * MOST_FINALISTS], {key_of(state.draft) for state in scored}
-        unsure = [k for k, state in enumerate(best) if key_of(state.draft) not in sure]
-        for k, state in zip(unsure, (yield from self._scored([best[k] for k in unsure])), strict=True):
-            best[k] = state
-        return [state for state in best if state.trial.stands] or [*scored]
+        sure = {key_of(state.draft) for state in scored}
+        unsure = [k for k, state in enumerate(counted) if key_of(state.draft) not in sure]
+        for k, state in zip(unsure, (yield from self._scored([counted[k] for k in unsure])), strict=True):
+            counted[k] = state
+        return [state for state in counted if state.trial.stands] or [*scored]
+
+    def _standing_in(
+        self, states: Sequence[State], worlds: Sequence[int], count: int
+    ) -> Steps[tuple[list[State], list[State]]]:
+        """Plans that stand in one of these worlds with errors, and all other plans. The plans are judged a few at once,
+        in one world after the other, until ``count`` of them stand: a world with errors has five times as many steps as
+        a world without errors, because a hand lowers the boxes only in worlds with errors."""
+        standing, falling, at_once = list[State](), [*states], self._scale * MOST_FINALISTS
+        for world in worlds:
+            waiting, falling = falling, []
+            while waiting and len(standing) < count:
+                batch = yield from self._judged_in(waiting[:at_once], [world])
+                del waiting[:at_once]
+                standing += [state for state in batch if state.errors[world].stands]
+                falling += [state for state in batch if not state.errors[world].stands]
+            falling += waiting
+        return standing, falling
+
+    def _judged_until(self, states: Sequence[State], wanted: int) -> Steps[list[State]]:
+        """Plans with their trials in all worlds with errors. No further plan is judged once one stands in ``wanted`` of
+        these worlds."""
+        judged: list[State] = []
+        for begin in range(0, len(states), self._scale):
+            judged += yield from self._judged_in(states[begin : begin + self._scale], ALL_WORLDS)
+            if any(state.n_good >= wanted for state in judged):
+                break
+        return judged
 
     @property
     def _defers_scores(self) -> bool:
@@ -622,11 +642,7 @@ class Search(Candidates):
         as a plan that falls without errors is changed where it falls."""
         options = self.options
         wanted = math.ceil(options.share * ERROR_WORLDS)
-        compared: list[State] = []
-        for begin in range(0, len(self.repairs), self._scale):
-            compared += yield from self._judged_in(self.repairs[begin : begin + self._scale], ALL_WORLDS)
-            if any(state.n_good == ERROR_WORLDS for state in compared):
-                break
+        compared = yield from self._judged_until(self.repairs, ERROR_WORLDS)
         compared.sort(key=lambda state: -state.n_good)
         self.repairs = tuple(compared)
         kinds = options.kinds - {Kind.FILM, Kind.LEAVE_OUT}
@@ -662,33 +678,18 @@ class Search(Candidates):
 
     def _stronger(self, weak: State, batch: Sequence[Candidate], wanted: int) -> Steps[list[State]]:
         """The candidates that stand, and stand in more worlds with errors than the plan ``weak`` from which they were
-        made.
-
-        A world with errors has five times as many steps as a world without errors, because a hand lowers the boxes only
-        in worlds with errors. So needless worlds with errors are avoided in the following way. Candidates that stand
-        without errors are judged in worlds in which ``weak`` falls, one world after the other, until enough of them
-        stand. The best candidates are judged in all worlds with errors, one world after the other, until one stands in
-        ``wanted`` of them.
+        made. Candidates that stand without errors are judged in worlds in which ``weak`` falls, until enough of them
+        stand. The best candidates are judged in all worlds with errors, until one stands in ``wanted`` of them.
         """
         judged = yield from self._judged(batch)
         standing = [state for state in judged if state.trial.stands]
-        falling = [standing[k] for k in self._safest(standing)[:MOST_COMPARED]]
-        worlds, good = [*weak.lost][:MOST_LOST], list[State]()
-        for world in worlds:
-            states = yield from self._judged_in(falling, [world])
-            good += [state for state in states if state.errors[world].stands]
-            falling = [state for state in states if not state.errors[world].stands]
-            if len(good) >= MOST_FINALISTS:
-                break
+        chosen = [standing[k] for k in self._safest(standing)[:MOST_COMPARED]]
+        worlds = [*weak.lost][:MOST_LOST]
+        good, _ = yield from self._standing_in(chosen, worlds, MOST_FINALISTS)
         good = yield from self._judged_in(good[: 2 * MOST_FINALISTS], worlds)
         good.sort(key=lambda state: -state.n_good)
-        better: list[State] = []
-        for begin in range(0, MOST_FINALISTS, self._scale):
-            states = yield from self._judged_in(good[begin : begin + self._scale], ALL_WORLDS)
-            better += [state for state in states if state.n_good > weak.n_good]
-            if any(state.n_good >= wanted for state in better):
-                break
-        return better
+        finalists = yield from self._judged_until(good[:MOST_FINALISTS], wanted)
+        return [state for state in finalists if state.n_good > weak.n_good]
 
     def _needed(self, state: State, n_good: int) -> Steps[State]:
         """The state without needless changes. A change is needless if the plan without this change stands in the world

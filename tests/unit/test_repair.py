@@ -660,38 +660,44 @@ def test_of_repairs_with_as_many_changes_the_one_that_stands_with_errors_is_firs
         requests.extend(drafts)
         return question.trials(drafts)
 
-    best, worst = result_of(search._compared(states, states[:1]), ask)
-    assert sorted({one.world for one in requests}) == [1, 2, 3, 4]
-    assert len(requests) == 8
-    assert (best.changes, worst.changes) == ((moves[1],), (moves[0],))
-    assert best.n_good == 4 > worst.n_good
+    best, *others = result_of(search._compared(states, states[:1]), ask)
+    assert sorted({one.world for one in requests}) == [*range(1, 9)]
+    assert best.changes == (moves[1],)
+    assert best.n_good == 8 > max((state.n_good for state in others), default=0)
 
 
 @pytest.mark.parametrize(
-    ("stand", "worlds"), [("all", 4 + 4 * 3), ("none", 10 + 4 * 3), ("all but the first four", 8 + 4 * 3)]
+    ("stands_in", "n_requests", "n_compared"),
+    [
+        pytest.param(lambda place, world: True, 4 + 7, 1, id="all"),
+        pytest.param(lambda place, world: place >= 4, 8 + 7, 1, id="all but the first four"),
+        pytest.param(lambda place, world: world == 1, 4 + 4 * 7, 4, id="the first world"),
+        pytest.param(lambda place, world: False, 10 + 4 * 7, 4, id="none"),
+    ],
 )
-def test_repairs_are_compared_until_enough_of_them_stand(stand: str, worlds: int) -> None:
-    """Ten repairs are judged in the first world, four at once, until four of them stand. Four are then compared in the
-    other three worlds."""
+def test_repairs_are_compared_until_one_stands_in_all_worlds(
+    stands_in: Callable[[int, int], bool], n_requests: int, n_compared: int
+) -> None:
+    """Ten repairs are judged in the first world with errors, four at once in the order of statics, until four of them
+    stand. Four are then judged in the other seven worlds, one after the other, until one stands in all worlds."""
     plan = make_plan(boxes=stack(2))
     search, stands = Search(plan, Simulation(), RepairOptions(worlds=4)), Trial("stable", "", None, (), 2, 2, 0.5)
     moves = [Move(box, float(length), 0.0) for box in (0, 1) for length in range(5, 30, 5)]
     drafts = [draft for move in moves if (draft := move.applied(Draft.of(plan))) is not None]
     states = [State(draft, (move,), stands) for draft, move in zip(drafts, moves, strict=True)]
+    places = {key_of(states[k].draft): place for place, k in enumerate(search._safest(states))}
     requests = list[TrialRequest]()
-    first = {key_of(states[k].draft) for k in search._safest(states)[:4]}
 
     def ask(some: list[TrialRequest]) -> list[Trial]:
         requests.extend(some)
-        good = [stand == "all" or (stand != "none" and key_of(one.draft) not in first) for one in some]
+        good = [stands_in(places[key_of(one.draft)], one.world) for one in some]
         return [stands if is_good else stands._replace(verdict="unstable") for is_good in good]
 
     compared = result_of(search._compared(states, states), ask)
-    assert len(requests) == worlds
-    best = {key_of(state.draft) for state in compared[:4]}
-    assert (best == first) if stand != "all but the first four" else best.isdisjoint(first)
+    assert (len(requests), len(compared)) == (n_requests, n_compared)
+    assert [state.n_good for state in compared] == [sum(stands_in(4, world) for world in range(1, 9))] * n_compared
     result_of(search._compared(states, states), ask)
-    assert len(requests) == worlds, "no world is simulated twice"
+    assert len(requests) == n_requests, "no world is simulated twice"
 
 
 def test_a_repair_that_falls_with_errors_is_changed_further() -> None:
