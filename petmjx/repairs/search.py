@@ -125,7 +125,8 @@ MOST_COMPARED: Final = 12
 """Largest number of repairs of which worlds with errors choose ``MOST_FINALISTS`` (``Search._standing_in``)."""
 
 ALL_WORLDS: Final = range(1, ERROR_WORLDS + 1)
-"""Numbers of the worlds with errors."""
+COMPARED_IN: Final = ALL_WORLDS[: ERROR_WORLDS // 2]
+"""Numbers of the worlds with errors in which repairs are compared."""
 
 MOST_LOST: Final = 3
 """If a repair falls in some worlds with errors, further changes of it are first judged in at most this many of these
@@ -429,9 +430,8 @@ class Search(Candidates):
         return batch_of(queues, min(MORE_TO_COMPARE, count))
 
     def _compared(self, scored: Sequence[State], judged: Sequence[State]) -> Steps[list[State]]:
-        """Of repairs with the same number of changes, those that stand most often in worlds with errors. The first of
-        these worlds, and otherwise statics, decide which repairs are judged in the other worlds. No further repair is
-        judged once one stands in all worlds.
+        """Of repairs with the same number of changes, those that stand most often in a few worlds with errors. The
+        first of these worlds, and otherwise statics, decide which repairs are judged in the others.
 
         Args:
             scored: plans that stand when scored.
@@ -440,8 +440,8 @@ class Search(Candidates):
         different = [*{key_of(state.draft): state for state in (*judged, *scored)}.values()]
         chosen = [different[k] for k in self._safest(different)[:MOST_COMPARED]]
         standing, falling = yield from self._standing_in(chosen, ALL_WORLDS[:1], _n_finalists(chosen))
-        finalists = (standing + falling)[: max(len(standing), MOST_FINALISTS)]
-        counted = yield from self._judged_until(finalists, ERROR_WORLDS)
+        finalists = (standing + falling)[:MOST_FINALISTS]
+        counted = yield from self._judged_in(finalists, COMPARED_IN)
         counted.sort(key=lambda state: -state.n_good)
         sure = {key_of(state.draft) for state in scored}
         unsure = [k for k, state in enumerate(counted) if key_of(state.draft) not in sure]
@@ -455,12 +455,12 @@ class Search(Candidates):
         """Plans that stand in one of these worlds with errors, and all other plans. The plans are judged a few at once,
         in one world after the other, until ``count`` of them stand: a world with errors has five times as many steps as
         a world without errors, because a hand lowers the boxes only in worlds with errors."""
-        standing, falling, at_once = list[State](), [*states], self._scale * MOST_FINALISTS
+        standing, falling = list[State](), [*states]
         for world in worlds:
             waiting, falling = falling, []
             while waiting and len(standing) < count:
-                batch = yield from self._judged_in(waiting[:at_once], [world])
-                del waiting[:at_once]
+                batch = yield from self._judged_in(waiting[:MOST_FINALISTS], [world])
+                del waiting[:MOST_FINALISTS]
                 standing += [state for state in batch if state.errors[world].stands]
                 falling += [state for state in batch if not state.errors[world].stands]
             falling += waiting
