@@ -99,7 +99,7 @@ class SweepStudy(Study):
         yield from SweepRun(
             self._plan,
             engine,
-            on_answer=lambda answer: self._answers.append(search_row(answer, self._columns)),
+            on_answer=lambda search: self._answers.append(search_row(search, self._plan, self._columns)),
             values_of=self._columns.of,
             recorded=recorded,
             recording=recording,
