@@ -33,9 +33,8 @@ from petmjx.plans.order_checks import OrderCheck
 from petmjx.plans.plan import Plan
 from petmjx.results.folder_lock import held_folder_lock
 from petmjx.results.resume import CompletedWorlds, resume_state
-from petmjx.results.run_folder import OF_WORLDS, RUN_FILE, check_run_folder, make_room, tidy
-from petmjx.results.run_json import RUNNING, RunInfo, now
-from petmjx.results.run_json_checks import write_run_file
+from petmjx.results.run_folder import OF_WORLDS, RUN_FILE, check_run_folder
+from petmjx.results.run_json import RUNNING, RunInfo, now, write_run_file
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import FINISHED, RunResults, load_run
 from petmjx.results.run_table_reader import LISTED, Parts
@@ -464,12 +463,13 @@ class RunWriter(RunInfo):
                     "the file system has no locks, so petmjx cannot notice if another run writes to the same folder"
                 )
             check_run_folder(self.out_dir, self._overwrite, self._resume)
-            tidy(self.out_dir)
             if self._resume and (self.out_dir / RUN_FILE).exists():
                 self._go_on()
             else:
-                make_room(self.out_dir)
-                self._tables.drop_others()
+                # ``run.json`` is deleted first. So if the process is killed meanwhile, the folder has no run, rather
+                # than a run with missing files.
+                (self.out_dir / RUN_FILE).unlink(missing_ok=True)
+                self._tables.delete_others()
                 self._write_plans()
                 self._write_info()
         except OSError as error:
@@ -492,13 +492,13 @@ class RunWriter(RunInfo):
         # First, run.json is written; then the files that it no longer lists are deleted. In the other order, a run that
         # is killed in between might look finished.
         self._write_info()
-        self._tables.drop_others()
+        self._tables.delete_others()
         ranked = is_ranked(parts, list(self._manifest.plans if self._manifest else ()))
         self._write_plans()
         if not ranked:  # rows are rewritten only in runs of petmjx before 0.3, or if the order of plans has changed
             self._tables.replace_worlds(self._copies(self.parts, self._ranks))
         self._write_info()
-        self._tables.drop_others()
+        self._tables.delete_others()
 
     def _leave_memory(self) -> None:
         """Write the tables that are in memory to a temporary folder, into which the run writes from now on."""
@@ -534,7 +534,7 @@ class RunWriter(RunInfo):
             self._tables.write_only("summary", answers)
         self._write_info()
         if not self._in_memory:
-            self._tables.drop_others()
+            self._tables.delete_others()
 
     def _end(self, error: BaseException | None) -> Exception | None:
         """Write the remaining worlds, state in ``run.json`` how the run ended, and leave the folder.
@@ -567,7 +567,7 @@ class RunWriter(RunInfo):
                 self._write_info()
             if cause is not None and not self._in_memory:
                 with contextlib.suppress(OSError):  # an unfinished write may have left a file: delete it
-                    self._tables.drop_others()
+                    self._tables.delete_others()
         finally:
             self._leave()
         return write_error

@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from petmjx.common.errors import InputError
 from petmjx.results.result_files import copy_file, write_table
-from petmjx.results.run_folder import OF_WORLDS, drop_parts, part_name, part_number
+from petmjx.results.run_folder import OF_WORLDS, delete_others, part_name, part_number
 from petmjx.results.run_table_reader import Parts, check_columns
 from petmjx.results.world_ranks import WorldRanks
 
@@ -84,9 +84,9 @@ class Tables:
                         f"{file}: missing, although the table `worlds` has a file with the same number"
                     ) from None
 
-    def drop_others(self) -> None:
-        """Delete all parts of tables that are in the folder but do not belong to the run."""
-        drop_parts(self._folder, self.parts.files)
+    def delete_others(self) -> None:
+        """Delete all parts and temporary files that are in the folder but do not belong to the run."""
+        delete_others(self._folder, self.parts.files)
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,9 +14,9 @@ import pandas as pd
 from petmjx.engines.metrics import DIMENSIONLESS, TEXT
 from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.results.run_table_reader import Parts
-from petmjx.results.schema import Param, data_frame
+from petmjx.results.schema import Param
 from petmjx.results.share_statistics import KEYS, by_plan_and_axis, share_standing
-from petmjx.results.world_ranks import rows_in_order
+from petmjx.results.world_ranks import frame_in_order
 from petmjx.runs.chain_legs import PLACING
 from petmjx.runs.eumos_limits import EUMOS_COLUMNS, EUMOS_PROFILE, eumos_assessment
 from petmjx.runs.forked_worlds import PlacementSearch
@@ -186,10 +186,7 @@ def summarise_shares(parts: Parts, columns: ShareColumns) -> pd.DataFrame:
     axes = list(columns.axes)
     extra = ["eumos_passed", *EUMOS_WORST] if columns.eumos else []
     extra += [FAIL_ANGLE.name] if columns.tilt else []
-    world_columns = ["plan_id", "variant", "verdict", *axes, *extra]
-    rows = rows_in_order(parts, "worlds", world_columns)
-    assert rows is not None
-    worlds = data_frame(rows)
+    worlds = frame_in_order(parts, "worlds", ["plan_id", "variant", "verdict", *axes, *extra])
     for name, (low, high) in columns.ranges.items():
         worlds[name] = _binned_values(worlds[name], low, high)
     worlds["draw"] = _draws(worlds, columns)
