@@ -19,7 +19,7 @@ from petmjx.options.run_options import WORLDS
 from petmjx.results.run_folder import part_name
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import read_info, split_warnings
-from petmjx.results.run_table_reader import Parts
+from petmjx.results.table_parts import Parts
 from petmjx.results.world_counts import COUNTED, WorldCounts
 from petmjx.results.world_ranks import MOST_VARIANTS, WorldRanks
 

@@ -13,7 +13,7 @@
     DIR/.lock                       exists while a run writes
 
 Tables are written as several files, called parts. A part belongs to the run only if ``run.json`` lists it with its
-digest (petmjx.results.run_table_reader). Parts that are not listed were left by a killed run. Parts of ``worlds``,
+digest (petmjx.results.table_parts). Parts that are not listed were left by a killed run. Parts of ``worlds``,
 ``boxes`` and ``attempts`` with the same number hold the same worlds. Parts of ``histories``, ``frames`` and
 ``contacts`` with the same number also hold the same worlds.
 """

@@ -37,10 +37,9 @@ from petmjx.plans.plan import Plan
 from petmjx.results.notebook_tables import worlds_as_html
 from petmjx.results.run_folder import MOST_RUN_FILE_BYTES, RUN_FILE
 from petmjx.results.run_json import check_run_file, write_run_file
-from petmjx.results.run_table_reader import LISTED, Parts
 from petmjx.results.schema import RANK, check_version, data_frame, placements_schema, plans_schema, schemas
 from petmjx.results.stored_plans import PLACEMENTS, placements_table
-from petmjx.results.table_parts import MemoryParts, Tables
+from petmjx.results.table_parts import LISTED, MemoryParts, Parts
 from petmjx.results.world_ranks import PlanOrder, frame_in_order
 
 if TYPE_CHECKING:
@@ -220,9 +219,9 @@ class RunResults:
             temporary = tempfile.TemporaryDirectory(prefix="petmjx-")
             weakref.finalize(self, temporary.cleanup)
             folder = Path(temporary.name)
-            written = Parts(folder, {}).plus(self.parts.write(folder))
+            written = self.parts.save(folder)
             if self.plans_in_memory and (placements := placements_table(self.plans_in_memory.values())) is not None:
-                written = written.plus(Tables(folder).write(PLACEMENTS, 0, placements))
+                written = written.replaced(PLACEMENTS, placements)
             write_run_file(self.info | {LISTED: written.digests}, folder)
         except OSError as error:
             raise PetmjxError(f"{tempfile.gettempdir()}: cannot write results: {error.strerror or error}") from error

@@ -16,8 +16,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from petmjx.results.run_table_reader import Parts
 from petmjx.results.schema import RANK, RANK_COLUMN, data_frame, schemas
+from petmjx.results.table_parts import Parts
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -22,10 +22,10 @@ from petmjx.common.errors import InputError
 from petmjx.engines.metrics import DIMENSIONLESS
 from petmjx.engines.verdict import Flag, Verdict
 from petmjx.options.placing import Way
-from petmjx.results.run_table_reader import Parts
 from petmjx.results.run_writer import RunWriter
 from petmjx.results.schema import summary_table
 from petmjx.results.share_statistics import ONE_PLAN, PairedCounts, holm, mcnemar_p, paired_outcomes, share_standing
+from petmjx.results.table_parts import Parts
 from petmjx.results.world_ranks import frame_in_order
 from petmjx.runs.ready_sweeps import find_sweep
 from petmjx.runs.sweep_axes import Axis

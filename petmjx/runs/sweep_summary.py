@@ -13,9 +13,9 @@ import pandas as pd
 
 from petmjx.engines.metrics import DIMENSIONLESS, TEXT
 from petmjx.engines.verdict import Outcome, Verdict
-from petmjx.results.run_table_reader import Parts
 from petmjx.results.schema import Param
 from petmjx.results.share_statistics import KEYS, by_plan_and_axis, share_standing
+from petmjx.results.table_parts import Parts
 from petmjx.results.world_ranks import frame_in_order
 from petmjx.runs.chain_legs import PLACING
 from petmjx.runs.eumos_limits import EUMOS_COLUMNS, EUMOS_PROFILE, eumos_assessment
