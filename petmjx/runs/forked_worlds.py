@@ -117,6 +117,7 @@ class PlacementSearch:
 
     Attributes:
         number: index of the profile and direction in ``SweepPlan.search_items``.
+        levels: what the search has found so far.
         results: index of a level → result, for the tests of the present round that have ended.
     """
 

@@ -21,7 +21,6 @@ from support.plans import make_plan, stack
 
 import petmjx
 from petmjx.common.errors import InputError
-from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.verdict import Flag, Reason, Verdict
 from petmjx.options.simulation import Simulation
 from petmjx.packers.handmade_plans import HANDMADE
@@ -248,21 +247,6 @@ def test_shards_give_the_same_and_runs_go_on(tmp_path: Path) -> None:
         score(**QUICK, errors=other, out=tmp_path / "whole", resume=True)
     with pytest.raises(InputError, match=r"another run \(confidence is none, was 4\)"):
         score(placing="exact", out=tmp_path / "whole", resume=True)
-
-
-def test_an_interrupted_run_goes_on(tmp_path: Path) -> None:
-    expected = tables(score(**QUICK))
-
-    class Interrupting(MujocoEngine):
-        def run(self, *args: Any) -> Any:
-            yield from itertools.islice(super().run(*args), 5)
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        petmjx.score(PLANS, engine=Interrupting(1), **QUICK, out=tmp_path / "run")
-    assert petmjx.load_run(tmp_path / "run").info["counts"]["worlds"] == 5
-    assert petmjx.load_run(tmp_path / "run").summary is None
-    assert_same(score(**QUICK, out=tmp_path / "run", resume=True), expected)
 
 
 def written(

@@ -96,6 +96,7 @@ def test_what_is_there_is_not_simulated_again(
         simulate(kind, tmp_path / "run", engine=Counting(after), resume=True, **few)
     before = load_run(tmp_path / "run").info
     assert 0 < before["counts"]["worlds"] < len(expected["worlds"])
+    assert load_run(tmp_path / "run").summary is None
     rest = Counting()
     results = simulate(kind, tmp_path / "run", engine=rest, resume=True, **few)
     assert_same(results, expected)
