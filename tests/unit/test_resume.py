@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from support.equal_runs import GRID, PLANS, SEARCH, assert_same, tables
@@ -30,10 +31,12 @@ from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
 from petmjx.results.plan_digests import records_of
 from petmjx.results.result_files import write_table
+from petmjx.results.resume import CompletedWorlds
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import load_run
 from petmjx.results.run_writer import RunWriter
 from petmjx.results.schema import schemas
+from petmjx.results.table_parts import MemoryParts
 from petmjx.runs.forked_worlds import Batching
 from petmjx.world.job import Job
 
@@ -244,6 +247,15 @@ def test_a_column_that_is_missing_is_named(column: str, tmp_path: Path) -> None:
     relisted(tmp_path)
     with pytest.raises(petmjx.InputError, match=f"part-00000.parquet: damaged part, it has no column {column}"):
         simulate("score", tmp_path, resume=True)
+
+
+def test_a_world_that_occurs_twice_is_named() -> None:
+    rows = {"plan_id": ["a", "b", "a"], "variant": [0, 1, 0], "verdict": "stable", "reason": "", "attempt": 1}
+    rows |= {"flags": 0, "culprit": None, "n_steps": 1}
+    parts = MemoryParts(Path("run"), {})
+    parts.write("worlds", 0, pa.Table.from_pandas(pd.DataFrame(rows)))
+    with pytest.raises(petmjx.InputError, match="run: has variant 0 of plan a more than once"):
+        CompletedWorlds(parts)
 
 
 def test_a_run_that_does_not_say_what_it_is_of_cannot_be_resumed(tmp_path: Path) -> None:
