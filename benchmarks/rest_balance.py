@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from petmjx.analysis.force_balance import WRENCH, wrenches
-from petmjx.analysis.touch_points import find_touch_points
+from petmjx.analysis.force_intervals import find_touch_points
 from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Flag, Verdict
 from petmjx.options.physics import Physics

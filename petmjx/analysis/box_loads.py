@@ -19,11 +19,12 @@ from petmjx.analysis.crushing import (
     BOX_UNITS,
     PLAN_UNITS,
     SUSTAINED,
+    WAY_UNITS,
     crushed_worlds,
+    ways_of,
     with_crush_shares,
 )
 from petmjx.analysis.stacked_strength import remaining_share, stacked_strengths
-from petmjx.analysis.uncrushed_arrivals import WAY_UNITS, ways_of
 from petmjx.common.argument_checks import path_of
 from petmjx.common.atomic_write import write_errors
 from petmjx.common.errors import InputError
@@ -35,7 +36,7 @@ from petmjx.plans.plan_sources import PathArgument, PlanSource
 from petmjx.results.documented_tables import check_tables_free, write_documented_tables
 from petmjx.results.plan_lookup import find_plans
 from petmjx.results.run_manifest import Manifest
-from petmjx.results.run_reader import RunResults, is_chain, load_run
+from petmjx.results.run_reader import RunResults, is_chain, opened_run
 
 _MOST_NAMED: Final = 8
 """Largest number of articles that a note names."""
@@ -208,7 +209,7 @@ def loads(
             strength, or a plan differs from the plan that was simulated.
     """
     losses = stacking if isinstance(stacking, Stacking) else Stacking.read(stacking or {})
-    results = run if isinstance(run, RunResults) else load_run(run)
+    results = opened_run(run)
     if articles is None:
         strengths = Articles({}, {})
     else:

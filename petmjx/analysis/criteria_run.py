@@ -33,7 +33,7 @@ from petmjx.results.documented_tables import Described, check_tables_free, has_k
 from petmjx.results.input_files import input_files
 from petmjx.results.plan_lookup import how_read, plans_in_place, plans_of
 from petmjx.results.result_files import text
-from petmjx.results.run_reader import RunResults, is_chain, load_run
+from petmjx.results.run_reader import RunResults, is_chain, opened_run
 from petmjx.results.to_json import to_json
 from petmjx.runs.chain_summary import arrivals
 from petmjx.world.carrier_boards import has_walls, pallet
@@ -333,7 +333,7 @@ def criteria(
     if out is not None:
         out = path_of(out, "out")
         check_criteria_free(out, overwrite, judged=run is not None, inputs=input_files(plans, run))
-    physics = run if isinstance(run, RunResults) or run is None else load_run(run)
+    physics = None if run is None else opened_run(run)
     if physics is not None and "carrier" not in options:
         chosen = chosen.changed(carrier=physics.carrier)
         chosen = chosen if "walls" in options else chosen.changed(walls=physics.walls)

@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.analysis.plan_contacts import Hulls, IntArray, PlanContacts, Sides, find_sides
-from petmjx.common.errors import PetmjxError
+from petmjx.common.linear_programmes import Entries, minimised
 from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.world.history import CARRIER
 
@@ -71,20 +71,8 @@ def wrenches(
     return Entries(np.concatenate(values), np.concatenate(rows), np.concatenate(columns))
 
 
-_INFEASIBLE: Final = 2
-"""Status that SciPy returns if the conditions of a linear programme contradict each other."""
-
 EVEN: Final = 1.0
 """The largest possible slack. At a slack of 1, all corners under a box carry the same force."""
-
-
-class Entries(NamedTuple):
-    """The k nonzero entries of a sparse matrix, each with its row and its column. Each field of this record has the
-    shape (k,)."""
-
-    value: FloatArray
-    row: IntArray
-    column: IntArray
 
 
 def even_share(contacts: PlanContacts, weight: FloatArray) -> FloatArray:
@@ -122,7 +110,7 @@ def largest_slack(forces: Entries, share: FloatArray, row_sums: FloatArray, limi
         n_limits = int(limits.row.max(initial=-1)) + 1
     value, row, column = (np.concatenate(entries) for entries in zip(*parts, strict=True))
     least = np.r_[row_sums, np.full(n_limits, -np.inf)]
-    solution = _least_cost_solution(
+    solution = minimised(
         np.r_[np.zeros(n_forces), -1.0],
         Entries(value, row, column),
         (least, np.r_[row_sums, np.zeros(n_limits)]),
@@ -150,38 +138,11 @@ def least_and_most(sums: FloatArray, forces: Entries, row_sums: FloatArray) -> F
     extremes = np.empty((len(sums), 2))
     for number, factors in enumerate(sums):
         for side, sign in enumerate((1.0, -1.0)):
-            balanced = _least_cost_solution(sign * factors, forces, (row_sums, row_sums), bounds)
+            balanced = minimised(sign * factors, forces, (row_sums, row_sums), bounds)
             if balanced is None:
                 return None
             extremes[number, side] = factors @ balanced
     return extremes
-
-
-def _least_cost_solution(
-    costs: FloatArray, entries: Entries, rows: tuple[FloatArray, FloatArray], bounds: tuple[FloatArray, FloatArray]
-) -> FloatArray | None:
-    """The vector x with the smallest ``costs @ x`` among all vectors for which matrix @ x is between the bounds
-    ``rows`` and x is between the bounds ``bounds``. The result is None if there is no such vector.
-
-    The solver is HiGHS. HiGHS is called through SciPy's function ``milp`` (without integer variables), because ``milp``
-    has half the overhead of SciPy's ``linprog``.
-
-    Raises:
-        PetmjxError: HiGHS found no answer.
-    """
-    from scipy.optimize import Bounds, LinearConstraint, milp
-    from scipy.sparse import csc_array
-
-    matrix = csc_array((entries.value, (entries.row, entries.column)), shape=(len(rows[0]), len(costs)))
-    solution = milp(costs, constraints=LinearConstraint(matrix, *rows), bounds=Bounds(*bounds))
-    if solution.status == _INFEASIBLE:
-        return None
-    if solution.x is None:
-        raise PetmjxError(
-            f"the solver HiGHS found no answer for a force balance with {len(rows[0])} constraints: {solution.message}"
-        )
-    answer: FloatArray = solution.x
-    return answer
 
 
 NO_SLACK: Final = -1e-6

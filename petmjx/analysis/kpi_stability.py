@@ -20,7 +20,7 @@ from petmjx.plans.articles import read_articles, with_articles
 from petmjx.plans.plan import Plan
 from petmjx.results.plan_digests import plan_digest
 from petmjx.results.plan_lookup import how_read
-from petmjx.results.run_reader import RunResults, load_run
+from petmjx.results.run_reader import RunResults, opened_run
 
 MOST_SHIFT_Z_M: Final = 0.01
 """Largest distance along z that a box of a stable plan may move according to BED-BPP's rule, m."""
@@ -71,7 +71,7 @@ def read_stability(sources: Sequence[RunResults | Path], plans: Collection[Plan]
     if not sources:
         command = "give --run DIR with a run made by 'petmjx score PLANS --check static --out DIR'"
         return Stability(notes=(f"no run was given, so it is unknown which plans stand: {command}",))
-    runs = [run if isinstance(run, RunResults) else load_run(run) for run in sources]
+    runs = [opened_run(run) for run in sources]
     for run in runs:
         _check_same(run, plans)
     static = next((run for run in runs if _check(run) == Check.STATIC), None)

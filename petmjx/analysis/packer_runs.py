@@ -19,7 +19,7 @@ from petmjx.engines.engine_registry import ENGINES, has_option
 from petmjx.options.carriers import CARRIER_EXTENT_M, TARGETS, Carrier, OwnCarrier, extent_m
 from petmjx.options.run_options import AUTO
 from petmjx.results.resume import engine_of_earlier_run
-from petmjx.results.run_reader import RunResults, RunSource, is_chain, load_run
+from petmjx.results.run_reader import RunResults, RunSource, is_chain, opened_run
 from petmjx.runs.chain_summary import arrivals
 
 LONGEST_NAME: Final = 200
@@ -75,7 +75,7 @@ def runs_by_packer(runs: Sequence[RunSource] | Mapping[str, RunSource]) -> dict[
     sources: list[Any] = (
         list(runs_by_name.values()) if runs_by_name else list_of(runs, "runs", object, "runs or folders")
     )
-    loaded_runs = [run if isinstance(run, RunResults) else load_run(run) for run in sources]
+    loaded_runs = [opened_run(run) for run in sources]
     if len(loaded_runs) < 2:
         raise InputError("give at least two runs to compare")
     names = (

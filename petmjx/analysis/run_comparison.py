@@ -23,7 +23,7 @@ from petmjx.engines.metrics import DIMENSIONLESS, Column, box_columns, box_metri
 from petmjx.engines.verdict import Verdict
 from petmjx.options.thresholds import Thresholds
 from petmjx.results.notebook_tables import ShownColumn, block_as_html, table_as_html
-from petmjx.results.run_reader import RunResults, load_run
+from petmjx.results.run_reader import RunResults, opened_run
 from petmjx.results.to_json import to_json
 
 FORCE_FLOOR_N: Final = 10.0
@@ -159,7 +159,7 @@ def compare_runs(a: RunResults | str | Path, b: RunResults | str | Path, *, pack
     Raises:
         InputError: a folder has no run, is damaged, or has the same world twice.
     """
-    run_a, run_b = (run if isinstance(run, RunResults) else load_run(run) for run in (a, b))
+    run_a, run_b = opened_run(a), opened_run(b)
     for run in (run_a, run_b):
         if run.worlds.duplicated(KEY).any():
             raise InputError(

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from os import PathLike
-from pathlib import Path
 from typing import Any, ClassVar
 
 from petmjx.common.argument_checks import flag_of, integer_of, number_of, text_of
@@ -27,9 +25,9 @@ from petmjx.options.thresholds import Thresholds
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_sources import PlanSource, find_plan, usable_plans
 from petmjx.results.history_tables import read_history
+from petmjx.results.plan_lookup import is_run
 from petmjx.results.recording import Recording
-from petmjx.results.run_folder import RUN_FILE
-from petmjx.results.run_reader import RunResults, load_run, read_outcome, world_row
+from petmjx.results.run_reader import RunResults, opened_run, read_outcome, world_row
 from petmjx.runs.sweep_cost import work_of
 from petmjx.runs.sweep_file import nominal_sweep
 from petmjx.runs.sweep_run import SweepRun
@@ -144,14 +142,13 @@ def tell(
     if interval_s is not None and not number_of(interval_s, "interval_s") > 0:
         raise InputError(f"interval_s must be > 0, got {interval_s}")
     record = Record(FRAME_INTERVAL_S if interval_s is None else interval_s, details is not False)
-    run = _run_in(source)
-    if run is None:
+    if not (isinstance(source, RunResults) or is_run(source)):
         if variant is not None or plans is not None:
             raise InputError(
                 "the arguments variant and plans select a world of a run, but no run is given: name the run's folder"
             )
-        assert not isinstance(source, RunResults)
         return _of_plans(plan_id, source, record, options)
+    run = opened_run(source)
     if options:
         raise InputError(f"{next(iter(options))}: a world of a run has the run's options; drop this option")
     worlds, index = worlds_of_run(run, plan_id, plans, variant)
@@ -160,15 +157,6 @@ def tell(
     engine, note = _engine_of(run.info["config"])
     story = _story(worlds, index, engine, record)
     return replace(story, note="; ".join(filter(None, (note, _difference(story, run)))))
-
-
-def _run_in(source: RunResults | PlanSource | None) -> RunResults | None:
-    """The results of the run, if the source is a run; else None."""
-    if isinstance(source, RunResults):
-        return source
-    if isinstance(source, str | PathLike) and (Path(source) / RUN_FILE).is_file():
-        return load_run(Path(source))
-    return None
 
 
 def _of_plans(plan_id: str, source: PlanSource | None, record: Record, options: Mapping[str, Any]) -> Story:

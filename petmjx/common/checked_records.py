@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import UnionType
-from typing import Any, Final, Self, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Any, Final, Self, Union, get_args, get_origin
 
 from pydantic import (
     AfterValidator,
@@ -23,11 +23,15 @@ from pydantic import (
     ValidationError,
     model_validator,
 )
-from pydantic._internal._model_construction import ModelMetaclass  # pydantic exports this class in no public module
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable, printable_name, shortened_text
+
+if TYPE_CHECKING:
+    from pydantic._internal._model_construction import ModelMetaclass
+else:
+    ModelMetaclass = type(BaseModel)  # pydantic exports this class in no public module
 
 _typed = False
 """Whether the command line is running. A process runs at most one command line, and all threads share this flag."""

@@ -8,15 +8,20 @@ import importlib.util
 import sys
 import threading
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
+from petmjx.common.errors import PetmjxError
 from petmjx.common.units import FloatArray
 
 _NAME: Final = "scipy.optimize._highspy._core"
 """The name that SciPy, since version 1.15, gives to its module with HiGHS. The module can be loaded only once in a
 process. So petmjx loads the module under this name, and a later ``import scipy.optimize`` finds the loaded module."""
+
+_INFEASIBLE: Final = 2
+"""Status that SciPy returns if the conditions of a linear programme contradict each other."""
 
 _USED: Final = ("HighsLp", "HighsModelStatus", "HighsOptions", "HighsStatus", "HighsVarType", "MatrixFormat", "_Highs")
 """Names in SciPy's module that petmjx uses."""
@@ -24,44 +29,74 @@ _USED: Final = ("HighsLp", "HighsModelStatus", "HighsOptions", "HighsStatus", "H
 _loading = threading.Lock()
 
 
-def minimised(
-    cost: FloatArray, rows: FloatArray, least: FloatArray, most: FloatArray, bound: FloatArray
-) -> FloatArray | None:
-    """The (n,) x that minimises ``cost @ x`` subject to least ≤ rows @ x ≤ most and 0 ≤ x ≤ bound. The result is None
-    if HiGHS finds no solution.
+class Entries(NamedTuple):
+    """The k nonzero entries of a sparse matrix, each with its row and its column. Each field of this record has the
+    shape (k,). Each place of the matrix has at most one entry."""
 
-    Args:
-        rows: (m, n) matrix, most of whose entries are 0.
+    value: FloatArray
+    row: NDArray[np.int64]
+    column: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, matrix: FloatArray) -> Self:
+        """The entries of a matrix (m, n), most of whose numbers are 0."""
+        row, column = np.nonzero(matrix)
+        return cls(matrix[row, column], row, column)
+
+
+Limits = tuple[FloatArray, FloatArray]
+"""The smallest and the largest allowed values of several numbers."""
+
+
+def minimised(cost: FloatArray, matrix: Entries, rows: Limits, bounds: Limits) -> FloatArray | None:
+    """The (n,) x that minimises ``cost @ x`` among all x between the ``bounds`` for which ``matrix @ x`` is between the
+    limits ``rows``. The result is None if there is no such x.
+
+    Raises:
+        PetmjxError: HiGHS found no answer.
     """
-    row, column = np.nonzero(rows)
-    order = np.argsort(column, kind="stable")
-    begins = np.searchsorted(column[order], np.arange(rows.shape[1] + 1)).astype(np.int32)
-    numbers, values = row[order].astype(np.int32), rows[row, column][order]
     highs = _highs()
     if highs is None:
-        from scipy.optimize import Bounds, LinearConstraint, milp
-        from scipy.sparse import csc_array
-
-        table = csc_array((values, numbers, begins), shape=rows.shape)
-        answer: FloatArray | None = milp(
-            cost, constraints=LinearConstraint(table, least, most), bounds=Bounds(0.0, bound)
-        ).x
-        return answer
+        return _minimised_by_scipy(cost, matrix, rows, bounds)
+    order = np.lexsort((matrix.row, matrix.column))
     programme = highs.HighsLp()
-    programme.num_row_, programme.num_col_ = programme.a_matrix_.num_row_, programme.a_matrix_.num_col_ = rows.shape
-    programme.col_cost_, programme.col_lower_, programme.col_upper_ = cost, np.zeros(len(cost)), bound
-    programme.row_lower_, programme.row_upper_ = least, most
+    programme.num_row_, programme.num_col_ = len(rows[0]), len(cost)
+    programme.a_matrix_.num_row_, programme.a_matrix_.num_col_ = len(rows[0]), len(cost)
+    programme.col_cost_, programme.col_lower_, programme.col_upper_ = cost, *bounds
+    programme.row_lower_, programme.row_upper_ = rows
     programme.a_matrix_.format_ = highs.MatrixFormat.kColwise
-    programme.a_matrix_.start_, programme.a_matrix_.index_, programme.a_matrix_.value_ = begins, numbers, values
+    programme.a_matrix_.start_ = np.searchsorted(matrix.column[order], np.arange(len(cost) + 1)).astype(np.int32)
+    programme.a_matrix_.index_, programme.a_matrix_.value_ = matrix.row[order].astype(np.int32), matrix.value[order]
     programme.integrality_ = [highs.HighsVarType.kContinuous] * len(cost)
     options, solver = highs.HighsOptions(), highs._Highs()
     options.log_to_console = False
     solver.passOptions(options)
-    if highs.HighsStatus.kError in (solver.passModel(programme), solver.run()):
+    has_failed = highs.HighsStatus.kError in (solver.passModel(programme), solver.run())
+    status = solver.getModelStatus()
+    if not has_failed and status == highs.HighsModelStatus.kInfeasible:
         return None
-    if solver.getModelStatus() != highs.HighsModelStatus.kOptimal:
-        return None
+    if has_failed or status != highs.HighsModelStatus.kOptimal:
+        raise _no_answer(len(rows[0]), solver.modelStatusToString(status))
     return np.array(solver.getSolution().col_value)
+
+
+def _minimised_by_scipy(cost: FloatArray, matrix: Entries, rows: Limits, bounds: Limits) -> FloatArray | None:
+    """The result of :func:`minimised`, computed by SciPy's function ``milp``, which also calls HiGHS."""
+    from scipy.optimize import Bounds, LinearConstraint, milp
+    from scipy.sparse import csc_array
+
+    table = csc_array((matrix.value, (matrix.row, matrix.column)), shape=(len(rows[0]), len(cost)))
+    solution = milp(cost, constraints=LinearConstraint(table, *rows), bounds=Bounds(*bounds))
+    if solution.status == _INFEASIBLE:
+        return None
+    if solution.x is None:
+        raise _no_answer(len(rows[0]), solution.message)
+    answer: FloatArray = solution.x
+    return answer
+
+
+def _no_answer(n_rows: int, reason: str) -> PetmjxError:
+    return PetmjxError(f"the solver HiGHS found no answer for a force balance with {n_rows} constraints: {reason}")
 
 
 def _highs() -> Any | None:

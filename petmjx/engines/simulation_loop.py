@@ -64,7 +64,6 @@ def score_worlds(
     engine: Engine,
     *,
     progress: Progress | None = None,
-    begin_with: int = FIRST_WORLDS,
     most_pending: int = MOST_PENDING,
     attempts: Sequence[AttemptRecipe] = ATTEMPTS,
     following: Callable[[], Iterable[AnyWorld]] | None = None,
@@ -87,9 +86,7 @@ def score_worlds(
     reads a stream simulates the returned worlds together with the other worlds; any other engine simulates the returned
     worlds last.
 
-    ``begin_with``: an engine that simulates many worlds at once begins when this number of worlds is ready, or earlier
-    if no further world can come. ``bounds``: limits that hold for all jobs, including the jobs that follow from
-    results.
+    ``bounds``: limits that hold for all jobs, including the jobs that follow from results.
 
     ``check_pool``: a pool of processes that several calls use one after another. If ``check_pool`` is None, a call with
     many worlds starts a check pool of its own.
@@ -120,7 +117,7 @@ def score_worlds(
     stream = JobStream[Pending[AnyWorld]](
         most_boxes=PENDING_BOXES_GPU if _is_gpu(engine) else PENDING_BOXES * engine.devices,
         feedback=following is not None,
-        begin_with=begin_with,
+        begin_with=FIRST_WORLDS,
         bounds=bounds,
         stiff=[recipe.stiff for recipe in attempts if recipe.joins and recipe.stiff is not None] if joins else (),
     )

@@ -35,9 +35,8 @@ from petmjx.loop.placement_labels import SCHEMA, Label
 from petmjx.results.result_files import write_text
 from petmjx.results.run_folder import part_files, part_name, part_number
 from petmjx.results.run_manifest import differing_settings, with_later_options
-from petmjx.results.run_table_reader import LISTED, Parts
 from petmjx.results.schema import SCHEMA_VERSION
-from petmjx.results.table_parts import Tables
+from petmjx.results.table_parts import LISTED, Parts
 
 UNFINISHED: Final = "unfinished.json"
 TABLE: Final = "parts"
@@ -71,11 +70,11 @@ class LabelParts:
     def __init__(self, folder: Path, head: Mapping[str, Any], count: int, *, resume: bool) -> None:
         self._folder, self._head, self._count = folder, json.loads(json.dumps(head)), count
         self.n_labels = self.next_episode = 0
-        self._tables = Tables(folder)
+        self._parts = Parts(folder, {})
         if resume and (entries := _entries(folder)) and entries["labels"]:
             check_same_set(folder, entries["set"], self._head)
             self.n_labels, self.next_episode = entries["labels"], entries["next_episode"]
-            self._tables = Tables(folder, _CheckedParts.of(folder, entries))
+            self._parts = _CheckedParts.of(folder, entries)
             self._check_parts()
             # Parts hold only whole episodes, so they may have more labels than the earlier command asked for. The
             # ``count`` of that command is still allowed.
@@ -86,7 +85,7 @@ class LabelParts:
                 )
         else:
             self._list()  # the new list is written before parts are deleted, so that no list names deleted parts
-        listed = self._tables.parts.files(TABLE)
+        listed = self._parts.files(TABLE)
         for file in part_files(folder, TABLE):
             if file not in listed:
                 file.unlink()
@@ -94,7 +93,7 @@ class LabelParts:
     def _check_parts(self) -> None:
         """Check all parts, before hours are spent on making further labels. Raises InputError if a part is damaged,
         missing or of another version."""
-        parts, n_rows, next_episode = self._tables.parts, 0, 0
+        parts, n_rows, next_episode = self._parts, 0, 0
         for file in parts.files(TABLE):
             episodes = parts.read(file, ["episode"])["episode"]
             with open_for_arrow(file) as stream:
@@ -110,8 +109,8 @@ class LabelParts:
         if not labels:
             return
         with defer_signals(afterwards=True):
-            number = self._tables.parts.next_number(TABLE)
-            self._tables.add(self._tables.write(TABLE, number, table_of(labels)))
+            number = self._parts.next_number(TABLE)
+            self._parts = self._parts.plus(self._parts.write(TABLE, number, table_of(labels)))
             self.n_labels += len(labels)
             self.next_episode = labels[-1]["episode"] + 1
             self._list()
@@ -119,7 +118,7 @@ class LabelParts:
     def tables(self) -> Iterator[pa.Table]:
         """The parts in order, as tables with the columns of ``SCHEMA`` and the column ``SPLIT``."""
         # the files were written or checked by petmjx, so it is safe to read columns of lists
-        for file in self._tables.parts.files(TABLE):
+        for file in self._parts.files(TABLE):
             with open_for_arrow(file) as stream:
                 yield pq.read_table(stream)
 
@@ -137,7 +136,7 @@ class LabelParts:
             "count": self._count,
             "labels": self.n_labels,
             "next_episode": self.next_episode,
-            LISTED: self._tables.parts.digests,
+            LISTED: self._parts.digests,
         }
         write_text(json.dumps(entries, indent=2) + "\n", self._folder / UNFINISHED)
 

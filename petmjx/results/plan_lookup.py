@@ -9,7 +9,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
@@ -102,7 +102,7 @@ def plans_in_place(plans: PlanSource | None, strict: bool = False) -> PlanSource
     )
 
 
-def is_run(source: object) -> bool:
+def is_run(source: object) -> TypeGuard[str | PathLike[str]]:
     """Whether a source of plans is the folder of a run."""
     try:
         return isinstance(source, str | PathLike) and (Path(source) / RUN_FILE).is_file()

@@ -11,7 +11,7 @@ from petmjx.common.text import count_text, first_names
 from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.options.run_options import ALL, FAILED, RunOptions
 from petmjx.plans.plan import Plan
-from petmjx.results.run_table_reader import Parts
+from petmjx.results.table_parts import Parts
 from petmjx.world.history import Record
 
 _KEY = ("plan_id", "variant")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
+from array import array
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -18,8 +19,9 @@ from petmjx.options.run_options import WORLDS
 from petmjx.results.run_folder import part_name
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import read_info, split_warnings
-from petmjx.results.run_table_reader import Parts
+from petmjx.results.table_parts import Parts
 from petmjx.results.world_counts import COUNTED, WorldCounts
+from petmjx.results.world_ranks import MOST_VARIANTS, WorldRanks
 
 _COLUMNS: Final = ("plan_id", "variant", *COUNTED, "culprit", "n_steps")
 
@@ -36,58 +38,45 @@ class CompletedWorlds:
     """
 
     def __init__(self, parts: Parts | None = None, columns: Sequence[str] = ()) -> None:
-        for boxes in parts.files("boxes") if parts is not None else ():
+        self._table: pa.Table | None = None
+        self._ranks, self._sorted, self._rows = WorldRanks(), array("q"), np.empty(0, np.int64)
+        if parts is None or not parts.files("worlds"):
+            return
+        for boxes in parts.files("boxes"):
             if not boxes.is_file():
                 raise InputError(f"{boxes}: missing, although the table `worlds` has a file with the same number")
-        tables = parts.table("worlds", [*_COLUMNS, *columns]) if parts is not None else []
-        self._table = pa.concat_tables(tables) if tables else None
-        self._spans: dict[str, tuple[int, int]] = {}
-        self._last: tuple[str | None, dict[int, int]] = None, {}
-        self._sorted = self._variants = np.empty(0, np.int64)
-        if self._table is not None:
-            self._index(self._table, parts)
-
-    def _index(self, table: pa.Table, parts: Parts | None) -> None:
-        """Sort the rows by plan and variant. The sorted index takes a few bytes per world; a dictionary would take
-        hundreds of bytes per world."""
-        plans = table["plan_id"].combine_chunks().dictionary_encode()
-        plan = np.asarray(plans.indices, dtype=np.int64)
-        variant = np.asarray(table["variant"], dtype=np.int64)
-        self._sorted = np.lexsort((variant, plan))
-        self._variants, plan = variant[self._sorted], plan[self._sorted]
-        ids = plans.dictionary.to_pylist()
-        twice = np.flatnonzero((plan[1:] == plan[:-1]) & (self._variants[1:] == self._variants[:-1]))
+        self._table = pa.concat_tables(parts.table("worlds", [*_COLUMNS, *columns]))
+        # Two sorted arrays take a few bytes per world; a dictionary would take hundreds of bytes per world.
+        ranks = self._ranks.ranks(self._table)
+        self._rows = np.argsort(ranks, kind="stable")
+        self._sorted = array("q", ranks[self._rows].tobytes())
+        twice = np.flatnonzero(np.diff(self._sorted) == 0)
         if len(twice):
-            plan_id, number = ids[plan[twice[0]]], self._variants[twice[0]]
-            raise InputError(f"{parts and parts.folder}: has variant {number} of plan {plan_id} more than once")
-        ends = np.searchsorted(plan, np.arange(len(ids) + 1)).tolist()
-        self._spans = dict(zip(ids, itertools.pairwise(ends), strict=True))
+            plan_id, variant = (self._table[name][int(self._rows[twice[0]])] for name in ("plan_id", "variant"))
+            raise InputError(f"{parts.folder}: has variant {variant} of plan {plan_id} more than once")
 
     def __len__(self) -> int:
-        return self._table.num_rows if self._table is not None else 0
+        return len(self._sorted)
 
     def __contains__(self, world: tuple[str, int]) -> bool:
-        plan_id, variant = world
-        return variant in self._rows_of(plan_id)
+        return self._row_of(*world) is not None
 
     def n_of(self, plan_id: str) -> int:
         """Number of completed worlds of a plan."""
-        first, end = self._spans.get(plan_id, (0, 0))
+        first, end = (bisect_left(self._sorted, self._ranks.rank(plan_id, variant)) for variant in (0, MOST_VARIANTS))
         return end - first
 
-    def _rows_of(self, plan_id: str) -> dict[int, int]:
-        """A mapping from variant to number of the row, for the completed worlds of a plan. The mapping of the plan that
-        was asked for last is stored, since runs look up worlds plan by plan."""
-        if self._last[0] != plan_id:
-            span = slice(*self._spans.get(plan_id, (0, 0)))
-            rows = dict(zip(self._variants[span].tolist(), self._sorted[span].tolist(), strict=True))
-            self._last = plan_id, rows
-        return self._last[1]
+    def _row_of(self, plan_id: str, variant: int) -> int | None:
+        """The number of a world's row; None if the world is not completed."""
+        rank = self._ranks.rank(plan_id, variant)
+        place = bisect_left(self._sorted, rank)
+        completed = place < len(self._sorted) and self._sorted[place] == rank
+        return int(self._rows[place]) if completed else None
 
     def row(self, plan_id: str, variant: int) -> dict[str, Any] | None:
         """The row of a world as a dict: column → value. Null becomes None. The result is None if the world is not
         completed."""
-        row = self._rows_of(plan_id).get(variant)
+        row = self._row_of(plan_id, variant)
         return None if row is None else {name: values[row] for name, values in self._values.items()}
 
     def counts(self) -> WorldCounts:

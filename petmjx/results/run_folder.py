@@ -13,7 +13,7 @@
     DIR/.lock                       exists while a run writes
 
 Tables are written as several files, called parts. A part belongs to the run only if ``run.json`` lists it with its
-digest (petmjx.results.run_table_reader). Parts that are not listed were left by a killed run. Parts of ``worlds``,
+digest (petmjx.results.table_parts). Parts that are not listed were left by a killed run. Parts of ``worlds``,
 ``boxes`` and ``attempts`` with the same number hold the same worlds. Parts of ``histories``, ``frames`` and
 ``contacts`` with the same number also hold the same worlds.
 """
@@ -85,7 +85,7 @@ def check_run_folder(folder: Path, overwrite: bool = False, resume: bool = False
             write has the name of a file of a run.
     """
     parts = {file: table for table in TABLES for file in part_files(folder, table)}
-    hidden = [file for place in (folder, *(folder / table for table in TABLES)) for file in _own_files(place, _HIDDEN)]
+    hidden = _hidden_files(folder)
     listed: Collection[Path] = ()
 
     def is_ours(file: Path) -> bool:
@@ -128,39 +128,24 @@ def _is_part_of(table: str, file: Path) -> bool:
     return metadata.get(b"table") == table.encode() and b"schema_version" in metadata
 
 
-def make_room(folder: Path) -> None:
-    """Delete the files of the run in a folder, and no other files. Call :func:`check_run_folder` first.
+def delete_others(folder: Path, kept: Callable[[str], Collection[Path]]) -> None:
+    """Delete the parts and the temporary files that killed runs have left, and the parts of a replaced run. Call
+    :func:`check_run_folder` first.
 
-    ``run.json`` is deleted first. So if the process is killed meanwhile, the folder has no run, rather than a run with
-    missing files.
+    Args:
+        kept: function that takes the name of a table and returns the files of this table that must stay.
 
     Raises:
         OSError: the folder is not writable.
     """
-    if holds_run(folder):
-        (folder / RUN_FILE).unlink(missing_ok=True)
-        for file in (file for table in TABLES for file in part_files(folder, table)):
-            file.unlink()
+    parts = [file for table in TABLES for file in set(part_files(folder, table)) - set(kept(table))]
+    for file in (*parts, *_hidden_files(folder)):
+        file.unlink()
 
 
-def tidy(folder: Path) -> None:
-    """Delete the temporary files that killed runs have left. Call :func:`check_run_folder` first."""
-    for place in (folder, *(folder / table for table in TABLES)):
-        for file in _own_files(place, _HIDDEN):
-            file.unlink()
-
-
-def drop_parts(folder: Path, kept: Callable[[str], Collection[Path]]) -> None:
-    """Delete the parts that a killed run has left.
-
-    Args:
-        kept: function that takes the name of a table and returns the files of this table that must stay.
-    """
-    for table in TABLES:
-        files = kept(table)
-        for file in part_files(folder, table):
-            if file not in files:
-                file.unlink()
+def _hidden_files(folder: Path) -> list[Path]:
+    """The temporary files of a run's folder, whose writing is not finished."""
+    return [file for place in (folder, *(folder / table for table in TABLES)) for file in _own_files(place, _HIDDEN)]
 
 
 def _own_files(folder: Path, pattern: re.Pattern[str]) -> list[Path]:

@@ -17,9 +17,9 @@ from petmjx.options.simulation import Simulation
 from petmjx.plans.order_checks import PlanOrderCounts
 from petmjx.results.plan_digests import PlanRecord
 from petmjx.results.run_folder import RUN_FILE
-from petmjx.results.run_json_checks import check_whole
-from petmjx.results.run_table_reader import Parts
+from petmjx.results.run_json import check_whole
 from petmjx.results.schema import plans_schema
+from petmjx.results.table_parts import Parts
 
 MOST_NAMED: Final = 4
 """Largest number of differences that a message names. If there are more differences, the message states how many it

@@ -36,12 +36,11 @@ from petmjx.plans.order_checks import PlanOrderCounts
 from petmjx.plans.plan import Plan
 from petmjx.results.notebook_tables import worlds_as_html
 from petmjx.results.run_folder import MOST_RUN_FILE_BYTES, RUN_FILE
-from petmjx.results.run_json_checks import check_run_file, write_run_file
-from petmjx.results.run_table_reader import LISTED, Parts
+from petmjx.results.run_json import check_run_file, write_run_file
 from petmjx.results.schema import RANK, check_version, data_frame, placements_schema, plans_schema, schemas
 from petmjx.results.stored_plans import PLACEMENTS, placements_table
-from petmjx.results.table_parts import MemoryParts, Tables
-from petmjx.results.world_ranks import PlanOrder, rows_in_order
+from petmjx.results.table_parts import LISTED, MemoryParts, Parts
+from petmjx.results.world_ranks import PlanOrder, frame_in_order
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -220,9 +219,9 @@ class RunResults:
             temporary = tempfile.TemporaryDirectory(prefix="petmjx-")
             weakref.finalize(self, temporary.cleanup)
             folder = Path(temporary.name)
-            written = Parts(folder, {}).plus(self.parts.write(folder))
+            written = self.parts.save(folder)
             if self.plans_in_memory and (placements := placements_table(self.plans_in_memory.values())) is not None:
-                written = written.plus(Tables(folder).write(PLACEMENTS, 0, placements))
+                written = written.replaced(PLACEMENTS, placements)
             write_run_file(self.info | {LISTED: written.digests}, folder)
         except OSError as error:
             raise PetmjxError(f"{tempfile.gettempdir()}: cannot write results: {error.strerror or error}") from error
@@ -238,7 +237,7 @@ class RunResults:
         ``worlds.verdict[k]`` is the verdict of plan k. If ``worlds.verdict[k]`` raises KeyError, plan k was skipped,
         belongs to another shard, or was not simulated.
         """
-        frame = self._read("worlds")
+        frame = frame_in_order(self.parts, "worlds")
         frame["culprit"] = frame["culprit"].astype("Int32")
         if not self._varied:
             frame.index = PlanOrder.of(self.parts).index(frame["plan_id"])
@@ -265,12 +264,12 @@ class RunResults:
         if not self.keeps_boxes:
             kept = option(f"--keep {WORLDS}", python=f'keep="{WORLDS}"')
             raise InputError(f"{self.where}: the run was made with {kept}, so it has no table `boxes`")
-        return self._read("boxes")
+        return frame_in_order(self.parts, "boxes")
 
     @property
     def boxes_if_kept(self) -> pd.DataFrame:
         """The table ``boxes``, which has no rows if the run did not keep the table."""
-        return self.boxes if self.keeps_boxes else self._read("boxes")
+        return self.boxes if self.keeps_boxes else frame_in_order(self.parts, "boxes")
 
     @property
     def keeps_boxes(self) -> bool:
@@ -281,24 +280,24 @@ class RunResults:
     def attempts(self) -> pd.DataFrame:
         """One row per attempt (simulation of a world), for worlds that needed more than one attempt. In most runs,
         every world needs only one attempt."""
-        return self._read("attempts")
+        return frame_in_order(self.parts, "attempts")
 
     @cached_property
     def histories(self) -> pd.DataFrame:
         """One row per frame and placed box of each recorded world. The table of a run without the option ``record`` has
         no rows."""
-        return self._read("histories")
+        return frame_in_order(self.parts, "histories")
 
     @cached_property
     def frames(self) -> pd.DataFrame:
         """One row per frame of each recorded world: the state of the carrier and of its drive (the prescribed
         motion)."""
-        return self._read("frames")
+        return frame_in_order(self.parts, "frames")
 
     @cached_property
     def contacts(self) -> pd.DataFrame:
         """One row per contact of each frame, for worlds that were recorded with details."""
-        return self._read("contacts")
+        return frame_in_order(self.parts, "contacts")
 
     @cached_property
     def plans(self) -> pd.DataFrame:
@@ -337,16 +336,12 @@ class RunResults:
         config = self.info.get("config", {})
         return config.get("command") == "sweep" or "sweep" in config
 
-    def _read(self, table: str) -> pd.DataFrame:
-        rows = rows_in_order(self.parts, table)
-        return data_frame(schemas()[table].empty_table() if rows is None else rows)
-
 
 RunSource = RunResults | str | PathLike[str]
 """A run, or its folder."""
 
 
-def load_run(path: str | Path, plans_in_memory: Mapping[str, Plan] | None = None) -> RunResults:
+def load_run(path: str | PathLike[str], plans_in_memory: Mapping[str, Plan] | None = None) -> RunResults:
     """Open the folder of a run.
 
     Args:
@@ -359,6 +354,11 @@ def load_run(path: str | Path, plans_in_memory: Mapping[str, Plan] | None = None
     folder = path_of(path, "path")
     info = read_info(folder)
     return RunResults(Parts.of(folder, info), info, plans_in_memory or {})
+
+
+def opened_run(run: RunSource) -> RunResults:
+    """The run, opened by :func:`load_run` if it is a folder."""
+    return run if isinstance(run, RunResults) else load_run(run)
 
 
 def read_info(folder: Path) -> dict[str, Any]:

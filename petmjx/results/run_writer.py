@@ -33,15 +33,13 @@ from petmjx.plans.order_checks import OrderCheck
 from petmjx.plans.plan import Plan
 from petmjx.results.folder_lock import held_folder_lock
 from petmjx.results.resume import CompletedWorlds, resume_state
-from petmjx.results.run_folder import OF_WORLDS, RUN_FILE, check_run_folder, make_room, tidy
-from petmjx.results.run_json import RUNNING, RunInfo, now
-from petmjx.results.run_json_checks import write_run_file
+from petmjx.results.run_folder import OF_WORLDS, RUN_FILE, check_run_folder, delete_others, part_number
+from petmjx.results.run_json import RUNNING, RunInfo, now, write_run_file
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import FINISHED, RunResults, load_run
-from petmjx.results.run_table_reader import LISTED, Parts
 from petmjx.results.schema import Param, schemas
 from petmjx.results.stored_plans import PLACEMENTS
-from petmjx.results.table_parts import MemoryParts, Tables
+from petmjx.results.table_parts import LISTED, MemoryParts, Parts
 from petmjx.results.to_json import to_json
 from petmjx.results.world_counts import COUNTED, WorldCounts
 from petmjx.results.world_ranks import WorldRanks, is_ranked
@@ -120,6 +118,7 @@ class RunWriter(RunInfo):
         recorded: completed worlds of the run that is resumed.
         counts: numbers of written worlds, by verdict and reason.
         out_dir: folder of the run.
+        parts: the files of the tables written so far.
 
     Raises InputError if the folder is not writable, or already has a run and neither ``overwrite`` nor ``resume`` is
     set. With ``resume``, InputError is raised if the folder has a different run.
@@ -168,8 +167,8 @@ class RunWriter(RunInfo):
         self._thread = threading.Thread(target=self._work, name="petmjx-writer", daemon=True)
         self._added_bytes = 0  # Changed only by the thread that adds worlds.
         self._cut_short = False  # Whether an error ended the run. Never set by the writer's thread.
-        # Once the writer's thread has started, only this thread uses the attributes below.
-        self._tables = Tables(self.out_dir, MemoryParts(Path(), {}) if self._in_memory else None)
+        # Once the writer's thread has started, only this thread changes the attributes below.
+        self.parts: Parts = MemoryParts(Path(), {}) if self._in_memory else Parts(self.out_dir, {})
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self._rows: list[Row] = []
         self._row_bytes = self._written_bytes = 0
@@ -291,11 +290,6 @@ class RunWriter(RunInfo):
         return results
 
     @property
-    def parts(self) -> Parts:
-        """The files of the tables written so far."""
-        return self._tables.parts
-
-    @property
     def info(self) -> dict[str, Any]:
         """The entries of ``run.json`` at this moment, without the digest. The counts are the numbers of worlds that
         have been written."""
@@ -412,8 +406,8 @@ class RunWriter(RunInfo):
         digests: dict[Path, str] = {}
         with self._writing():
             for name, table in Part(sorted(rows, key=lambda row: row.rank)).tables(self.schemas):
-                digests |= self._tables.write(name, number, table)
-        self._tables.add(digests)
+                digests |= self.parts.write(name, number, table)
+        self.parts = self.parts.plus(digests)
         self.counts += WorldCounts.of(table)  # ``table`` is ``worlds``, which the loop writes last
         del self._rows[begin : begin + len(rows)]
         n_bytes = sum(row.nbytes for row in rows)
@@ -433,7 +427,7 @@ class RunWriter(RunInfo):
         content = self._manifest.placements() if self._manifest else None
         if content is not None:
             with self._writing():
-                self._tables.write_only(PLACEMENTS, content)
+                self.parts = self.parts.replaced(PLACEMENTS, content)
             self._is_behind = True
         self._lacks_placements = False
 
@@ -443,7 +437,7 @@ class RunWriter(RunInfo):
             return
         plans = self._manifest.table(self.orders.of_plan if self.orders else None)
         if [plans] != self.parts.table("plans"):
-            self._tables.write_only("plans", plans)
+            self.parts = self.parts.replaced("plans", plans)
         self._lacks_placements = not (self._in_memory or self.parts.files(PLACEMENTS))
         self._opened_s = time.monotonic()
 
@@ -464,12 +458,13 @@ class RunWriter(RunInfo):
                     "the file system has no locks, so petmjx cannot notice if another run writes to the same folder"
                 )
             check_run_folder(self.out_dir, self._overwrite, self._resume)
-            tidy(self.out_dir)
             if self._resume and (self.out_dir / RUN_FILE).exists():
                 self._go_on()
             else:
-                make_room(self.out_dir)
-                self._tables.drop_others()
+                # ``run.json`` is deleted first. So if the process is killed meanwhile, the folder has no run, rather
+                # than a run with missing files.
+                (self.out_dir / RUN_FILE).unlink(missing_ok=True)
+                delete_others(self.out_dir, self.parts.files)
                 self._write_plans()
                 self._write_info()
         except OSError as error:
@@ -488,26 +483,25 @@ class RunWriter(RunInfo):
         self.counts = self.recorded.counts()
         self.earlier_s = dict(info["timings"])
         self.head |= {"started": info["started"], "resumed": [*info["resumed"], now()]}
-        self._tables = Tables(self.out_dir, parts.without("summary"))
+        self.parts = parts.without("summary")
         # First, run.json is written; then the files that it no longer lists are deleted. In the other order, a run that
         # is killed in between might look finished.
         self._write_info()
-        self._tables.drop_others()
+        delete_others(self.out_dir, self.parts.files)
         ranked = is_ranked(parts, list(self._manifest.plans if self._manifest else ()))
         self._write_plans()
         if not ranked:  # rows are rewritten only in runs of petmjx before 0.3, or if the order of plans has changed
-            self._tables.replace_worlds(self._copies(self.parts, self._ranks))
+            self.parts = self.parts.without(*OF_WORLDS).plus(self._copies(self.parts, self._ranks))
         self._write_info()
-        self._tables.drop_others()
+        delete_others(self.out_dir, self.parts.files)
 
     def _leave_memory(self) -> None:
         """Write the tables that are in memory to a temporary folder, into which the run writes from now on."""
         assert isinstance(self.parts, MemoryParts)
         with self._writing():
             temporary = tempfile.TemporaryDirectory(prefix="petmjx-")
-            tables = Tables(Path(temporary.name))
-            tables.add(self.parts.write(Path(temporary.name)))
-        self._temporary, self.out_dir, self._tables = temporary, Path(temporary.name), tables
+            self.parts = self.parts.save(Path(temporary.name))
+        self._temporary, self.out_dir = temporary, Path(temporary.name)
         self._in_memory, self._lacks_placements, self._is_behind = False, self._manifest is not None, True
 
     def _adopt(self, parts: Parts, ranked: bool) -> None:
@@ -515,26 +509,37 @@ class RunWriter(RunInfo):
         counts = [WorldCounts.of(worlds) for worlds in parts.table("worlds", COUNTED)]
         with self._writing():
             digests = self._copies(parts, None if ranked else self._ranks)
-        self._tables.add(digests)
+        self.parts = self.parts.plus(digests)
         self.counts = sum(counts, self.counts)
         self._write_info()
 
-    def _copies(self, parts: Parts, ranks: WorldRanks | None) -> dict[Path, str]:
+    def _copies(self, others: Parts, ranks: WorldRanks | None) -> dict[Path, str]:
         """Copy the tables of worlds of a run. Returns path of a copy → digest of the copied file. The copies do not
-        belong to the run yet."""
+        belong to the run yet.
+
+        Args:
+            ranks: new ranks for the rows. If ``ranks`` is None, the rows keep their ranks, and the files are copied
+                byte by byte.
+        """
+        first = self.parts.next_number(*OF_WORLDS)
         digests: dict[Path, str] = {}
-        for path, digest in self._tables.copies(parts, ranks):
-            digests[path] = digest
+        others.check_tables(OF_WORLDS)
+        for file in (file for table in OF_WORLDS for file in others.files(table)):
+            number = first + part_number(file)
+            if ranks is None:
+                digests |= self.parts.copy(file, number)
+            else:
+                digests |= self.parts.write(file.parent.name, number, ranks.ranked(others.read(file)))
             if self._cut_short:
                 raise _CutShortError
         return digests
 
     def _write_summary(self, answers: pa.Table) -> None:
         with self._writing():
-            self._tables.write_only("summary", answers)
+            self.parts = self.parts.replaced("summary", answers)
         self._write_info()
         if not self._in_memory:
-            self._tables.drop_others()
+            delete_others(self.out_dir, self.parts.files)
 
     def _end(self, error: BaseException | None) -> Exception | None:
         """Write the remaining worlds, state in ``run.json`` how the run ended, and leave the folder.
@@ -567,7 +572,7 @@ class RunWriter(RunInfo):
                 self._write_info()
             if cause is not None and not self._in_memory:
                 with contextlib.suppress(OSError):  # an unfinished write may have left a file: delete it
-                    self._tables.drop_others()
+                    delete_others(self.out_dir, self.parts.files)
         finally:
             self._leave()
         return write_error

@@ -74,11 +74,13 @@ def by_plan_and_axis(worlds: pd.DataFrame, axes: Sequence[str], **columns: tuple
     for scope, rows in ((ALL_PLANS, worlds.assign(plan_id="")), (ONE_PLAN, worlds)):
         for axis in ("", *axes):
             keys = ["plan_id", axis] if axis else ["plan_id"]
-            part = rows.groupby(keys, sort=True, observed=True).agg(**columns).reset_index()
+            groups = rows.groupby(keys, sort=True, observed=True)
+            # for small tables, ``groups.agg(**columns)`` takes three times as long
+            aggregates = {name: groups[column].agg(kind) for name, (column, kind) in columns.items()}
+            part = pd.DataFrame(aggregates).reset_index()
             value = [_text(entry) for entry in part[axis]] if axis else ""
-            part = part.assign(scope=scope, axis=axis, value=value)[[*KEYS, *columns]]
-            parts.append(part.astype(dict.fromkeys(KEYS, object)))
-    summary = pd.concat(parts, ignore_index=True)
+            parts.append(part.assign(scope=scope, axis=axis, value=value)[[*KEYS, *columns]])
+    summary = pd.concat(parts, ignore_index=True).astype(dict.fromkeys(KEYS, object))
     summary.loc[summary["scope"] == ALL_PLANS, "plan_id"] = None
     return summary
 

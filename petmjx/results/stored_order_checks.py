@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from petmjx.plans.order_checks import MOST_LISTED, OrderCheck, OrderCounts, PlanOrderCounts
-from petmjx.results.run_table_reader import Parts
+from petmjx.results.table_parts import Parts
 
 
 def orders_block(check: OrderCheck) -> dict[str, Any]:

@@ -19,8 +19,8 @@ from petmjx.common.errors import InputError
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_fields import SPARSE
 from petmjx.results.plan_digests import PlanRecord, plan_digest
-from petmjx.results.run_table_reader import Parts
 from petmjx.results.schema import placements_schema
+from petmjx.results.table_parts import Parts
 
 PLACEMENTS: Final = "placements"
 

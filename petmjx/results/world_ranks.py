@@ -16,13 +16,14 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from petmjx.results.run_table_reader import Parts
-from petmjx.results.schema import RANK, RANK_COLUMN
+from petmjx.results.schema import RANK, RANK_COLUMN, data_frame, schemas
+from petmjx.results.table_parts import Parts
 
 if TYPE_CHECKING:
     import pandas as pd
 
-_MOST_VARIANTS: Final = 1 << 32
+MOST_VARIANTS: Final = 1 << 32
+"""Number of ranks that a plan reserves if the numbers of its variants are unknown."""
 
 
 class WorldRanks:
@@ -38,7 +39,7 @@ class WorldRanks:
 
     def __init__(self, plan_ids: Iterable[str] = (), variants: range | None = None) -> None:
         self._places = {plan_id: place for place, plan_id in enumerate(plan_ids)}
-        self._variants = variants or range(_MOST_VARIANTS)
+        self._variants = variants or range(MOST_VARIANTS)
 
     def rank(self, plan_id: str, variant: int) -> int:
         """The rank of one world."""
@@ -69,9 +70,9 @@ def is_ranked(parts: Parts, plan_ids: Sequence[str]) -> bool:
     return ranked and PlanOrder.of(parts).plan_ids == plan_ids
 
 
-def rows_in_order(parts: Parts, table: str, columns: Sequence[str] | None = None) -> pa.Table | None:
-    """The rows of a table, sorted by the order of the run's worlds. Rows of the same world keep their order. The result
-    is None if the table has no file.
+def frame_in_order(parts: Parts, table: str, columns: Sequence[str] | None = None) -> pd.DataFrame:
+    """The rows of a table as a data frame, sorted by the order of the run's worlds. Rows of the same world keep their
+    order. A table without a file has no rows.
 
     Args:
         columns: names of the columns to read, which must include ``plan_id`` and ``variant``. If ``columns`` is None,
@@ -82,11 +83,11 @@ def rows_in_order(parts: Parts, table: str, columns: Sequence[str] | None = None
     """
     files = parts.files(table)
     if not files:
-        return None
+        return data_frame(schemas()[table].empty_table())
     if not all(RANK in parts.columns(file) for file in files):
-        return PlanOrder.of(parts).ordered(_joined(parts.table(table, columns)))
+        return data_frame(PlanOrder.of(parts).ordered(_joined(parts.table(table, columns))))
     rows = _joined(parts.table(table, None if columns is None else [*dict.fromkeys((*columns, RANK))]))
-    return _sorted_by(np.asarray(rows[RANK]), rows)
+    return data_frame(_sorted_by(np.asarray(rows[RANK]), rows))
 
 
 def _joined(tables: Sequence[pa.Table]) -> pa.Table:
@@ -126,7 +127,7 @@ class PlanOrder:
             return table
         places = pc.index_in(table["plan_id"], value_set=pa.array(self.plan_ids, pa.string()))
         places = np.asarray(pc.fill_null(places, len(self.plan_ids)), dtype=np.int64)
-        return _sorted_by(places * _MOST_VARIANTS + np.asarray(table["variant"], dtype=np.int64), table)
+        return _sorted_by(places * MOST_VARIANTS + np.asarray(table["variant"], dtype=np.int64), table)
 
     def index(self, plan_ids: pd.Series) -> pd.Index:
         """The positions of plans in the input, as the index of a data frame with one row per plan."""

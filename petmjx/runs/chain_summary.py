@@ -17,7 +17,7 @@ import pandas as pd
 from petmjx.engines.metrics import DIMENSIONLESS
 from petmjx.engines.verdict import Verdict
 from petmjx.results.run_writer import RunWriter
-from petmjx.results.schema import data_frame, summary_table
+from petmjx.results.schema import summary_table
 from petmjx.results.share_statistics import (
     ALL_PLANS,
     ONE_PLAN,
@@ -26,7 +26,7 @@ from petmjx.results.share_statistics import (
     paired_outcomes,
     wilson_interval,
 )
-from petmjx.results.world_ranks import rows_in_order
+from petmjx.results.world_ranks import frame_in_order
 from petmjx.runs.chain_legs import AS_IS, PLACING
 from petmjx.runs.sweep_worlds import SweepPlan
 
@@ -193,9 +193,7 @@ def write_chain(writer: RunWriter, chain: ChainColumns) -> None:
     Raises:
         PetmjxError: the file cannot be written.
     """
-    rows = rows_in_order(writer.parts, "worlds", OF_WORLDS)
-    assert rows is not None
-    summary = summarise_chain(data_frame(rows), chain)
+    summary = summarise_chain(frame_in_order(writer.parts, "worlds", OF_WORLDS), chain)
     units = {name: DIMENSIONLESS for name in summary if name not in _TEXTS}
     writer.write_summary(summary_table(summary, units, _DESCRIPTIONS))
 

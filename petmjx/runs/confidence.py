@@ -22,11 +22,11 @@ from petmjx.common.errors import InputError
 from petmjx.engines.metrics import DIMENSIONLESS
 from petmjx.engines.verdict import Flag, Verdict
 from petmjx.options.placing import Way
-from petmjx.results.run_table_reader import Parts
 from petmjx.results.run_writer import RunWriter
-from petmjx.results.schema import data_frame, summary_table
+from petmjx.results.schema import summary_table
 from petmjx.results.share_statistics import ONE_PLAN, PairedCounts, holm, mcnemar_p, paired_outcomes, share_standing
-from petmjx.results.world_ranks import rows_in_order
+from petmjx.results.table_parts import Parts
+from petmjx.results.world_ranks import frame_in_order
 from petmjx.runs.ready_sweeps import find_sweep
 from petmjx.runs.sweep_axes import Axis
 from petmjx.runs.sweep_file import Sweep, load_sweep
@@ -143,9 +143,7 @@ def summarise_confidence(parts: Parts, *, both: bool = False) -> pd.DataFrame:
     """
     columns = ["plan_id", "variant", "verdict", "reason", "margin", "flags"]
     columns += [PLACING, "replicate"] if both else []
-    rows = rows_in_order(parts, "worlds", columns)
-    assert rows is not None
-    worlds = data_frame(rows)
+    worlds = frame_in_order(parts, "worlds", columns)
     nominal = worlds[worlds["variant"] == 0]
     drawn = worlds[worlds["variant"] > 0]
     exact = drawn[PLACING] == Way.EXACT.value if both else pd.Series(False, index=drawn.index)

@@ -14,6 +14,7 @@ from petmjx.options.thresholds import Thresholds
 from petmjx.options.walls import Side
 from petmjx.runs.chain_legs import PLACING
 from petmjx.runs.eumos_limits import load_height_m
+from petmjx.runs.level_search import LevelSearch, Probe
 from petmjx.runs.study import FinishedWorld, LegEnd
 from petmjx.runs.sweep_worlds import PlacementGroup
 from petmjx.world.scene import Scene
@@ -110,19 +111,35 @@ class SettledPlacement:
         return self._of_legs[key]
 
 
-Test = tuple[int, int]
-"""A test of a search, as in `Bisection`: the number of the item (one combination of a placement, a profile and a
-direction), and the index of the tested level."""
+@dataclass(frozen=True, eq=False)
+class PlacementSearch:
+    """A search for the largest level that one placement survives, with one profile in one direction.
+
+    Attributes:
+        number: index of the profile and direction in ``SweepPlan.search_items``.
+        levels: what the search has found so far.
+        results: index of a level → result, for the tests of the present round that have ended.
+    """
+
+    group: PlacementGroup
+    number: int
+    levels: LevelSearch
+    results: dict[int, Probe] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
 class DriveWorld(World):
     """A simulation that starts from the settled state of a placement and shakes the carrier, as a job for the engine.
-    ``test`` is the test of a search to which this simulation belongs; (-1, -1) outside a search."""
+
+    Attributes:
+        search: the search to which this simulation belongs; None outside a search.
+        level: index of the level that this simulation tests in ``search``.
+    """
 
     settled: SettledPlacement
     change: Variant
-    test: Test = (-1, -1)
+    search: PlacementSearch | None = None
+    level: int = -1
 
 
 @dataclass(frozen=True, eq=False)

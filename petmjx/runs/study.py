@@ -88,10 +88,7 @@ class Study(ABC):
         plans: the plans that this run simulates.
         work: numbers of placements and drives of all worlds, for estimates of time.
         n_worlds: largest possible number of worlds.
-        known: whether ``n_worlds`` is exact. The number of worlds of a search is not known, since the outcomes
-            determine it.
-        first_variant: number of the first variant of each plan. If ``known`` is true, the variants of each plan are
-            numbered consecutively from this number on.
+        variants: numbers of the variants of each plan; None in a search, in which outcomes determine the worlds.
         amount: text with the numbers of plans and worlds, for messages.
         command: the command in ``run.json``, "score" or "sweep".
         what: the noun for a world in messages.
@@ -113,8 +110,7 @@ class Study(ABC):
     plans: Sequence[Plan]
     work: Work
     n_worlds: int
-    known: bool = True
-    first_variant: int = 0
+    variants: range | None
     amount: str
     command: str = "score"
     what: str = "plan"
@@ -132,14 +128,7 @@ class Study(ABC):
     @property
     def total(self) -> int | None:
         """Number of worlds of the run; None if the number is unknown."""
-        return self.n_worlds if self.known else None
-
-    @property
-    def variants(self) -> range | None:
-        """Numbers of the variants of each plan; None if they differ between plans, as in a search."""
-        if not self.known:
-            return None
-        return range(self.first_variant, self.first_variant + self.n_worlds // max(len(self.plans), 1))
+        return None if self.variants is None else self.n_worlds
 
     def size(self, seconds: float | None, recorded: int = 0) -> str:
         """One line with the number of worlds, the expected number of steps, and the expected time.
@@ -204,6 +193,7 @@ class Nominal(Study):
                 **statics_of(shard_plans, partial(deck_mm, sim=sim))._asdict(),
             ),
             n_worlds=len(shard_plans),
+            variants=range(1),
             amount=count_text(len(shard_plans), "plan"),
         )
 

@@ -16,9 +16,8 @@ from typing import Any
 import numpy as np
 
 from petmjx.engines.attempt_settings import ATTEMPTS
-from petmjx.engines.job_stream import JobBounds
 from petmjx.engines.protocol import Engine, Progress
-from petmjx.engines.simulation_loop import FIRST_WORLDS, check_pool_for, score_worlds
+from petmjx.engines.simulation_loop import check_pool_for, score_worlds
 from petmjx.engines.subprocess.check_pool import CheckPool
 from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.engines.world_results import AnyWorld, WorldResult
@@ -27,11 +26,18 @@ from petmjx.plans.plan import Plan
 from petmjx.results.recording import NO_RECORDING, Recording
 from petmjx.results.resume import CompletedWorlds
 from petmjx.runs.chain_legs import PLACING, after, with_sustained_force
-from petmjx.runs.forked_worlds import Batching, DriveWorld, LegStart, LegWorld, PlacementWorld, SettledPlacement, Test
-from petmjx.runs.level_search import Bisection, Probe, SearchBracket
+from petmjx.runs.forked_worlds import (
+    Batching,
+    DriveWorld,
+    LegStart,
+    LegWorld,
+    PlacementSearch,
+    PlacementWorld,
+    SettledPlacement,
+)
+from petmjx.runs.level_search import LevelSearch, Probe
 from petmjx.runs.study import FinishedWorld, LegEnd
 from petmjx.runs.sweep_cost import job_bounds
-from petmjx.runs.sweep_design import SearchItem
 from petmjx.runs.sweep_worlds import PlacementGroup, SweepPlan
 from petmjx.world.job import Job
 from petmjx.world.variants import LegSpec, Variant
@@ -48,26 +54,6 @@ class Tally:
     drives: int = 0
     drive_steps: int = 0
     drive_s: float = 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class SearchAnswer:
-    """The answer of a search for one placement, one profile and one direction.
-
-    Attributes:
-        largest_survived, first_failed: largest level survived, and smallest level that failed, in g or as a scale.
-            ``largest_survived`` is None if no level was survived, and ``first_failed`` is None if no level failed.
-        at_largest, at_failure: results of the tests at the levels ``largest_survived`` and ``first_failed``; None if
-            there was no test at the level.
-    """
-
-    group: PlacementGroup
-    item: SearchItem
-    bracket: SearchBracket
-    largest_survived: float | None
-    first_failed: float | None
-    at_largest: Probe | None
-    at_failure: Probe | None
 
 
 SAME_STEP_ATTEMPTS = tuple(attempt for attempt in ATTEMPTS if attempt.timestep_divisor == 1 and not attempt.soft)
@@ -98,7 +84,7 @@ class SweepRun:
             other object can use its states.
         progress: progress of the run, which is updated during the simulation. While placements are simulated,
             ``progress.message`` has the number of placements that have ended.
-        on_answer: function that is called for each answer of a search.
+        on_answer: function that is called for each search that has found its answer.
         values_of: function that returns column → value, for the columns that the sweep adds to the row of a world.
         recorded: the completed worlds of the run. Completed worlds are not simulated again; the answers of a search are
             computed from the rows of completed worlds.
@@ -107,7 +93,7 @@ class SweepRun:
 
     plan: SweepPlan
     engine: Engine
-    on_answer: Callable[[SearchAnswer], None] = lambda answer: None
+    on_answer: Callable[[PlacementSearch], None] = lambda search: None
     values_of: Callable[[FinishedWorld], Mapping[str, Any]] = lambda world: {}
     recorded: CompletedWorlds = field(default_factory=CompletedWorlds)
     recording: Recording = NO_RECORDING
@@ -149,10 +135,7 @@ class SweepRun:
         if not has_drives:
             return
         for chunk in self._chunks():
-            if self.plan.sweep.search is None:
-                yield from self._fork(chunk)
-            else:
-                yield from self._search(self._settle([group for group in chunk if not self._answer_again(group)]))
+            yield from self._fork(chunk)
 
     def world(self, plan_id: str, index: int) -> FinishedWorld:
         """Simulate one world alone, exactly as in the whole sweep.
@@ -192,7 +175,9 @@ class SweepRun:
         per_search = 0 if search is None else len(self.plan.search_items()) * search.sections
         chunk: list[PlacementGroup] = []
         worlds = histories = 0
-        for group in (group for group in self._groups() if group.driven):
+        for group in self._groups():
+            if not group.driven or (not group.variants and self._answer_again(group)):
+                continue
             n_forks = len(group.variants) or per_search
             more_histories = int(self.recording.of(group.plan) is not None)
             full = worlds + n_forks > most or len(chunk) >= self.batching.placements
@@ -205,38 +190,7 @@ class SweepRun:
         if chunk:
             yield chunk
 
-    def _score(
-        self,
-        worlds: Iterable[AnyWorld],
-        most_pending: int,
-        *,
-        forks: bool,
-        begin_with: int = FIRST_WORLDS,
-        following: Callable[[], Iterable[AnyWorld]] | None = None,
-        bounds: JobBounds | None = None,
-    ) -> Iterator[WorldResult[AnyWorld]]:
-        return score_worlds(
-            worlds,
-            self.sim,
-            self.engine,
-            progress=self.progress,
-            begin_with=begin_with,
-            most_pending=most_pending,
-            attempts=SAME_STEP_ATTEMPTS if forks else ATTEMPTS,
-            following=following,
-            bounds=bounds,
-            check_pool=self._check_pool,
-        )
-
     # Placements.
-
-    def _place(
-        self, groups: Iterable[PlacementGroup], most_pending: int, keep_state: bool
-    ) -> Iterator[SettledPlacement]:
-        begin = time.perf_counter()
-        for result in self._score(self._placements(groups, keep_state), most_pending, forks=keep_state):
-            yield self._settled(result)
-        self.tally.placement_s += time.perf_counter() - begin
 
     def _placements(self, groups: Iterable[PlacementGroup], keep_state: bool) -> Iterator[PlacementWorld]:
         return (
@@ -264,21 +218,22 @@ class SweepRun:
 
     def _run_placements(self, groups: Iterable[PlacementGroup]) -> Iterator[FinishedWorld]:
         """Simulate placements without drives. All variants of a placement get the outcome of the placement."""
-        for placed in self._place(groups, self.batching.undriven, keep_state=False):
+        begin = time.perf_counter()
+        for result in score_worlds(
+            self._placements(groups, keep_state=False),
+            self.sim,
+            self.engine,
+            progress=self.progress,
+            most_pending=self.batching.undriven,
+            check_pool=self._check_pool,
+        ):
+            placed = self._settled(result)
             for variant in self._missing(placed.group):
                 if variant is placed.group.variants[0]:
                     yield FinishedWorld(placed.group.plan, variant, placed.scene, placed.outcome, placed.attempts)
                 else:
                     yield placed.undriven(variant)
-
-    def _settle(self, groups: Sequence[PlacementGroup]) -> list[SettledPlacement]:
-        """Simulate placements, and return them with their settled states, in the order of the groups."""
-        settled_by_group: dict[int, SettledPlacement] = {}
-        for settled in self._place(groups, self.batching.placements, keep_state=True):
-            settled_by_group[id(settled.group)] = settled
-            self.progress.message = f"placed {len(settled_by_group):,} of {len(groups):,}"
-        self.progress.message = ""
-        return [settled_by_group[id(group)] for group in groups]
+        self.tally.placement_s += time.perf_counter() - begin
 
     def _can_be_driven(self, settled: SettledPlacement) -> bool:
         """Whether drives (motions of the carrier) are simulated after a placement. With the option ``early_stop``,
@@ -293,15 +248,27 @@ class SweepRun:
     def _fork(self, groups: Sequence[PlacementGroup]) -> Iterator[FinishedWorld]:
         """Simulate placements, and start the worlds of all variants from the settled states of these placements. Drives
         and the first legs of chains begin as soon as their own placement has settled, while other placements continue.
-        A further leg begins when the leg before it has ended."""
+        A further leg begins when the leg before it has ended, and further tests of a search begin when all tests before
+        them have ended."""
         begin = time.perf_counter()
         n_settled = 0
         ready: list[DriveWorld | LegWorld] = []
-        following, bounds = partial(_drained, ready), job_bounds(self.plan, groups)
         worlds: Iterator[PlacementWorld | DriveWorld | LegWorld] = self._placements(groups, keep_state=True)
-        for result in self._score(worlds, self.batching.drives, forks=True, following=following, bounds=bounds):
+        for result in score_worlds(
+            worlds,
+            self.sim,
+            self.engine,
+            progress=self.progress,
+            most_pending=self.batching.drives,
+            attempts=SAME_STEP_ATTEMPTS,
+            following=partial(_drained, ready),
+            bounds=job_bounds(self.plan, groups),
+            check_pool=self._check_pool,
+        ):
             if isinstance(result.world, DriveWorld):
-                yield self._driven(result)
+                world = self._driven(result)
+                ready += self._after_test(result.world, world)
+                yield world
                 continue
             if isinstance(result.world, LegWorld):
                 ended, further = self._after_leg(result)
@@ -315,7 +282,11 @@ class SweepRun:
                 self.tally.placement_s += time.perf_counter() - begin
                 begin = time.perf_counter()
             missing = self._missing(start.group)
-            if not self._can_be_driven(start):
+            if not start.group.variants:  # a search makes its variants level by level
+                ended, drives = self._begin_searches(start)
+                ready += drives
+                yield from ended
+            elif not self._can_be_driven(start):
                 self._note_work(start.group.plan, sum(map(_n_drives, missing)))
                 yield from map(start.undriven, missing)
             elif missing[0].legs:
@@ -324,22 +295,13 @@ class SweepRun:
                 ready += (self._driving(start, variant) for variant in missing)
         self.tally.drive_s += time.perf_counter() - begin
 
-    def _driving(self, start: SettledPlacement, variant: Variant, test: Test = (-1, -1)) -> DriveWorld:
+    def _driving(
+        self, start: SettledPlacement, variant: Variant, search: PlacementSearch | None = None, level: int = -1
+    ) -> DriveWorld:
         plan = start.group.plan
         drive, record = self.plan.drive(plan, variant, start.load_height_m), self.recording.of(plan)
         job = Job(start.scene, drive=drive, start=start.outcome.state, record=record)
-        return DriveWorld(plan, variant.index, job, start, variant, test)
-
-    def _drive(
-        self, worlds: Iterable[DriveWorld], following: Callable[[], Iterable[DriveWorld]] | None = None
-    ) -> Iterator[tuple[Test, FinishedWorld]]:
-        """Simulate drives, and yield each finished world with its test. ``following`` is called for further drives,
-        which depend on the results so far."""
-        begin = time.perf_counter()
-        most = self.batching.drives  # all drives can begin immediately, since their scenes have already been made
-        for result in self._score(worlds, most, forks=True, begin_with=most, following=following):
-            yield result.world.test, self._driven(result)
-        self.tally.drive_s += time.perf_counter() - begin
+        return DriveWorld(plan, variant.index, job, start, variant, search, level)
 
     def _driven(self, result: WorldResult[Any]) -> FinishedWorld:
         world, outcome = result.world, result.outcome
@@ -402,103 +364,75 @@ class SweepRun:
 
     # Search.
 
-    def _search(self, settled: Sequence[SettledPlacement]) -> Iterator[FinishedWorld]:
-        """Search for the largest level survived, for all given placements, profiles and directions at the same time.
+    def _begin_searches(self, start: SettledPlacement) -> tuple[list[FinishedWorld], list[DriveWorld]]:
+        """Begin to search for the largest level survived, for all profiles and directions of a placement. Returns
+        finished worlds and the first tests.
 
-        A search item is one combination of a placement, a profile and a direction. When all current tests of a search
-        item have ended, its next tests begin, while tests of other search items continue. If the pallet does not stand
-        at the end of a placement, no drive is simulated. The table ``worlds`` then has one row per profile and
-        direction, at the lowest level, with the outcome of the placement.
+        When all current tests of a search have ended, its next tests begin, while tests of other searches continue. If
+        the pallet does not stand at the end of the placement, no drive is simulated. The table ``worlds`` then has one
+        row per profile and direction, at the lowest level, with the outcome of the placement.
         """
-        items, tilt_deg = self.plan.search_items(), self.sim.thresholds.tilt_deg
-        searches = [(start, number) for start in settled for number in range(len(items))]
-        bisection = self._bisection([Probe.of(start.outcome, tilt_deg) for start, _ in searches])
+        group, ended, drives = start.group, [], []
+        at_rest = Probe.of(start.outcome, self.sim.thresholds.tilt_deg)
+        for number in range(len(self.plan.search_items())):
+            search = PlacementSearch(group, number, self._level_search(at_rest))
+            if not search.levels.stands_at_rest and self._row(group, number, 0) is None:
+                ended.append(start.undriven(self.plan.search_variant(group, number, 0)))
+            drives += self._next_drives(search, start)
+        return ended, drives
 
-        def variant(which: int, level: int) -> Variant:
-            start, number = searches[which]
-            return self.plan.search_variant(start.group, number, level)
-
-        def recorded(which: int, level: int) -> Probe | None:
-            start, number = searches[which]
-            return self._recorded_test(start.group, number, level)
-
-        for which, bracket in enumerate(bisection.items):
-            if not bracket.stands_at_rest and recorded(which, 0) is None:
-                yield searches[which][0].undriven(variant(which, 0))
-        tested: dict[Test, Probe] = {}
-        missing: dict[int, set[Test]] = {}
-
-        def next_drives(which: int) -> list[DriveWorld]:
-            """The drives that a search item needs next; an empty list if the answer for the item is known."""
-            while tests := bisection.next_tests(which):
-                probes = {test: probe for test in tests if (probe := tested.get(test) or recorded(*test)) is not None}
-                tested.update(probes)
-                if missing_now := [test for test in tests if test not in probes]:
-                    missing[which] = set(missing_now)
-                    return [self._driving(searches[which][0], variant(*test), test) for test in missing_now]
-                # Only two results can still become the answer for a search item: the result at the largest level that
-                # the pallet survived, and the result at the smallest level at which it failed. The others are dropped.
-                now = {test: tested.pop(test) for test in {*tests, *bisection.bounds(which)} if test in tested}
-                bisection.record(tests, [now[test] for test in tests])
-                tested.update((test, now[test]) for test in bisection.bounds(which) if test in now)
+    def _after_test(self, drive: DriveWorld, world: FinishedWorld) -> list[DriveWorld]:
+        """The drives that a search needs after a test. The list is empty if other tests of the same round have not
+        ended, and for drives that belong to no search."""
+        search = drive.search
+        if search is None:
             return []
+        search.results[drive.level] = Probe.of(world.outcome, self.sim.thresholds.tilt_deg, self.values_of(world))
+        if len(search.results) < len(search.levels.next_levels()):
+            return []
+        return self._next_drives(search, drive.settled)
 
-        ready_drives: list[DriveWorld] = []
-        # ``first`` is a list, because the engine would run a generator, and with it the search, in another thread.
-        first = [drive for which in range(len(searches)) for drive in next_drives(which)]
-        for test, world in self._drive(first, partial(_drained, ready_drives)):
-            which, _ = test
-            tested[test] = Probe.of(world.outcome, tilt_deg, self.values_of(world))
-            missing[which].remove(test)
-            if not missing[which]:
-                ready_drives += next_drives(which)
-            yield world
-        self._answer([(start.group, number) for start, number in searches], bisection, tested)
+    def _next_drives(self, search: PlacementSearch, start: SettledPlacement) -> list[DriveWorld]:
+        """The drives that a search needs next; an empty list if its answer is known."""
+        levels = self._missing_levels(search)
+        if not levels:
+            self.on_answer(search)
+        group, number = search.group, search.number
+        return [self._driving(start, self.plan.search_variant(group, number, level), search, level) for level in levels]
 
-    def _bisection(self, at_rest: Sequence[Probe]) -> Bisection:
-        sweep = self.plan.sweep
-        assert sweep.search is not None
-        return Bisection(sweep.search_levels, at_rest, sweep.search.sections)
+    def _missing_levels(self, search: PlacementSearch) -> list[int]:
+        """The levels that must be tested next. Before, the search goes on with the results of all tests that have
+        ended, or that were completed before the run was resumed."""
+        while levels := search.levels.next_levels():
+            for level in levels:
+                if level not in search.results and (row := self._row(search.group, search.number, level)) is not None:
+                    search.results[level] = Probe.from_row(row)
+            if missing := [level for level in levels if level not in search.results]:
+                return missing
+            search.levels.record(search.results)
+            search.results.clear()
+        return []
 
-    def _answer(
-        self, searches: Sequence[tuple[PlacementGroup, int]], bisection: Bisection, tested: Mapping[Test, Probe]
-    ) -> None:
-        items = self.plan.search_items()
-        for which, ((group, number), bracket) in enumerate(zip(searches, bisection.items, strict=True)):
-            self.on_answer(
-                SearchAnswer(
-                    group,
-                    items[number],
-                    bracket,
-                    bisection.largest_survived(which),
-                    bisection.first_failed(which),
-                    tested.get((which, bracket.survived)),
-                    tested.get((which, bracket.failed)),
-                )
-            )
+    def _level_search(self, at_rest: Probe) -> LevelSearch:
+        search, levels = self.plan.sweep.search, self.plan.sweep.search_levels
+        assert search is not None
+        return LevelSearch(len(levels), at_rest, search.sections, from_zero=bool(levels[0] == 0))
 
     def _answer_again(self, group: PlacementGroup) -> bool:
         """Find the answers of a search (the largest levels survived) for one placement again. The answers follow from
         the rows of worlds that were completed before the run was resumed. Returns False if a world is missing."""
         if not len(self.recorded):
             return False
-        numbers = range(len(self.plan.search_items()))
-        bisection = self._bisection([self._recorded_rest(group, number) for number in numbers])
-        if any(
-            bracket.stands_at_rest and not bisection.next_tests(which) for which, bracket in enumerate(bisection.items)
-        ):
+        searches = []
+        for number in range(len(self.plan.search_items())):
+            search = PlacementSearch(group, number, self._level_search(self._recorded_rest(group, number)))
             # a search with a single level tests no level, so no recorded row shows whether the placement stood
-            return False
-        tested: dict[Test, Probe] = {}
-        for which in range(len(bisection.items)):
-            while tests := bisection.next_tests(which):
-                worlds = [self._recorded_test(group, *test) for test in tests]
-                stored_worlds = [world for world in worlds if world is not None]
-                if len(stored_worlds) < len(tests):
-                    return False
-                tested |= zip(tests, stored_worlds, strict=True)
-                bisection.record(tests, stored_worlds)
-        self._answer([(group, number) for number in numbers], bisection, tested)
+            unknown = search.levels.stands_at_rest and not search.levels.next_levels()
+            if unknown or self._missing_levels(search):
+                return False
+            searches.append(search)
+        for search in searches:
+            self.on_answer(search)
         return True
 
     def _recorded_rest(self, group: PlacementGroup, number: int) -> Probe:
@@ -507,15 +441,11 @@ class SweepRun:
         outcome in this row. In all other cases, the result is a stable outcome. A failed test at the lowest level may
         also have 0 steps, but then the search has also written rows of tests at higher levels.
         """
+        stands = Probe(Verdict.STABLE)
         row = self._row(group, number, 0)
-        first = self._bisection([Probe(Verdict.STABLE)]).next_tests(0)
-        tested = any(self._row(group, number, level) is not None for _, level in first if level > 0)
-        fell = row is not None and row["n_steps"] == 0 and not tested
-        return Probe.from_row(row) if fell and row is not None else Probe(Verdict.STABLE)
-
-    def _recorded_test(self, group: PlacementGroup, number: int, level: int) -> Probe | None:
-        row = self._row(group, number, level)
-        return None if row is None else Probe.from_row(row)
+        first = self._level_search(stands).next_levels()
+        tested = any(self._row(group, number, level) is not None for level in first if level > 0)
+        return Probe.from_row(row) if row is not None and row["n_steps"] == 0 and not tested else stands
 
     def _row(self, group: PlacementGroup, number: int, level: int) -> dict[str, Any] | None:
         if not len(self.recorded):

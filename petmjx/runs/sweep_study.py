@@ -62,6 +62,7 @@ class SweepStudy(Study):
         shares = confidence is None and sweep.search is None and not sweep.legs
         self._shares = ShareColumns.of(plan) if shares else None
         self._chain = ChainColumns.of(plan) if sweep.legs else None
+        first = int(not sweep.nominal)  # number of the first variant
         self._answers: list[dict[str, Any]] = []
         self._tally = Tally()
         super().__init__(
@@ -70,8 +71,7 @@ class SweepStudy(Study):
             plans=plan.plans,
             work=work_of(plan),
             n_worlds=plan.n_worlds,
-            known=sweep.search is None,
-            first_variant=int(not sweep.nominal),
+            variants=None if sweep.search is not None else range(first, first + plan.n_variants),
             amount=plan.amount,
             command="sweep" if confidence is None else "score",
             what="world",
@@ -99,7 +99,7 @@ class SweepStudy(Study):
         yield from SweepRun(
             self._plan,
             engine,
-            on_answer=lambda answer: self._answers.append(search_row(answer, self._columns)),
+            on_answer=lambda search: self._answers.append(search_row(search, self._plan, self._columns)),
             values_of=self._columns.of,
             recorded=recorded,
             recording=recording,

@@ -13,17 +13,17 @@ import pandas as pd
 
 from petmjx.engines.metrics import DIMENSIONLESS, TEXT
 from petmjx.engines.verdict import Outcome, Verdict
-from petmjx.results.run_table_reader import Parts
-from petmjx.results.schema import Param, data_frame
+from petmjx.results.schema import Param
 from petmjx.results.share_statistics import KEYS, by_plan_and_axis, share_standing
-from petmjx.results.world_ranks import rows_in_order
+from petmjx.results.table_parts import Parts
+from petmjx.results.world_ranks import frame_in_order
 from petmjx.runs.chain_legs import PLACING
 from petmjx.runs.eumos_limits import EUMOS_COLUMNS, EUMOS_PROFILE, eumos_assessment
+from petmjx.runs.forked_worlds import PlacementSearch
 from petmjx.runs.level_search import failure_mode
 from petmjx.runs.study import FinishedWorld
 from petmjx.runs.sweep_axes import AXIS_KINDS, Axis
 from petmjx.runs.sweep_design import REMEDY
-from petmjx.runs.sweep_run import SearchAnswer
 from petmjx.runs.sweep_worlds import SweepPlan
 from petmjx.world.profiles.accelerations import Tilt
 
@@ -186,10 +186,7 @@ def summarise_shares(parts: Parts, columns: ShareColumns) -> pd.DataFrame:
     axes = list(columns.axes)
     extra = ["eumos_passed", *EUMOS_WORST] if columns.eumos else []
     extra += [FAIL_ANGLE.name] if columns.tilt else []
-    world_columns = ["plan_id", "variant", "verdict", *axes, *extra]
-    rows = rows_in_order(parts, "worlds", world_columns)
-    assert rows is not None
-    worlds = data_frame(rows)
+    worlds = frame_in_order(parts, "worlds", ["plan_id", "variant", "verdict", *axes, *extra])
     for name, (low, high) in columns.ranges.items():
         worlds[name] = _binned_values(worlds[name], low, high)
     worlds["draw"] = _draws(worlds, columns)
@@ -231,32 +228,36 @@ def _binned_values(values: pd.Series[float], lowest: float, highest: float) -> p
 # Searches.
 
 
-def search_row(answer: SearchAnswer, columns: SweepColumns) -> dict[str, Any]:
+def search_row(search: PlacementSearch, plan: SweepPlan, columns: SweepColumns) -> dict[str, Any]:
     """One row of the summary of a search: column → value."""
-    group, bracket = answer.group, answer.bracket
-    box = bracket.box if bracket.box >= 0 else None
-    at_failure: Mapping[str, Any] = answer.at_failure.values if answer.at_failure is not None else {}
+    group, item, answer = search.group, plan.search_items()[search.number], search.levels
+    box = answer.box if answer.box >= 0 else None
+    largest, failed = (
+        None if level is None else float(plan.sweep.search_levels[level])
+        for level in (answer.largest_survived, answer.first_failed)
+    )
+    at_failure: Mapping[str, Any] = answer.at_failed.values if answer.at_failed is not None else {}
     row: dict[str, Any] = {
         "plan_id": group.plan.plan_id,
         "placement": group.number,
         **group.placement.parameters,
-        "profile": answer.item.profile,
-        "direction_deg": answer.item.direction_deg,
-        "stands_at_rest": bracket.stands_at_rest,
-        f"largest_{columns.strength}": answer.largest_survived,
-        f"first_failed_{columns.strength}": answer.first_failed,
+        "profile": item.profile,
+        "direction_deg": item.direction_deg,
+        "stands_at_rest": answer.stands_at_rest,
+        f"largest_{columns.strength}": largest,
+        f"first_failed_{columns.strength}": failed,
         "box": box,
         "article": group.plan.articles[box] if box is not None else "",
-        "mode": bracket.mode,
+        "mode": answer.mode,
         SIGN.name: at_failure.get(SIGN.name),
-        "monotone": bracket.monotone,
-        "n_tests": bracket.n_tests,
-        "n_invalid": bracket.n_invalid,
-        "n_moving": bracket.n_moving,
-        "moving": any(probe.moving for probe in (answer.at_largest, answer.at_failure) if probe is not None),
+        "monotone": answer.monotone,
+        "n_tests": answer.n_tests,
+        "n_invalid": answer.n_invalid,
+        "n_moving": answer.n_moving,
+        "moving": any(probe.moving for probe in (answer.at_survived, answer.at_failed) if probe is not None),
     }
     if columns.has_eumos:
-        at_largest: Mapping[str, Any] = answer.at_largest.values if answer.at_largest is not None else {}
+        at_largest: Mapping[str, Any] = answer.at_survived.values if answer.at_survived is not None else {}
         row |= {param.name: at_largest.get(param.name) for param in EUMOS_COLUMNS}
     return row
 

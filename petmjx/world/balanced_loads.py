@@ -22,7 +22,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.common.linear_programmes import minimised
+from petmjx.common.errors import PetmjxError
+from petmjx.common.linear_programmes import Entries, minimised
 from petmjx.common.units import FloatArray
 from petmjx.world.bearings import Bearing
 from petmjx.world.pushing_forces import IntArray
@@ -159,7 +160,10 @@ def _solved_loads(
     cost[outside:moments] = _OUTSIDE
     cost[moments:least] = _OUTSIDE**2
     limits = np.concatenate([inside, open_loads]), np.concatenate([np.full(len(place), np.inf), open_loads])
-    force = minimised(cost, rows, *limits, most)
+    try:
+        force = minimised(cost, Entries.of(rows), limits, (np.zeros(least + 1), most))
+    except PetmjxError:
+        return None
     if force is None:
         return None
     balancing, beyond = load.copy(), np.zeros(len(load))

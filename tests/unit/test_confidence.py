@@ -21,7 +21,6 @@ from support.plans import make_plan, stack
 
 import petmjx
 from petmjx.common.errors import InputError
-from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.verdict import Flag, Reason, Verdict
 from petmjx.options.simulation import Simulation
 from petmjx.packers.handmade_plans import HANDMADE
@@ -159,8 +158,10 @@ def test_a_box_could_not_be_placed_where_its_gap_is_too_narrow_and_stands_there_
     printed = console.file.getvalue()  # type: ignore[attr-defined]  # it is a StringIO
     assert re.search(rf"could not be placed │ +{n} ", printed)
     assert "plans that stand more often, beyond chance, if boxes are placed exactly: gap" in printed
-    alone = summary_of(score(**options)).loc["gap"]
-    pd.testing.assert_series_equal(alone, summary_of(results).loc["gap", alone.index], check_exact=True)
+    alone = score(**options | {"confidence": 4}).worlds.set_index("replicate", drop=False)
+    same = carried.set_index("replicate", drop=False)
+    columns = [name for name in alone if name not in ("variant", "placing")]
+    pd.testing.assert_frame_equal(alone[columns].iloc[1:], same.loc[alone.index[1:], columns], check_exact=True)
     assert petmjx.load_run(tmp_path / "both").summary.equals(results.summary)  # type: ignore[union-attr]
 
 
@@ -230,9 +231,9 @@ def test_sweeps_have_no_confidence(tmp_path: Path) -> None:
 def test_shards_give_the_same_and_runs_go_on(tmp_path: Path) -> None:
     unsharded = score(**QUICK, out=tmp_path / "whole")
     expected = tables(unsharded)
-    for share in (1, 2, 3):
-        score(**QUICK, shard=f"{share}/3", out=tmp_path / str(share))
-    merged = petmjx.merge_runs([tmp_path / str(share) for share in (1, 2, 3)], tmp_path / "merged")
+    for share in (1, 2):
+        score(**QUICK, shard=f"{share}/2", out=tmp_path / str(share))
+    merged = petmjx.merge_runs([tmp_path / str(share) for share in (1, 2)], tmp_path / "merged")
     assert_same(merged, expected)
     assert merged.units("summary") == unsharded.units("summary")
 
@@ -246,21 +247,6 @@ def test_shards_give_the_same_and_runs_go_on(tmp_path: Path) -> None:
         score(**QUICK, errors=other, out=tmp_path / "whole", resume=True)
     with pytest.raises(InputError, match=r"another run \(confidence is none, was 4\)"):
         score(placing="exact", out=tmp_path / "whole", resume=True)
-
-
-def test_an_interrupted_run_goes_on(tmp_path: Path) -> None:
-    expected = tables(score(**QUICK))
-
-    class Interrupting(MujocoEngine):
-        def run(self, *args: Any) -> Any:
-            yield from itertools.islice(super().run(*args), 5)
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        petmjx.score(PLANS, engine=Interrupting(1), **QUICK, out=tmp_path / "run")
-    assert petmjx.load_run(tmp_path / "run").info["counts"]["worlds"] == 5
-    assert petmjx.load_run(tmp_path / "run").summary is None
-    assert_same(score(**QUICK, out=tmp_path / "run", resume=True), expected)
 
 
 def written(

@@ -80,7 +80,7 @@ def test_results_in_memory_are_those_of_a_folder(name: str, temporary: Path, tmp
 @pytest.mark.parametrize("name", SWEEPS)
 def test_sweeps_in_memory_are_those_of_a_folder(name: str, temporary: Path, tmp_path: Path) -> None:
     file = write(tmp_path / "x.toml", SWEEPS[name])
-    results, kept = (petmjx.sweep(file, PLANS, **STATIC, **more) for more in ({}, {"out": tmp_path / "out"}))
+    results, kept = (petmjx.sweep(file, PLANS[:2], **STATIC, **more) for more in ({}, {"out": tmp_path / "out"}))
     assert list(temporary.iterdir()) == []
     assert_same(results, kept)
 

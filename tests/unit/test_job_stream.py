@@ -184,13 +184,12 @@ def test_an_engine_with_a_stream_has_all_worlds_in_one_run() -> None:
     assert engine.most_in_flight == 4
 
 
-@pytest.mark.parametrize(("options", "count"), [({}, simulation_loop.FIRST_WORLDS), ({"begin_with": 7}, 7)])
-def test_an_engine_knows_how_many_jobs_to_wait_for_at_first(options: dict[str, int], count: int) -> None:
+def test_an_engine_knows_how_many_jobs_to_wait_for_at_first() -> None:
     """The engine knows how many jobs it should wait for before it begins. If the engine did not know this, a GPU would
     begin with the first job, and compile programs for a single job."""
     engine = Streaming()
-    assert len(list(score_worlds(worlds_failing(0), SIM, engine, **options))) == 1
-    assert engine.begin_with == count
+    assert len(list(score_worlds(worlds_failing(0), SIM, engine))) == 1
+    assert engine.begin_with == simulation_loop.FIRST_WORLDS
 
 
 def test_the_source_pauses_while_many_wait_for_another_attempt(monkeypatch: pytest.MonkeyPatch) -> None:

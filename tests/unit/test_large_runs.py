@@ -105,7 +105,7 @@ def test_no_part_is_written_twice(sweep: Any, tmp_path: Path, writes: list[str],
 
 def test_it_goes_on_after_any_number_of_worlds(sweep: Any, tmp_path: Path, writes: list[str]) -> None:
     expected = sweep()
-    for worlds in (0, 1, 11, 25, 35):
+    for worlds in (0, 11, 35):
         out = tmp_path / str(worlds)
         with pytest.raises(KeyboardInterrupt):
             sweep(out, LargestFirst(interrupt_after=worlds))

@@ -13,7 +13,7 @@ import pytest
 from scipy.optimize import Bounds, LinearConstraint, milp
 
 from petmjx.common import linear_programmes
-from petmjx.common.linear_programmes import minimised
+from petmjx.common.linear_programmes import Entries, minimised
 from petmjx.common.units import FloatArray
 
 SEED = 33528
@@ -40,7 +40,7 @@ def test_the_answers_are_those_of_scipy(without: bool, monkeypatch: pytest.Monke
         monkeypatch.setattr(linear_programmes, "_highs", lambda: None)
     solved = 0
     for cost, rows, least, most, bound in programmes():
-        answer = minimised(cost, rows, least, most, bound)
+        answer = minimised(cost, Entries.of(rows), (least, most), (np.zeros(len(cost)), bound))
         expected = milp(cost, constraints=LinearConstraint(rows, least, most), bounds=Bounds(0.0, bound)).x
         assert (answer is None) == (expected is None)
         if answer is not None:
@@ -58,7 +58,7 @@ def test_a_module_that_cannot_be_loaded_is_left_to_scipy(tmp_path: Path, monkeyp
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: scipy)
     monkeypatch.delitem(sys.modules, linear_programmes._NAME, raising=False)
     one = np.ones(1)
-    assert minimised(one, np.ones((1, 1)), one, one, one).tolist() == [1.0]
+    assert minimised(one, Entries.of(np.ones((1, 1))), (one, one), (one, one)).tolist() == [1.0]
     assert linear_programmes._NAME not in sys.modules, "SciPy could not load the module any more"
 
 
@@ -66,8 +66,9 @@ def test_scipy_is_not_imported_and_can_be_imported_later() -> None:
     code = """
 import sys
 import numpy as np
-from petmjx.common.linear_programmes import minimised
-print(minimised(np.ones(2), np.ones((1, 2)), np.ones(1), np.ones(1), np.array([0.25, 1.0])))
+from petmjx.common.linear_programmes import Entries, minimised
+bounds = np.zeros(2), np.array([0.25, 1.0])
+print(minimised(np.ones(2), Entries.of(np.ones((1, 2))), (np.ones(1), np.ones(1)), bounds))
 print("scipy.optimize" in sys.modules)
 from scipy.optimize import linprog
 print(linprog([1.0, 2.0], A_ub=[[-1.0, -1.0]], b_ub=[-1.0]).x)

@@ -19,7 +19,7 @@ from petmjx.common.parquet_files import parquet_table
 from petmjx.loop.episode_orders import Orders
 from petmjx.plans.articles import read_articles
 from petmjx.plans.plan_writer import plans_table
-from petmjx.results.run_table_reader import open_part
+from petmjx.results.table_parts import open_part
 
 NAMES = ("plans.parquet", "s3:plans.parquet", "a=1.parquet", os.fsdecode(b"\xff.parquet"))
 

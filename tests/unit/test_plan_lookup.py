@@ -16,9 +16,8 @@ from petmjx.cli import main
 from petmjx.common.errors import InputError
 from petmjx.plans.plan import Plan
 from petmjx.results.plan_digests import plan_digest, records_of
-from petmjx.results.run_table_reader import Parts
 from petmjx.results.stored_plans import kept_plans, placements_table
-from petmjx.results.table_parts import Tables
+from petmjx.results.table_parts import Parts
 
 FIELDS = [name for name in Plan.__slots__ if name != "source"]
 
@@ -55,7 +54,7 @@ def test_what_is_kept_is_what_was_given(tmp_path: Path) -> None:
     known = plans()
     table = placements_table(known)
     assert table is not None
-    parts = Parts(tmp_path, {}).plus(Tables(tmp_path).write("placements", 0, table))
+    parts = Parts(tmp_path, {}).replaced("placements", table)
     plan_by_id = kept_plans(parts, records_of(known), [plan.plan_id for plan in known])
     assert list(plan_by_id) == [plan.plan_id for plan in known]
     for plan in known:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from support.equal_runs import GRID, PLANS, SEARCH, assert_same, tables
@@ -30,10 +31,12 @@ from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
 from petmjx.results.plan_digests import records_of
 from petmjx.results.result_files import write_table
+from petmjx.results.resume import CompletedWorlds
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import load_run
 from petmjx.results.run_writer import RunWriter
 from petmjx.results.schema import schemas
+from petmjx.results.table_parts import MemoryParts
 from petmjx.runs.forked_worlds import Batching
 from petmjx.world.job import Job
 
@@ -96,6 +99,7 @@ def test_what_is_there_is_not_simulated_again(
         simulate(kind, tmp_path / "run", engine=Counting(after), resume=True, **few)
     before = load_run(tmp_path / "run").info
     assert 0 < before["counts"]["worlds"] < len(expected["worlds"])
+    assert load_run(tmp_path / "run").summary is None
     rest = Counting()
     results = simulate(kind, tmp_path / "run", engine=rest, resume=True, **few)
     assert_same(results, expected)
@@ -245,6 +249,15 @@ def test_a_column_that_is_missing_is_named(column: str, tmp_path: Path) -> None:
         simulate("score", tmp_path, resume=True)
 
 
+def test_a_world_that_occurs_twice_is_named() -> None:
+    rows = {"plan_id": ["a", "b", "a"], "variant": [0, 1, 0], "verdict": "stable", "reason": "", "attempt": 1}
+    rows |= {"flags": 0, "culprit": None, "n_steps": 1}
+    parts = MemoryParts(Path("run"), {})
+    parts.write("worlds", 0, pa.Table.from_pandas(pd.DataFrame(rows)))
+    with pytest.raises(petmjx.InputError, match="run: has variant 0 of plan a more than once"):
+        CompletedWorlds(parts)
+
+
 def test_a_run_that_does_not_say_what_it_is_of_cannot_be_resumed(tmp_path: Path) -> None:
     with RunWriter(tmp_path, {}):
         pass
@@ -296,15 +309,15 @@ def test_shares_are_fixed_and_about_equal() -> None:
 @pytest.mark.usefixtures("without_physics")
 def test_merged_shards_are_the_run_without_shards(kind: str, tmp_path: Path) -> None:
     expected = tables(simulate(kind, tmp_path / "whole"))
-    folders = [tmp_path / f"shard-{number}" for number in (1, 2, 3)]
+    folders = [tmp_path / f"shard-{number}" for number in (1, 2)]
     for number, folder in enumerate(folders, 1):
-        simulate(kind, folder, shard=f"{number}/3")
+        simulate(kind, folder, shard=f"{number}/2")
     merged = petmjx.merge_runs(folders[::-1], tmp_path / "merged")
     assert_same(merged, expected)
     full_run = load_run(tmp_path / "whole")
     assert merged.info["counts"] == full_run.info["counts"]
     assert merged.info["identity"] == full_run.info["identity"]
-    assert [entry["shard"] for entry in merged.info["config"]["shards"]] == ["1/3", "2/3", "3/3"]
+    assert [entry["shard"] for entry in merged.info["config"]["shards"]] == ["1/2", "2/2"]
     for table in expected:
         assert merged.units(table) == full_run.units(table)
     assert_same(simulate(kind, tmp_path / "merged", engine=Counting(0), resume=True), expected)
@@ -312,10 +325,10 @@ def test_merged_shards_are_the_run_without_shards(kind: str, tmp_path: Path) -> 
 
 @pytest.mark.usefixtures("without_physics")
 def test_a_shard_without_plans_is_a_run_without_worlds(tmp_path: Path) -> None:
-    folders = [tmp_path / f"shard-{number}" for number in range(1, 5)]
+    folders = [tmp_path / f"shard-{number}" for number in range(1, 4)]
     for kind in ("score", "grid", "search"):
         for number, folder in enumerate(folders, 1):
-            simulate(kind, folder, shard=f"{number}/4", plans=PLANS[3:5], overwrite=True)
+            simulate(kind, folder, shard=f"{number}/3", plans=PLANS[3:5], overwrite=True)
         assert len(petmjx.merge_runs(folders, tmp_path / "merged", overwrite=True).worlds.plan_id.unique()) == 2
 
 

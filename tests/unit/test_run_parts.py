@@ -23,7 +23,7 @@ from test_results import part_files, write_run
 from petmjx.common.errors import InputError, PetmjxError
 from petmjx.results import result_files, run_writer, table_parts
 from petmjx.results.plan_digests import records_of
-from petmjx.results.run_json_checks import write_run_file
+from petmjx.results.run_json import write_run_file
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import load_run
 from petmjx.results.run_writer import RunWriter
@@ -222,19 +222,19 @@ def test_ctrl_c_while_adding_waits_loses_nothing(tmp_path: Path, monkeypatch: py
 
 def test_ctrl_c_while_a_run_begins_leaves_the_folder_free(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     begun, let_go = threading.Event(), threading.Event()
-    tidy = run_writer.tidy
+    check_run_folder = run_writer.check_run_folder
 
-    def held_up(folder: Path) -> None:
+    def held_up(*arguments: Any) -> None:
         begun.set()
         assert let_go.wait(20)
-        tidy(folder)
+        check_run_folder(*arguments)
 
     def interrupt() -> None:
         begun.wait(20)
         signal.raise_signal(signal.SIGINT)
         let_go.set()
 
-    monkeypatch.setattr(run_writer, "tidy", held_up)
+    monkeypatch.setattr(run_writer, "check_run_folder", held_up)
     threading.Thread(target=interrupt).start()
     with pytest.raises(KeyboardInterrupt):
         write_run(tmp_path)

@@ -1,4 +1,4 @@
-"""Shares and searches: intervals compared with published values, bisections compared with known answers, and EUMOS's
+"""Shares and searches: intervals compared with published values, searches compared with known answers, and EUMOS's
 limits at their edges."""
 
 from __future__ import annotations
@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.typing import ArrayLike
 from support.outcomes import make_boxes, make_outcome
 
 from petmjx.engines.metrics import BoxMetrics
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.results.share_statistics import ALL_PLANS, KEYS, ONE_PLAN, share_standing, wilson_interval
 from petmjx.runs.eumos_limits import eumos_assessment
-from petmjx.runs.level_search import Bisection, Probe, failure_mode
+from petmjx.runs.level_search import LevelSearch, Probe, failure_mode
 
 
 def moved(pos: np.ndarray, max_sway_m: list[float], dropped: bool = False) -> BoxMetrics:
@@ -32,17 +33,13 @@ STANDS = Probe.of(outcome(Verdict.STABLE))
 SLID = Probe.of(outcome(Verdict.UNSTABLE, Reason.SHIFT, culprit=0))
 
 
-def search_with(search: Bisection, survives: Callable[[int, float], bool], backwards: bool = False) -> int:
-    """Run the tests of all items of a search until it ends. Returns the largest number of rounds of tests that an item
-    needed."""
-    rounds = [0]
-    for item in range(len(search.items)):
-        rounds.append(0)
-        while tests := search.next_tests(item):
-            tests = tests[::-1] if backwards else tests
-            search.record(tests, [STANDS if survives(item, search.levels[level]) else SLID for item, level in tests])
-            rounds[-1] += 1
-    return max(rounds)
+def search_with(search: LevelSearch, levels: ArrayLike, survives: Callable[[float], bool]) -> int:
+    """Run the tests of a search until it ends. Returns the number of rounds of tests."""
+    rounds, values = 0, np.asarray(levels)
+    while tests := search.next_levels():
+        search.record({level: STANDS if survives(values[level]) else SLID for level in reversed(tests)})
+        rounds += 1
+    return rounds
 
 
 @pytest.mark.parametrize(
@@ -137,78 +134,59 @@ def test_no_plan_s_id_is_taken_for_all_plans(plan_id: str) -> None:
 
 
 @pytest.mark.parametrize(("sections", "most_rounds"), [(1, 8), (3, 4), (7, 3), (200, 1)])
-def test_bisection_finds_the_level_to_the_tolerance_in_counted_evaluations(sections: int, most_rounds: int) -> None:
+def test_a_search_finds_the_level_to_the_tolerance_in_counted_evaluations(sections: int, most_rounds: int) -> None:
     levels = np.round(np.arange(201) * 0.01, 12)
-    rng = np.random.default_rng(1)
-    limit = np.concatenate([rng.uniform(0.0, 2.0, 40), [0.004, 1.9999, 5.0]])
-    search = Bisection(levels, [STANDS] * len(limit), sections=sections)
-    rounds = search_with(search, lambda item, level: level < limit[item])
-    assert rounds <= most_rounds
-    assert sum(answer.n_tests for answer in search.items) <= len(limit) * most_rounds * sections
-    survived, failed = (
-        np.array([answer(item) for item in range(len(limit))], dtype=float)  # None becomes NaN
-        for answer in (search.largest_survived, search.first_failed)
-    )
-    inside = limit < 2.0
-    assert (survived < limit).all()
-    assert (failed[inside] >= limit[inside]).all()
-    np.testing.assert_allclose(failed[inside] - survived[inside], 0.01)
-    assert survived[-1] == 2.0
-    assert np.isnan(failed[-1])
-    assert [answer.box for answer in search.items] == [0] * 42 + [-1]
-    assert [answer.mode for answer in search.items] == ["slide"] * 42 + [""]
-    assert all(answer.monotone for answer in search.items)
+    for limit in [*np.random.default_rng(1).uniform(0.0, 2.0, 40), 0.004, 1.9999]:
+        search = LevelSearch(201, STANDS, sections, from_zero=True)
+        assert search_with(search, levels, lambda level, limit=limit: level < limit) <= most_rounds
+        assert search.n_tests <= most_rounds * sections
+        assert levels[search.largest_survived] < limit <= levels[search.first_failed]
+        assert search.first_failed == search.largest_survived + 1
+        assert (search.box, search.mode, search.monotone) == (0, "slide", True)
+    search = LevelSearch(201, STANDS, sections, from_zero=True)
+    search_with(search, levels, lambda level: True)
+    assert (search.largest_survived, search.first_failed, search.box, search.mode) == (200, None, -1, "")
 
 
-def test_bisection_leaves_out_what_does_not_stand_at_rest() -> None:
-    search = Bisection([0.0, 0.5, 1.0], [SLID, STANDS])
-    assert [answer.stands_at_rest for answer in search.items] == [False, True]
-    assert search.next_tests(0) == []
-    tests = search.next_tests(1)
-    assert tests == [(1, 1), (1, 2)]
+def test_a_search_leaves_out_what_does_not_stand_at_rest() -> None:
+    fallen, search = (LevelSearch(3, at_rest, from_zero=True) for at_rest in (SLID, STANDS))
+    assert (fallen.stands_at_rest, search.stands_at_rest) == (False, True)
+    assert fallen.next_levels() == []
+    assert (fallen.largest_survived, fallen.first_failed) == (None, None)
+    assert (fallen.box, fallen.mode, fallen.n_tests) == (0, "slide", 0)
+    assert search.next_levels() == [1, 2]
     tilted = make_outcome(5, Verdict.UNSTABLE, Reason.TILT, culprit=4, max_tilt_deg=np.full(5, 30.0))
-    search.record(tests, [Probe.of(tilted), SLID])
-    assert (search.largest_survived(0), search.first_failed(0)) == (None, None)
-    assert (search.items[0].box, search.items[0].mode, search.items[0].n_tests) == (0, "slide", 0)
-    assert (search.largest_survived(1), search.first_failed(1)) == (0.0, 0.5)
-    assert (search.items[1].box, search.items[1].mode) == (4, "tilt")
-    assert search.next_tests(1) == []
+    search.record({1: Probe.of(tilted), 2: SLID})
+    assert (search.largest_survived, search.first_failed) == (0, 1)
+    assert (search.box, search.mode) == (4, "tilt")
+    assert search.next_levels() == []
 
 
-def test_bisection_with_a_lower_bound_above_zero_tests_that_bound() -> None:
-    search = Bisection([0.5, 0.6], [STANDS], sections=5)
-    tests = search.next_tests(0)
-    assert tests == [(0, 0), (0, 1)]
-    search.record(tests, [SLID, SLID])
-    assert (search.largest_survived(0), search.first_failed(0)) == (None, 0.5)
+def test_a_search_with_a_lower_bound_above_zero_tests_that_bound() -> None:
+    search = LevelSearch(2, STANDS, sections=5)
+    assert search.next_levels() == [0, 1]
+    search.record({0: SLID, 1: SLID})
+    assert (search.largest_survived, search.first_failed) == (None, 0)
 
 
 def test_a_survivor_above_a_failure_is_told_and_not_believed() -> None:
-    search = Bisection(np.arange(11) / 10, [STANDS], sections=4)
+    search = LevelSearch(11, STANDS, sections=4, from_zero=True)
     # The pallet jams between 0.55 and 0.9: it survives 0.6 and 0.8 although it fails at 0.4.
-    search_with(search, lambda _, level: level < 0.35 or 0.55 < level < 0.9)
-    assert (search.largest_survived(0), search.first_failed(0)) == (0.3, 0.4)
-    assert not search.items[0].monotone
+    search_with(search, np.arange(11) / 10, lambda level: level < 0.35 or 0.55 < level < 0.9)
+    assert (search.largest_survived, search.first_failed) == (3, 4)
+    assert not search.monotone
 
 
-def test_the_order_of_answers_does_not_matter() -> None:
-    limit = (0.313, 0.777)
-    forwards, backwards = (Bisection(np.arange(101) / 100, [STANDS] * 2, sections=3) for _ in range(2))
-    search_with(forwards, lambda item, level: level < limit[item])
-    search_with(backwards, lambda item, level: level < limit[item], backwards=True)
-    assert forwards.items == backwards.items
-
-
-def test_bisection_reads_outcomes_and_counts_invalid_ones_as_not_survived() -> None:
-    search = Bisection([0.0, 0.1, 0.2, 0.3], [STANDS], sections=3)
+def test_a_search_reads_outcomes_and_counts_invalid_ones_as_not_survived() -> None:
+    search = LevelSearch(4, STANDS, from_zero=True)
     answers = [
         outcome(Verdict.STABLE),
         outcome(Verdict.INVALID, Reason.NONFINITE),
         outcome(Verdict.UNSTABLE, Reason.DROP, culprit=0),
     ]
-    search.record(search.next_tests(0), [Probe.of(answer) for answer in answers])
-    assert (search.largest_survived(0), search.first_failed(0)) == (0.1, 0.2)
-    assert (search.items[0].mode, search.items[0].n_invalid) == ("nonfinite", 1)
+    search.record(dict(zip(search.next_levels(), map(Probe.of, answers), strict=True)))
+    assert (search.largest_survived, search.first_failed) == (1, 2)
+    assert (search.mode, search.n_invalid) == ("nonfinite", 1)
     assert failure_mode(answers[0]) == ""
 
 
@@ -218,9 +196,10 @@ def test_a_search_counts_tests_that_still_moved() -> None:
     row = {"verdict": "stable", "culprit": None, "mode": "", "flags": int(Flag.MOVING | Flag.FORKED)}
     assert Probe.from_row(row).moving
     assert not Probe.from_row(row | {"flags": int(Flag.FORKED)}).moving
-    search = Bisection([0.0, 0.1, 0.2, 0.3], [STANDS], sections=3)
-    search.record(search.next_tests(0), [STANDS, Probe.from_row(row), Probe.of(moving)])
-    assert (search.items[0].n_moving, search.largest_survived(0)) == (2, 0.2)
+    search = LevelSearch(4, STANDS, from_zero=True)
+    search.record({1: STANDS, 2: Probe.from_row(row), 3: Probe.of(moving)})
+    assert (search.n_moving, search.largest_survived) == (2, 2)
+    assert (search.at_survived, search.at_failed) == (Probe.from_row(row), Probe.of(moving))
 
 
 def test_the_mode_is_that_of_the_box_that_went_first() -> None:
@@ -233,16 +212,12 @@ def test_the_mode_is_that_of_the_box_that_went_first() -> None:
     assert failure_mode(outcome(Verdict.UNSTABLE, Reason.TILT)) == "tilt"
 
 
-def test_an_answer_for_each_test_is_asked_for() -> None:
-    search = Bisection([0.0, 0.1], [STANDS])
-    with pytest.raises(ValueError, match="must have the same length"):
-        search.record([(0, 1)], [STANDS, STANDS])
-
-
-def test_bisection_refuses_levels_that_do_not_rise() -> None:
-    for bad in ([], [0.1, 0.1], [0.2, 0.1]):
-        with pytest.raises(ValueError, match="ascending"):
-            Bisection(bad, [STANDS])
+def test_a_search_refuses_what_it_cannot_use() -> None:
+    with pytest.raises(ValueError, match="must have results"):
+        LevelSearch(2, STANDS, from_zero=True).record({0: STANDS})
+    for bad in ((0, 1), (1, 0)):
+        with pytest.raises(ValueError, match="must be ≥ 1"):
+            LevelSearch(bad[0], STANDS, bad[1])
 
 
 HALF = np.array([[0.2, 0.15, 0.25], [0.2, 0.15, 0.25]])

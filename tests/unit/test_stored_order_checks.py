@@ -22,7 +22,7 @@ from petmjx.plans import order_checks
 from petmjx.plans.order_checks import OrderCounts, PlanOrderCounts, check_orders
 from petmjx.results.plan_digests import PlanRecord
 from petmjx.results.run_writer import RunWriter
-from petmjx.results.table_parts import Tables
+from petmjx.results.table_parts import Parts
 
 A, B, C, D = (make_plan(name, boxes) for name, boxes in zip("abcd", (2, 3, 2, 1), strict=True))
 PLANS = [A, B, C, D]
@@ -222,7 +222,7 @@ def test_a_kill_while_orders_are_added_leaves_no_finished_run(
         raise MemoryError
 
     with monkeypatch.context() as patch:
-        patch.setattr(Tables, "write_only", kill)
+        patch.setattr(Parts, "replaced", kill)
         with pytest.raises(MemoryError):
             score(out=out, resume=True, orders=orders)
     assert petmjx.load_run(out).info["status"] == "running"

@@ -103,17 +103,30 @@ COARSE_SEARCH = SEARCH + "tolerance = 0.05\n"
 """A search with fewer tests, for tests of how a search finds its answer."""
 
 
-@pytest.mark.parametrize("text", [MIXED, SEARCH + "tolerance = 0.2\n"], ids=["grid", "search"])
-def test_threads_order_and_batches_change_nothing(text: str, tmp_path: Path) -> None:
-    file = write_sweep(tmp_path, text)
-    plans = [leaning("stands", 2, 90.0), leaning("falls", 2, -380.0)]
-    one = petmjx.sweep(file, plans, engine="mujoco", threads=1)
-    other = petmjx.sweep(
-        file, plans[::-1], engine="mujoco", threads=3, batching=Batching(placements=2, worlds=5, drives=3)
-    )
+@pytest.fixture(scope="module")
+def mixed(tmp_path_factory: pytest.TempPathFactory) -> petmjx.RunResults:
+    """The sweep ``MIXED`` of two plans, on one thread."""
+    file = write_sweep(tmp_path_factory.mktemp("mixed"), MIXED)
+    return petmjx.sweep(file, [leaning("a"), leaning("b", 3)], engine="mujoco", threads=1)
+
+
+def assert_same_in_other_batches(one: petmjx.RunResults, file: Path, plans: list[petmjx.Plan]) -> None:
+    """Check that several threads, another order of plans and small batches change no table of a sweep."""
+    batching = Batching(placements=2, worlds=5, drives=3)
+    other = petmjx.sweep(file, plans[::-1], engine="mujoco", threads=3, batching=batching)
     assert len(one.worlds) >= 18
     for mine, theirs in zip(sorted_tables(one), sorted_tables(other), strict=True):
         pd.testing.assert_frame_equal(mine, theirs, check_exact=True)
+
+
+def test_threads_order_and_batches_change_no_grid(mixed: petmjx.RunResults, tmp_path: Path) -> None:
+    assert_same_in_other_batches(mixed, write_sweep(tmp_path, MIXED), [leaning("a"), leaning("b", 3)])
+
+
+def test_threads_order_and_batches_change_no_search(tmp_path: Path) -> None:
+    file = write_sweep(tmp_path, SEARCH + "tolerance = 0.2\n")
+    plans = [leaning("stands", 2, 90.0), leaning("falls", 2, -380.0)]
+    assert_same_in_other_batches(petmjx.sweep(file, plans, engine="mujoco", threads=1), file, plans)
 
 
 def test_a_collapsed_placement_is_not_shaken_and_worlds_have_parameters(tmp_path: Path) -> None:
@@ -144,8 +157,8 @@ def test_a_collapsed_placement_is_not_shaken_and_worlds_have_parameters(tmp_path
     assert results.units("worlds")["eumos_foot_permanent_m"] == "m"
 
 
-def test_the_summary_has_shares_with_intervals_and_units(tmp_path: Path) -> None:
-    results = petmjx.sweep(write_sweep(tmp_path, MIXED), [leaning("a"), leaning("b", 3)], engine="mujoco")
+def test_the_summary_has_shares_with_intervals_and_units(mixed: petmjx.RunResults) -> None:
+    results = mixed
     assert results.summary is not None
     summary = results.summary.query("scope == 'plan'").set_index(["plan_id", "axis", "value"])
     worlds = results.worlds
@@ -243,8 +256,8 @@ class _OneRun(_Rounds):
 
 
 def test_the_searches_of_a_sweep_do_not_wait_for_one_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An engine that takes a stream makes all tests in one run. Answers and worlds are those of an engine that needs a
-    run for each round of tests."""
+    """An engine that takes a stream makes all placements and tests in one run. Answers and worlds are those of an
+    engine that needs a run for each round of tests."""
     monkeypatch.setattr(WorldRun, "run", end_without_physics)
     plans = [leaning("a"), leaning("b", 2, -100.0)]
     tables = {}
@@ -252,8 +265,8 @@ def test_the_searches_of_a_sweep_do_not_wait_for_one_another(tmp_path: Path, mon
         engine = _OneRun() if streams else _Rounds()
         results = petmjx.sweep(write_sweep(tmp_path, COARSE_SEARCH), plans, engine=engine)
         assert results.summary is not None
-        # one run for the placements; with rounds, also one run for each round of a search
-        assert (engine.runs == 2) == streams
+        # with rounds, there is one run for the placements, and one run for each round of a search
+        assert (engine.runs == 1) == streams
         order = ["plan_id", "variant"]
         tables[streams] = results.worlds.sort_values(order).reset_index(drop=True), results.summary
     assert results.summary.largest_level_g.nunique() > 1

@@ -20,7 +20,7 @@ from petmjx.common.units import MM_PER_M
 from petmjx.plans.plan import Plan
 from petmjx.results.plan_lookup import PlanLookup, find_plans
 from petmjx.results.run_manifest import Manifest
-from petmjx.results.run_reader import RunResults, boxes_of_worlds, is_chain, load_run
+from petmjx.results.run_reader import RunResults, boxes_of_worlds, is_chain, opened_run
 from petmjx.results.share_statistics import ALL_PLANS, share_standing
 from petmjx.runs.chain_legs import AS_IS
 
@@ -215,7 +215,7 @@ def open_runs(folders: Sequence[str | Path | RunResults], plans: Sequence[Path] 
     """
     if not folders:
         raise InputError("no run to report on: name the folders of runs")
-    results = [folder if isinstance(folder, RunResults) else load_run(folder) for folder in folders]
+    results = [opened_run(folder) for folder in folders]
     paths = [run.path.resolve() for run in results]
     for at, path in enumerate(paths):
         if path in paths[:at]:
