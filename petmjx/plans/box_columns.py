@@ -20,7 +20,7 @@ from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
 from petmjx.plans.cell_numbers import cell_number, cell_text
 from petmjx.plans.column_extraction import HALF_EXTENTS, IGNORED, LAST_CELLS, ColumnExtraction
-from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, may_count, word_set, words_of
+from petmjx.plans.column_names import LENGTH_UNITS, may_count, word_set, words_of
 from petmjx.plans.known_forms import BoxSource
 from petmjx.plans.pose_columns import pose_choices
 from petmjx.plans.raw_tables import rows_by_name
@@ -134,13 +134,12 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str], units: str, masses
         weight_index, density_index = (None, extra) if is_density else (extra, None)
     weight, weight_unit = None, ""
     if weight_index is not None:
-        if any(cell not in (None, "", 0, "0", 0.0) for cell in extraction.cells(weight_index)):
-            weight, weight_unit = extraction.numbers(weight_index, MASS_UNITS)
+        weight, weight_unit = extraction.weights(weight_index)
     elif density_index is not None:
         weight, weight_unit = extraction.densities(density_index)
     sequence_index = extraction.first("sequence", "sequence")
     sequence = None
-    if sequence_index is not None and all(cell in (None, "") for cell in extraction.cells(sequence_index)):
+    if sequence_index is not None and extraction.is_empty(sequence_index):
         sequence_index = None
     if sequence_index is not None:
         sequence, _ = extraction.numbers(sequence_index, {"": 1.0})
@@ -254,7 +253,7 @@ def counting_columns(extraction: ColumnExtraction, used: Collection[str]) -> dic
     for index, name in enumerate(extraction.table.header):
         if name in used or not (may_count(name) or extraction.meanings[index] is None):
             continue
-        numbers = [cell_number(cell, extraction.table.decimal) for cell in extraction.cells(index)]
+        numbers = extraction.cell_numbers(index)
         values = np.array([np.nan if number is None or number.unit else number.value for number in numbers])
         with np.errstate(invalid="ignore"):
             columns[name] = np.where(values == np.rint(values), values, np.nan)

@@ -84,7 +84,7 @@ def _has_three_places(source: BoxSource) -> bool:
             kinds.setdefault(meaning.kind, set()).add(meaning.axis)
     placed = kinds.get("position", set()) | kinds.get("low", set())
     zeros_too = placed | (kinds.get("zeros", set()) if placed else set())
-    return "matrix" in kinds or (not table.has_header and bool(table.rows)) or len(zeros_too) >= 3
+    return (not table.has_header and bool(table.rows)) or len(zeros_too) >= 3
 
 
 def _with_articles(sources: Sequence[BoxSource], items: Path | None) -> BoxSource | None:

@@ -15,7 +15,7 @@ from petmjx.common.checked_records import reason
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable
 from petmjx.plans.cell_numbers import cell_number, cell_text
-from petmjx.plans.column_names import LENGTH_UNITS, column_meanings, known_meanings, split_unit, word_set
+from petmjx.plans.column_names import column_meanings, known_meanings, unit_in, word_set
 from petmjx.plans.foreign_formats import sources_of_bytes
 from petmjx.plans.json_reader import unpacked_bytes
 from petmjx.plans.known_forms import PACKINGSOLVER, BoxSource
@@ -100,8 +100,8 @@ def has_named_places(path: Path) -> bool:
         if meaning is not None and meaning.kind in ("position", "low") and not meaning.of_container
     }
     named = zip(boxes.table.header, boxes.meanings, strict=True)
-    n_lengths = sum(meaning is None and split_unit(name)[1] in LENGTH_UNITS for name, meaning in named)
-    return boxes.has_sizes and (len(axes) > 1 or n_lengths > 2 or bool(boxes.kinds & {"positions", "matrix"}))
+    n_lengths = sum(meaning is None and unit_in(name) != "" for name, meaning in named)
+    return boxes.has_sizes and (len(axes) > 1 or n_lengths > 2 or "positions" in boxes.kinds)
 
 
 def _with_items_beside(best: BoxSource, path: Path) -> BoxSource:

@@ -188,7 +188,7 @@ class BoxList:
     @property
     def has_places(self) -> bool:
         """Whether the boxes have coordinates."""
-        return bool(self.kinds & {"position", "positions", "low", "corners", "matrix"})
+        return bool(self.kinds & {"position", "positions", "low", "corners"})
 
     @property
     def has_sizes(self) -> bool:

@@ -21,6 +21,7 @@ from petmjx.plans.column_names import (
     HALF_WORDS,
     LENGTH_UNITS,
     split_unit,
+    unit_in,
     word_set,
     words_of,
 )
@@ -173,8 +174,8 @@ def _all_sizes(extraction: ColumnExtraction, used: Collection[str] = ()) -> Iter
     for columns, axes, placed in _columns_of_sizes(extraction):
         if not any(header[index] in used for index in columns):
             yield _sizes_of(extraction, columns, axes, placed)
-    for index, meaning in enumerate(extraction.meanings):
-        if meaning is not None and meaning.kind == "sizes" and not (meaning.of_container or header[index] in used):
+    for index, meaning in extraction.named("sizes"):
+        if header[index] not in used:
             values, unit = extraction.triples(index)
             first, second, third = meaning.order if len(meaning.order) == 3 else ("0", "1", "2")
             factor, anchor = (2.0, "centre") if meaning.half else (1.0, "")
@@ -250,13 +251,10 @@ def places_in(extraction: ColumnExtraction) -> Places | None:
         return _places_of(extraction, [fixed[axis] for axis in XYZ], "")
     still = _still_columns(extraction)
     by_anchor: dict[str, dict[str, list[int]]] = {}
-    for index, meaning in enumerate(extraction.meanings):
-        if meaning is None or meaning.kind not in ("position", "low") or meaning.of_container:
-            continue
-        if index in still:
-            continue
-        anchor = meaning.anchor or ("corner" if meaning.kind == "low" else "")
-        by_anchor.setdefault(anchor, {}).setdefault(meaning.axis, []).append(index)
+    for index, meaning in extraction.named("position", "low"):
+        if index not in still:
+            anchor = meaning.anchor or ("corner" if meaning.kind == "low" else "")
+            by_anchor.setdefault(anchor, {}).setdefault(meaning.axis, []).append(index)
     by_anchor = {anchor: _on_axes(columns) for anchor, columns in by_anchor.items()}
     bottoms = [
         index for index in by_anchor.get("", {}).get("z", ()) if BASE_WORDS.intersection(words_of(header[index]))
@@ -275,7 +273,7 @@ def places_in(extraction: ColumnExtraction) -> Places | None:
         by_axis |= {axis: [fixed[axis]] for axis in XYZ if axis in fixed}
         if all(axis in by_axis for axis in XYZ):
             indices = next(_same_stems(header, _columns_of_places(header, [by_axis[axis] for axis in XYZ])))
-            words = {meaning.axis for index in indices if (meaning := extraction.meanings[index]) is not None}
+            words = {known.axis for index in indices if (known := extraction.meanings[index]) is not None}
             by_name[anchor] = _places_of(extraction, indices, anchor)._replace(
                 named_up="z" if "height" in words else ""
             )
@@ -284,10 +282,9 @@ def places_in(extraction: ColumnExtraction) -> Places | None:
         return by_name[""]._replace(anchor="corner")
     if by_name:
         return next(iter(by_name.values()))
-    for index, meaning in enumerate(extraction.meanings):
-        if meaning is not None and meaning.kind == "positions":
-            values, unit = extraction.triples(index)
-            return Places(values, unit, meaning.anchor, {"position": header[index]})
+    for index, meaning in extraction.named("positions", of_container=True):
+        values, unit = extraction.triples(index)
+        return Places(values, unit, meaning.anchor, {"position": header[index]})
     # the file may have the far corners and the sizes, but no near corners
     far = {axis: columns[0] for axis, columns in _on_axes(extraction.columns_of("high")).items()}
     if not all(axis in far for axis in XYZ):
@@ -305,13 +302,12 @@ def _still_columns(extraction: ColumnExtraction) -> set[int]:
     header = extraction.table.header
     varying: dict[str, bool] = {}
     columns: dict[str, list[int]] = {}
-    for index, meaning in enumerate(extraction.meanings):
-        if meaning is not None and meaning.kind in ("position", "low") and not meaning.of_container:
-            prefix = header[index].rpartition(".")[0]
-            cells = extraction.cells(index)
-            columns.setdefault(prefix, []).append(index)
-            most = max(map(cells.count, cells[:_COMPARED]), default=0)
-            varying[prefix] = varying.get(prefix, False) or most < _STILL * len(cells)
+    for index in extraction.indices("position", "low"):
+        prefix = header[index].rpartition(".")[0]
+        cells = extraction.cells(index)
+        columns.setdefault(prefix, []).append(index)
+        most = max(map(cells.count, cells[:_COMPARED]), default=0)
+        varying[prefix] = varying.get(prefix, False) or most < _STILL * len(cells)
     if not any(varying.values()):
         return set()
     return {index for prefix, indices in columns.items() if prefix and not varying[prefix] for index in indices}
@@ -356,11 +352,10 @@ def corners_in(extraction: ColumnExtraction) -> Geometry | None:
         columns = {axis: header[index] for axis, index in zip(XYZ, lows, strict=True)}
         columns |= {f"{axis} (far)": header[index] for axis, index in zip(XYZ, highs, strict=True)}
         return _between(extraction, corner, far_corner, unit, highs, [header[index] for index in lows], columns)
-    for index, meaning in enumerate(extraction.meanings):
-        if meaning is not None and meaning.kind == "corners":
-            both, unit = extraction.corners(index)
-            near = ["its near corner"] * 3
-            return _between(extraction, both[:, :3], both[:, 3:], unit, [index] * 3, near, {"corners": header[index]})
+    for index in extraction.indices("corners", of_container=True):
+        both, unit = extraction.corners(index)
+        near = ["its near corner"] * 3
+        return _between(extraction, both[:, :3], both[:, 3:], unit, [index] * 3, near, {"corners": header[index]})
     return None
 
 
@@ -420,8 +415,7 @@ def _eight_corners(extraction: ColumnExtraction) -> Geometry | None:
         f"{axis} of corner {number}": header[names[f"{axis}{number}"]] for number in range(2, 8) for axis in XYZ
     }
     lows, highs = [columns[axis] for axis in XYZ], [names[f"{axis}8"] for axis in XYZ]
-    unit = split_unit(columns["x"])[1]
-    return _between(extraction, low, high, unit if unit in LENGTH_UNITS else "", highs, lows, columns)
+    return _between(extraction, low, high, unit_in(columns["x"]), highs, lows, columns)
 
 
 def _between(
