@@ -39,7 +39,7 @@ from petmjx.plans.size_and_place_columns import (
 )
 from petmjx.plans.turn_columns import Turns, are_two_values, may_be_turns, turns_of
 
-GROSS: Final = word_set("gross brutto bruttogewicht bruttogew bruto brut lordo")
+_GROSS: Final = word_set("gross brutto bruttogewicht bruttogew bruto brut lordo")
 """Words for gross weights, which are preferred to net weights."""
 _SECOND_SIZES: Final = 0.5
 """A table may have several sets of columns for the sizes of boxes. A reading with the sizes of a further set costs this
@@ -239,11 +239,11 @@ _MOMENT: Final = re.compile(rf"\s*(?:{_DATE}(?:[T\s]+{_TIME})?|{_TIME})\s*")
 
 def weight_column(extraction: ColumnExtraction) -> int | None:
     """The column of weights. If several columns have weights, the first column of gross weights is taken; without gross
-    weights, the first column of weights is taken."""
+    weights, the first column of weights is taken. A column that an option names for another role is not taken."""
     if "weight" in extraction.fixed:
         return extraction.fixed["weight"]
-    weights = extraction.indices("weight")
-    gross = (index for index in weights if GROSS.intersection(words_of(extraction.table.header[index])))
+    weights = [index for index in extraction.indices("weight") if index not in extraction.fixed.values()]
+    gross = (index for index in weights if _GROSS.intersection(words_of(extraction.table.header[index])))
     return next(gross, next(iter(weights), None))
 
 

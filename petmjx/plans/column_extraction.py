@@ -57,8 +57,8 @@ ROLES: Final = (
     "length", "width", "height", "depth", "x size", "y size", "z size", "x", "y", "z", "sizes", "position", "weight",
     "rotation", "plan", "sequence", "article", "item_id", HALF_EXTENTS, LAST_CELLS,
 )  # fmt: skip
-"""Roles that the option ``columns`` can assign to a column. ``sizes`` and ``position`` are three numbers in one
-column."""
+"""Roles that the option ``columns`` can assign to a column of a table of boxes. ``sizes`` and ``position`` are three
+numbers in one column."""
 IGNORED: Final = "-"
 """With this text instead of a column's name, a user says that no column has the role."""
 _READ_CELLS: Final = 200
@@ -102,7 +102,15 @@ def _count_rows(numbers: Sequence[float]) -> bool:
 
 
 class ColumnExtraction:
-    """The columns of one source, while their meanings are being determined."""
+    """The columns of one source, while their meanings are being determined.
+
+    Attributes:
+        roles: roles that the option ``columns`` can assign to a column.
+        fixed: role → column that the option ``columns`` assigns to it.
+        ignored: roles that no column has, according to the option ``columns``.
+    """
+
+    roles: tuple[str, ...] = ROLES
 
     def __init__(self, source: BoxSource, chosen: Mapping[str, str], units: str, masses: str) -> None:
         self.source = source
@@ -124,10 +132,12 @@ class ColumnExtraction:
             self.meanings[eulers[0]] = ColumnMeaning("rotation")
         self._mean_by_cells()
         self.fixed: dict[str, int] = {}
+        self.ignored: set[str] = set()
         for role, name in chosen.items():
-            if role not in ROLES:
-                raise InputError(f"columns: unknown {printable_name(role)}; there are {', '.join(ROLES)}")
+            if role not in self.roles:
+                raise InputError(f"columns: unknown {printable_name(role)}; there are {', '.join(self.roles)}")
             if name == IGNORED:
+                self.ignored.add(role)
                 self.meanings = [
                     None if meaning is not None and _role_of(meaning) == role else meaning for meaning in self.meanings
                 ]

@@ -20,14 +20,14 @@ from petmjx.plans.input_conventions import Limits
 
 Kind = Literal[
     "size", "sizes", "position", "positions", "low", "high", "first", "second", "corners", "quaternion", "euler",
-    "weight", "density", "volume", "rotation", "quantity", "layers", "plan", "sequence", "number", "article", "item_id",
-    "group", "row_kind", "strength",
+    "weight", "total weight", "density", "volume", "rotation", "quantity", "layers", "per layer", "plan", "sequence",
+    "number", "article", "item_id", "group", "row_kind", "strength",
 ]  # fmt: skip
 """Meaning of a column. ``sizes`` and ``positions`` are three numbers in one cell. ``low`` and ``high`` are coordinates
 of the corners with the smallest and the largest x, y and z, and ``corners`` are both corners in one cell. ``first`` and
 ``second`` are coordinates with the numbers 1 and 2 ("x1", "x2"), before it is known which corners they describe.
 ``sequence`` is a packing order. ``number`` is a running number, which may be a packing order. ``euler`` is an angle
-about one axis."""
+about one axis. Only tables of items have ``total weight`` and ``per layer`` (``item_columns.ITEM_ROLES``)."""
 
 OWN_COLUMNS: Final = ("length_mm", "width_mm", "height_mm", "weight_kg")
 """petmjx's own names for columns of the sizes and the weight of items. The names contain the units."""
