@@ -154,10 +154,9 @@ def _foreign(path: Path, name: str, reading: OrderReading | None) -> ForeignOrde
         InputError: the file cannot be read as orders.
     """
     from petmjx.common.parquet_files import parquet_table
-    from petmjx.plans.foreign_orders import foreign_orders, frame_orders
+    from petmjx.plans.foreign_orders import foreign_orders, frame_orders, orders_of_plans
     from petmjx.plans.item_columns import TWO_WAYS
     from petmjx.plans.item_units_and_quantities import OrderReading
-    from petmjx.plans.plans_as_orders import orders_of_plans
 
     try:
         data, _ = unpacked_bytes(path)
