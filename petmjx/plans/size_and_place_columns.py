@@ -4,7 +4,7 @@ have no names, by their numbers."""
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final, NamedTuple
@@ -211,26 +211,34 @@ def _columns_of_sizes(extraction: ColumnExtraction) -> Iterator[tuple[tuple[int,
                     yield columns, axes, placed
 
 
-def _sets_of_columns(header: Sequence[str], picked: Sequence[Sequence[int]]) -> Iterator[tuple[int, ...]]:
-    """Yield each set of three columns with sizes. Columns belong to the same set if their names have the same words
-    beside the words for sizes ("product_length" and "product_width"). If no three columns have the same words, but all
-    sizes have equally many columns, the first column of each size form a set, the second column of each size form
-    another set, and so on.
+def _sets_of_columns(header: Sequence[str], picked: Sequence[Sequence[int]]) -> list[tuple[int, ...]]:
+    """Each set of three columns with sizes. Columns belong to the same set if their names have the same words beside
+    the words for sizes ("product_length" and "product_width"). If no three columns have the same words, but all sizes
+    have equally many columns, the first column of each size form a set, the second column of each size form another
+    set, and so on.
 
     Args:
         picked: indices of the columns of each size.
     """
-    if all(len(columns) == 1 for columns in picked):
-        yield tuple(columns[0] for columns in picked)
-        return
-    by_words: dict[tuple[str, ...], dict[int, int]] = {}
+    in_order = list(zip(*picked, strict=True)) if len({*map(len, picked)}) == 1 else []
+    return _alike(header, picked, _words_beside_size) or in_order or _same_stems(header, picked)
+
+
+def _same_stems(header: Sequence[str], picked: Sequence[Sequence[int]]) -> list[tuple[int, ...]]:
+    """Each set of three columns that belong to the same object, such as ``dimensions.length``, ``dimensions.width`` and
+    ``dimensions.height``. If no three columns belong to the same object, the first column of each size."""
+    return _alike(header, picked, _stem) or [tuple(columns[0] for columns in picked)]
+
+
+def _alike(
+    header: Sequence[str], picked: Sequence[Sequence[int]], common_part: Callable[[str], Hashable]
+) -> list[tuple[int, ...]]:
+    """Each set of three columns whose names have the same common part."""
+    sets: dict[Hashable, dict[int, int]] = {}
     for number, columns in enumerate(picked):
         for index in columns:
-            by_words.setdefault(_words_beside_size(header[index]), {}).setdefault(number, index)
-    triples = [tuple(slots.values()) for slots in by_words.values() if len(slots) == len(picked)]
-    if not triples and len({*map(len, picked)}) == 1:
-        triples = list(zip(*picked, strict=True))
-    yield from triples or _same_stems(header, picked)
+            sets.setdefault(common_part(header[index]), {}).setdefault(number, index)
+    return [tuple(columns.values()) for columns in sets.values() if len(columns) == len(picked)]
 
 
 def _words_beside_size(name: str) -> tuple[str, ...]:
@@ -239,6 +247,13 @@ def _words_beside_size(name: str) -> tuple[str, ...]:
     base = split_unit(name)[0]
     words = (word for word in words_of(base.rpartition(".")[2]) if word not in ALL_SIZE_WORDS and not word.isdecimal())
     return (base.rpartition(".")[0], *(word.rstrip("xyz") for word in words))
+
+
+def _stem(name: str) -> str:
+    """The part of a column's name that the columns of one object have in common. It is the name without a digit at its
+    end ("sp_size_1" → "sp_size_"), or else the part before the last dot ("dimensions.length" → "dimensions")."""
+    path, dot, last = name.rpartition(".")
+    return f"{path}{dot}{last[:-1]}" if last[-1:].isdigit() else path
 
 
 def places_in(extraction: ColumnExtraction) -> Places | None:
@@ -272,7 +287,7 @@ def places_in(extraction: ColumnExtraction) -> Places | None:
     for anchor, by_axis in sorted(by_anchor.items(), key=lambda entry: entry[0] == ""):
         by_axis |= {axis: [fixed[axis]] for axis in XYZ if axis in fixed}
         if all(axis in by_axis for axis in XYZ):
-            indices = next(_same_stems(header, _columns_of_places(header, [by_axis[axis] for axis in XYZ])))
+            indices = _same_stems(header, _columns_of_places(header, [by_axis[axis] for axis in XYZ]))[0]
             words = {known.axis for index in indices if (known := extraction.meanings[index]) is not None}
             by_name[anchor] = _places_of(extraction, indices, anchor)._replace(
                 named_up="z" if "height" in words else ""
@@ -476,25 +491,6 @@ def with_last_cells(geometry: Geometry) -> Geometry | None:
 
 def _are_whole(*numbers: FloatArray) -> bool:
     return all(np.array_equal(some, np.rint(some), equal_nan=True) for some in numbers)
-
-
-def _same_stems(header: Sequence[str], picked: Sequence[Sequence[int]]) -> Iterator[tuple[int, ...]]:
-    """Yield each choice of three columns that belong to the same object, such as ``dimensions.length``,
-    ``dimensions.width`` and ``dimensions.height``. If no three columns belong to the same object, yield the first
-    column of each size."""
-    by_stem: dict[str, dict[int, int]] = {}
-    for number, columns in enumerate(picked):
-        for index in columns:
-            by_stem.setdefault(_stem(header[index]), {}).setdefault(number, index)
-    triples = [tuple(slots.values()) for slots in by_stem.values() if len(slots) == len(picked)]
-    yield from triples or [tuple(columns[0] for columns in picked)]
-
-
-def _stem(name: str) -> str:
-    """The part of a column's name that the columns of one object have in common. It is the name without a digit at its
-    end ("sp_size_1" → "sp_size_"), or else the part before the last dot ("dimensions.length" → "dimensions")."""
-    path, dot, last = name.rpartition(".")
-    return f"{path}{dot}{last[:-1]}" if last[-1:].isdigit() else path
 
 
 def _columns_of_places(header: Sequence[str], columns_of_axes: Sequence[Sequence[int]]) -> list[list[int]]:
