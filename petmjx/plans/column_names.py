@@ -634,6 +634,23 @@ def _meaning(name: str) -> ColumnMeaning | None:
 _SHAPES: Final = word_set("primitive primitives shape shapes geometry geometries geom geoms collision collisions")
 """Words for objects whose type or name is that of a shape, not of an article."""
 _ANGLE_UNITS: Final = word_set("deg degree degrees grad rad radian radians")
+_SIZE_ON_AXIS: Final = re.compile(
+    r"(?:[dlsw]|len|dim|size|extent|ext|box|siz)([xyz])|([xyz])(?:len|length|dim|size|extent|width|span)"
+)
+_PLACE_ON_AXIS: Final = re.compile(
+    r"(r|rot|c|p|pos|m|ctr|cen|center|centre|mid|start|min|max|lo|hi|end|t|q|flb|loc|coor|coord|koord)([xyz])"
+    r"|([xyz])(c|pos|min|max|center|centre|mid|start|end|lo|hi|loc|coor|coord|koord)"
+)
+"""A size or a coordinate along an axis, in one word: "dx", "xlen"; "posx", "xmin", "qx"."""
+_MARKS_OF_PLACES: Final[dict[str, tuple[Kind, str]]] = {
+    "q": ("quaternion", ""),
+    **dict.fromkeys(("r", "rot"), ("euler", "")),
+    **dict.fromkeys(("c", "m", "ctr", "cen", "center", "centre", "mid"), ("position", "centre")),
+    **dict.fromkeys(("min", "lo", "start"), ("low", "")),
+    **dict.fromkeys(("max", "hi", "end"), ("high", "")),
+}
+"""What stands beside the letter of the axis in such a word → kind of the column, and anchor. All other marks stand for
+a coordinate of any point."""
 
 
 def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> ColumnMeaning | None:
@@ -656,30 +673,14 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
     if last in ("roll", "pitch"):
         return ColumnMeaning("euler", {"roll": "x", "pitch": "y"}[last])
     axis = next((word for word in reversed(tail) if word in _AXES), None)
-    numbered = next((word for word in reversed(tail) if word in ("1", "2")), None)
-    compact = re.fullmatch(r"([dlsw]|len|dim|size|extent|ext|box|siz)([xyz])", last) or (
-        re.fullmatch(r"([xyz])(len|length|dim|size|extent|width|span)", last)
-    )
-    if compact is not None and not words & _POSITION:
-        letter = compact[2] if compact[2] in _AXES else compact[1]
-        if last[1:] == "w" or last[:-1] == "w":
-            # a name such as "wx" is an angular velocity, not a size
-            return None
-        return ColumnMeaning("size", letter, placed=last[0] in "l" or placed, half=half)
-    point = re.fullmatch(
-        r"(r|rot|c|p|pos|m|ctr|cen|center|centre|mid|start|min|max|lo|hi|end|t|q|flb|loc|coor|coord|koord)([xyz])", last
-    )
-    back = re.fullmatch(r"([xyz])(c|pos|min|max|center|centre|mid|start|end|lo|hi|loc|coor|coord|koord)", last)
-    edge = re.fullmatch(r"([xyz])([012])", "".join(tail[-2:])) if numbered or last == "0" else None
-    mark, letter = (point[1], point[2]) if point else (back[2], back[1]) if back else ("", "")
-    if letter:
-        if mark in ("q", "r", "rot"):
-            return ColumnMeaning("quaternion" if mark == "q" else "euler", letter)
-        if mark in ("c", "m", "ctr", "cen", "center", "centre", "mid"):
-            return ColumnMeaning("position", letter, anchor="centre")
-        return ColumnMeaning(
-            "low" if mark in ("min", "lo", "start") else "high" if mark in ("max", "hi", "end") else "position", letter
-        )
+    if (size := _SIZE_ON_AXIS.fullmatch(last)) is not None and not words & _POSITION:
+        # a name such as "wx" is an angular velocity, not a size
+        is_size, letter = last[0] != "w", size[1] or size[2]
+        return ColumnMeaning("size", letter, placed=last[0] == "l" or placed, half=half) if is_size else None
+    if (place := _PLACE_ON_AXIS.fullmatch(last)) is not None:
+        kind, anchor = _MARKS_OF_PLACES.get(place[1] or place[4], ("position", ""))
+        return ColumnMeaning(kind, place[2] or place[3], anchor=anchor)
+    edge = re.fullmatch(r"([xyz])([012])", "".join(tail[-2:]))
     if edge is not None and not size_word:
         return ColumnMeaning(("low", "first", "second")[int(edge[2])], edge[1])
     if index and int(index) < 6 and (words & _BOUNDS or {"bounding", "box"} <= words):  # a list with two corners
@@ -688,9 +689,8 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
         return ColumnMeaning("quaternion", index or axis or last)
     if axis is None and len(tail) == 1 and last in _AXIS_WORDS:
         return ColumnMeaning("position", _AXIS_WORDS[last])
-    is_dims = bool(words & _DIMENSIONS or context & _DIMENSIONS)
-    if "masse" in words and not of_sharp and not index and axis is None:
-        is_dims = bool((words | context) & (_DIMENSIONS - {"masse"}))
+    may_be_mass = "masse" in words and not of_sharp and not index and axis is None
+    is_dims = bool(everything & (_DIMENSIONS - {"masse"} if may_be_mass else _DIMENSIONS))
     if words & CONTAINER_WORDS and words & {"location", "nr", "no", "id"} and axis is None and not index:
         return None
     is_position = bool(everything & _POSITION) or bool(everything & CENTRE_WORDS and (axis or index))
@@ -707,7 +707,7 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
         if len(tail) == 1 or is_position or everything & (CENTRE_WORDS | _LOW | _HIGH | BASE_WORDS):
             if everything & _HIGH and not everything & {"left"}:
                 return ColumnMeaning("high", axis)
-            kind: Kind = "low" if everything & {"min", "minimum", "low", "lower"} else "position"
+            kind = "low" if everything & {"min", "minimum", "low", "lower"} else "position"
             return ColumnMeaning(kind, axis, anchor=_anchor_of(everything))
         return ColumnMeaning("position", axis) if len(tail) <= 2 and not words & {"bin", "grid"} else None
     if index and is_dims:
