@@ -256,12 +256,8 @@ class _ItemExtraction(ColumnExtraction):
                 self.meanings[index] = ColumnMeaning("article")
 
     def check_pieces(self, quantity: int) -> None:
-        """Refuse a column of quantities that may count pieces instead of boxes.
-
-        Raises:
-            InputError: the name of the column of quantities has no word for boxes, and another column has the number of
-                pieces in each box.
-        """
+        """Refuse a column of quantities that may count pieces instead of boxes: its name has no word for boxes, and
+        another column has the number of pieces in each box."""
         name = self.table.header[quantity]
         if set(words_of(name)) & _BOXES:
             return
@@ -377,15 +373,8 @@ class _ItemExtraction(ColumnExtraction):
         return texts
 
     def _check_single(self, columns: Mapping[str, str]) -> None:
-        """Refuse a table with two different columns for a size, such as the size of a carton and the size of its
-        content.
-
-        Args:
-            columns: role → name of the chosen column.
-
-        Raises:
-            InputError: two columns are possible, and no option names the right one.
-        """
+        """Refuse a table with another column for one of the sizes in ``columns`` (role → name), such as the size of the
+        content of a carton, unless an option names the right one."""
         for role, name in columns.items():
             index = self.table.header.index(name)
             meaning = self.meanings[index]

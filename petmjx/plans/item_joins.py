@@ -152,13 +152,8 @@ def _with_weights_of(best: BoxSource, items: BoxSource) -> BoxSource | None:
 def _with_columns(
     best: BoxSource, other: RawTable, rows: Sequence[int | None], added: Sequence[int], note: str
 ) -> BoxSource:
-    """The boxes ``best``, with additional columns from a table of items.
-
-    Args:
-        other: the table of items.
-        rows: for each box, the row of its item in ``other``; None: the box has no item.
-        added: indices of the columns of ``other`` that are added.
-    """
+    """The boxes, with the columns ``added`` of a table of items. For each box, ``rows`` has the row of its item; None:
+    the box has no item."""
 
     def cell(row: int, index: int) -> Any:
         number = cell_number(other.rows[row][index], ",") if other.decimal == "," else None
@@ -176,11 +171,8 @@ def _with_columns(
 
 
 def _sorted_sizes(table: RawTable, names: Sequence[str] = ()) -> list[list[float]]:
-    """For each row, the numbers in columns of sizes, in ascending order.
-
-    Args:
-        names: names of the columns that are used, in capital letters; empty: all columns with sizes are used.
-    """
+    """For each row, the numbers in the columns with these names (in capital letters; without names, in all columns of
+    sizes), in ascending order."""
     sizes = {name for name, meaning in known_meanings(table.header).items() if meaning.kind == "size"}
     indices = [k for k, name in enumerate(table.header) if (name.upper() in names if names else name in sizes)]
     numbers = [[cell_number(row[index], table.decimal) for index in indices] for row in table.rows]
@@ -188,13 +180,7 @@ def _sorted_sizes(table: RawTable, names: Sequence[str] = ()) -> list[list[float
 
 
 def _agree(rows: Sequence[int | None], one: Sequence[Sequence[float]], two: Sequence[Sequence[float]]) -> bool:
-    """Whether nearly all boxes have the sizes of their items.
-
-    Args:
-        rows: for each box, the row of its item; None: the box has no item.
-        one: sizes of each box.
-        two: sizes of each item.
-    """
+    """Whether nearly all boxes (sizes ``one``) have the sizes of their items (``two``)."""
     pairs = [(one[row], two[item]) for row, item in enumerate(rows) if item is not None]
     alike = sum(len(a) == len(b) and bool(np.allclose(a, b)) for a, b in pairs)
     return alike >= _LEAST_MATCHED_SHARE * max(len(rows), 1)

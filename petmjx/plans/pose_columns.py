@@ -191,11 +191,7 @@ def _frames(extraction: ColumnExtraction) -> list[_Rotations]:
 
 def _turned(extraction: ColumnExtraction, geometry: Geometry, rotation: FloatArray, index: int) -> Geometry:
     """The geometry with the rotations of its boxes (``Geometry.turn``). Boxes whose rotation is not a multiple of right
-    angles are refused.
-
-    Args:
-        index: index of the column that errors name.
-    """
+    angles are refused; their errors name the column ``index``."""
     for row in np.flatnonzero(tilt(rotation) > _LEVEL):
         cosine = np.abs(rotation[row]).max(axis=1)
         degrees = np.degrees(np.arccos(np.clip(cosine.min(), 0, 1)))

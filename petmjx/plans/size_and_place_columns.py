@@ -165,11 +165,8 @@ def _are_equal(one: Sizes, other: Sizes) -> bool:
 
 
 def _all_sizes(extraction: ColumnExtraction, used: Collection[str] = ()) -> Iterator[Sizes]:
-    """Yield the sizes of each set of three columns, then those of each column with three sizes per cell.
-
-    Args:
-        used: names of columns; sets with one of these columns are left out. The names may change between two sets.
-    """
+    """Yield the sizes of each set of three columns, then those of each column with three sizes per cell. Sets with a
+    column in ``used`` are left out. ``used`` may change between two sets."""
     header = extraction.table.header
     for columns, axes, placed in _columns_of_sizes(extraction):
         if not any(header[index] in used for index in columns):
@@ -212,14 +209,10 @@ def _columns_of_sizes(extraction: ColumnExtraction) -> Iterator[tuple[tuple[int,
 
 
 def _sets_of_columns(header: Sequence[str], picked: Sequence[Sequence[int]]) -> list[tuple[int, ...]]:
-    """Each set of three columns with sizes. Columns belong to the same set if their names have the same words beside
-    the words for sizes ("product_length" and "product_width"). If no three columns have the same words, but all sizes
-    have equally many columns, the first column of each size form a set, the second column of each size form another
-    set, and so on.
-
-    Args:
-        picked: indices of the columns of each size.
-    """
+    """Each set of three columns with sizes, from the columns of each size. Columns belong to the same set if their
+    names have the same words beside the words for sizes ("product_length" and "product_width"). If no three columns
+    have the same words, but all sizes have equally many columns, the first column of each size form a set, the second
+    column of each size form another set, and so on."""
     in_order = list(zip(*picked, strict=True)) if len({*map(len, picked)}) == 1 else []
     return _alike(header, picked, _words_beside_size) or in_order or _same_stems(header, picked)
 

@@ -374,11 +374,7 @@ def _mostly_numbers(row: Sequence[Any]) -> bool:
 def _without_header(
     rows: Sequence[tuple[Any, ...]], begin: int, title: str, lost: tuple[tuple[str, str], ...]
 ) -> RawTable:
-    """Make a table from rows of numbers that have no column names.
-
-    Raises:
-        InputError: the rows do not make such a table.
-    """
+    """Make a table from rows of numbers that have no column names. Other rows are refused."""
     used = [(index, row) for index, row in enumerate(rows) if any(cell is not None for cell in row)]
     widths = Counter(len(row) for _, row in used)
     width = widths.most_common(1)[0][0] if widths else 0
