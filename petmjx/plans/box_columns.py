@@ -106,30 +106,15 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str], units: str, masses
     """
     extraction = ColumnExtraction(source, chosen, units, masses)
     turns = None
-    geometries = pose_choices(extraction) if source.boxes.table.has_header else array_choices(extraction)
-    if source.boxes.table.has_header and not geometries:
-        places, sizes = places_in(extraction), sizes_in(extraction)
-        geometry = corners_in(extraction) if places is None or sizes is None else _geometry_of(sizes, places)
-        geometries = [] if geometry is None else [geometry]
-        if places is not None and sizes is not None:
-            further = other_sizes_in(extraction, sizes)
-            geometries += [replace(_geometry_of(other, places), prior=_SECOND_SIZES) for other in further]
-        turns = rotations_in(extraction)
-    chosen_half = chosen.get(HALF_EXTENTS, "")
-    for other_way in (partial(with_half_extents, chosen=chosen_half), with_last_cells):
-        geometries += [other for geometry in geometries if (other := other_way(geometry)) is not None]
-    for role in (HALF_EXTENTS, LAST_CELLS):
-        if role in chosen:
-            is_wanted = chosen[role] != IGNORED
-            fitting = [geometry for geometry in geometries if (role in geometry.columns) == is_wanted]
-            are_known = role == HALF_EXTENTS and any(meaning and meaning.half for meaning in extraction.meanings)
-            if is_wanted and geometries and not (fitting or are_known):
-                raise InputError(f"{printable_name(chosen[role])} cannot hold {role}")
-            geometries = fitting or geometries
-    geometries = [geometry for geometry in geometries if (geometry.size > 0).all(axis=1).any()] or geometries
-    weight_index = weight_column(extraction)
-    density_index = extraction.first("density") if weight_index is None else None
-    if not source.boxes.table.has_header:
+    if source.boxes.table.has_header:
+        geometries = pose_choices(extraction)
+        if not geometries:
+            geometries, turns = _geometries_of_names(extraction), rotations_in(extraction)
+        geometries = _with_other_ways(extraction, geometries, chosen)
+        weight_index = weight_column(extraction)
+        density_index = extraction.first("density") if weight_index is None else None
+    else:
+        geometries = _with_other_ways(extraction, array_choices(extraction), chosen)
         turns, extra, is_density = array_extras(extraction, geometries)
         weight_index, density_index = (None, extra) if is_density else (extra, None)
     weight, weight_unit = None, ""
@@ -204,6 +189,38 @@ def _leave_blank(extraction: ColumnExtraction, index: int, plan: Sequence[str] |
             for row in rows.tolist():
                 if extraction.faults.get(row, ("", ""))[0] == extraction.table.header[index]:
                     del extraction.faults[row]
+
+
+def _geometries_of_names(extraction: ColumnExtraction) -> list[Geometry]:
+    """The possible sizes and places in columns without poses, according to their names."""
+    places, sizes = places_in(extraction), sizes_in(extraction)
+    if places is None or sizes is None:
+        corners = corners_in(extraction)
+        return [] if corners is None else [corners]
+    further = other_sizes_in(extraction, sizes)
+    return [
+        _geometry_of(sizes, places),
+        *(replace(_geometry_of(other, places), prior=_SECOND_SIZES) for other in further),
+    ]
+
+
+def _with_other_ways(
+    extraction: ColumnExtraction, geometries: Sequence[Geometry], chosen: Mapping[str, str]
+) -> list[Geometry]:
+    """The geometries, and the same columns read as half extents or as first and last cells, as far as options allow.
+    If at least one geometry has a box with three positive sizes, geometries without such a box are left out."""
+    ways = [*geometries]
+    for other_way in (partial(with_half_extents, chosen=chosen.get(HALF_EXTENTS, "")), with_last_cells):
+        ways += [other for geometry in ways if (other := other_way(geometry)) is not None]
+    for role in (HALF_EXTENTS, LAST_CELLS):
+        if role in chosen:
+            is_wanted = chosen[role] != IGNORED
+            fitting = [geometry for geometry in ways if (role in geometry.columns) == is_wanted]
+            are_known = role == HALF_EXTENTS and any(meaning and meaning.half for meaning in extraction.meanings)
+            if is_wanted and ways and not (fitting or are_known):
+                raise InputError(f"{printable_name(chosen[role])} cannot hold {role}")
+            ways = fitting or ways
+    return [geometry for geometry in ways if (geometry.size > 0).all(axis=1).any()] or ways
 
 
 def _geometry_of(sizes: Sizes, places: Places) -> Geometry:
