@@ -247,7 +247,7 @@ class ColumnExtraction:
         return {meaning.kind for meaning in self.meanings if meaning is not None}
 
     def cells(self, index: int) -> list[Any]:
-        return [row[index] for row in self.table.rows]
+        return self.table.cells(index)
 
     def is_empty(self, index: int) -> bool:
         return all(cell in (None, "") for cell in self.cells(index))

@@ -204,7 +204,7 @@ def _naming_columns(table: RawTable) -> list[int]:
         index
         for index, meaning in enumerate(column_meanings(table.header))
         if (meaning is None or meaning.kind not in _MEASURES)
-        and (len(running) < 2 or [cell_text(row[index]) for row in table.rows] != running)
+        and (len(running) < 2 or [*map(cell_text, table.cells(index))] != running)
     ]
 
 
@@ -215,15 +215,16 @@ def _rows_by_name(table: RawTable, other: RawTable) -> list[int | None] | None:
     box_columns = _naming_columns(table)
     for item_column in _naming_columns(other):
         names: dict[str, int] = {}
-        for number, row in enumerate(other.rows):
-            names.setdefault(cell_text(row[item_column]), number)
+        for number, cell in enumerate(other.cells(item_column)):
+            names.setdefault(cell_text(cell), number)
         names.pop("", None)
         if len(names) < len(other.rows):
             continue
         for box_column in box_columns:
-            rows = [names.get(cell_text(row[box_column])) for row in table.rows]
+            texts = [*map(cell_text, table.cells(box_column))]
+            rows = [*map(names.get, texts)]
             matched = sum(row is not None for row in rows)
-            text = any(not cell_text(row[box_column]).replace(".", "").isdigit() for row in table.rows[:5])
-            if matched + 0.5 * text > most:
-                best, most = rows, matched + 0.5 * text
+            are_words = any(not text.replace(".", "").isdigit() for text in texts[:5])
+            if matched + 0.5 * are_words > most:
+                best, most = rows, matched + 0.5 * are_words
     return best

@@ -49,16 +49,13 @@ class RawTable:
     has_header: bool = True
     part: str = ""
 
-    def column(self, name: str) -> list[Any]:
-        """The cells of a column.
-
-        Raises:
-            KeyError: the table has no such column.
-        """
-        if name not in self.header:
-            raise KeyError(name)
-        index = self.header.index(name)
+    def cells(self, index: int) -> list[Any]:
+        """The cells of the column with an index."""
         return [row[index] for row in self.rows]
+
+    def column(self, name: str) -> list[Any]:
+        """The cells of the column with a name."""
+        return self.cells(self.header.index(name))
 
 
 def united(tables: Sequence[RawTable]) -> RawTable:

@@ -220,30 +220,11 @@ missing values, is no such line."""
 
 
 def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
-    """Fields separated by white space. If there is a line of dashes, the dashes show where columns are, so a cell may
-    be empty. Without a line of dashes, fields are separated by two or more spaces, or by one or more, whichever gives
-    more rows with equally many fields.
-    """
-    rule = next((index for index, line in enumerate(lines) if _RULE.match(line)), None)
-    if rule is not None:
-        spans = [match.span() for match in re.finditer(r"[-=_]+", lines[rule])]
-        above = next((count for count in range(rule) if not lines[rule - 1 - count].strip()), rule)
-        head = rule - (above if above <= _MOST_HEADER_LINES else 1)
-        for index, line in enumerate(lines):
-            if _RULE.match(line):
-                yield []
-            elif index < head:
-                yield line.split()
-            elif index > rule and line not in lines[head:rule] and _is_sentence(line, spans):
-                yield [" ".join(line.split())]
-            else:
-                ends = [*(begin for begin, _ in spans[1:]), None]
-                starts = [0, *(begin for begin, _ in spans[1:])]
-                cells = [line[start:end].strip() for start, end in zip(starts, ends, strict=True)]
-                moved = any(re.search(r"\d\s+\d", cell) for cell in cells) or any(
-                    re.match(r"[\d.,]{2}", line[begin - 1 : begin + 1]) for begin in starts[1:]
-                )
-                yield line.split() if moved else cells if line.strip() else []
+    """Fields separated by white space. If there is a line of dashes, the dashes show where columns are. Without a line
+    of dashes, fields are separated by two or more spaces, or by one or more, whichever gives more rows with equally
+    many fields."""
+    if (rule := next((index for index, line in enumerate(lines) if _RULE.match(line)), None)) is not None:
+        yield from _ruled_fields(lines, rule)
         return
     ways = [[re.split(r"\s{2,}|\t", line.strip()) for line in lines], [line.split() for line in lines]]
 
@@ -269,6 +250,28 @@ def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
         if len(rows[index]) < len(rows[index - 1]) and all(map(is_unit_cell, rows[index])):
             rows[index] = _below_names(rows[index], lines[index], rows[index - 1], lines[index - 1])
     yield from rows
+
+
+def _ruled_fields(lines: Sequence[str], rule: int) -> Iterator[list[str]]:
+    """Fields in the columns that the line of dashes with the number ``rule`` shows. A cell may be empty. A line whose
+    numbers lie across the columns is divided at its white space."""
+    spans = [match.span() for match in re.finditer(r"[-=_]+", lines[rule])]
+    above = next((count for count in range(rule) if not lines[rule - 1 - count].strip()), rule)
+    head = rule - (above if above <= _MOST_HEADER_LINES else 1)
+    begins = [begin for begin, _ in spans[1:]]
+    for index, line in enumerate(lines):
+        if _RULE.match(line):
+            yield []
+        elif index < head:
+            yield line.split()
+        elif index > rule and line not in lines[head:rule] and _is_sentence(line, spans):
+            yield [" ".join(line.split())]
+        else:
+            cells = [line[begin:end].strip() for begin, end in zip([0, *begins], [*begins, None], strict=True)]
+            is_across = any(re.search(r"\d\s+\d", cell) for cell in cells) or any(
+                re.match(r"[\d.,]{2}", line[begin - 1 : begin + 1]) for begin in begins
+            )
+            yield line.split() if is_across else cells if line.strip() else []
 
 
 def _is_sentence(line: str, spans: Sequence[tuple[int, int]]) -> bool:
