@@ -46,11 +46,11 @@ from petmjx.plans.plan_fields import COM_FIELDS, LARGEST_MM, SPARSE, com_along_a
 
 _KEYS: Final = ("article", "product_group")
 _STIFFNESS: Final = "stiffness_n_mm"
-_SIMPLE: Final = "strength_n"
+_STRENGTH: Final = "strength_n"
 _BOARD: Final = ("ect_kn_m", "thickness_mm", "safety_factor")
 _MATERIAL: Final = "material"
 _NUMBERS: Final = {
-    _SIMPLE: SPARSE[_SIMPLE][:2],
+    _STRENGTH: SPARSE[_STRENGTH][:2],
     "ect_kn_m": (0.0, 1e3),
     "thickness_mm": (0.0, 100.0),
     "safety_factor": (1.0, 1e3),
@@ -219,12 +219,12 @@ def _article(where: str, row: Mapping[str, Any]) -> tuple[str, str, Article]:
 
 def _strength(where: str, numbers: Mapping[str, float]) -> CartonStrength:
     board = [field for field in _BOARD if field not in numbers]
-    if _SIMPLE in numbers and any(field in numbers for field in _BOARD[:2]):
-        raise InputError(f"{where}: give either {_SIMPLE}, or {joined_names(_BOARD)}")
-    if _SIMPLE not in numbers and board:
+    if _STRENGTH in numbers and any(field in numbers for field in _BOARD[:2]):
+        raise InputError(f"{where}: give either {_STRENGTH}, or {joined_names(_BOARD)}")
+    if _STRENGTH not in numbers and board:
         verb = "is" if len(board) == 1 else "are"
         raise InputError(
-            f"{where}: needs {_SIMPLE}, or {joined_names(_BOARD)}; of these {joined_names(board)} {verb} missing"
+            f"{where}: needs {_STRENGTH}, or {joined_names(_BOARD)}; of these {joined_names(board)} {verb} missing"
         )
     return CartonStrength(**numbers)
 
@@ -262,7 +262,7 @@ def _toml_rows(tables: Mapping[str, Any], name: str) -> Iterator[tuple[str, dict
         for value, row in rows.items():
             location = f"{table}.{printable_name(value)}"
             if not isinstance(row, Mapping):
-                raise InputError(f"{name}: {location} must be a table with {_SIMPLE}, or with {joined_names(_BOARD)}")
+                raise InputError(f"{name}: {location} must be a table with {_STRENGTH}, or with {joined_names(_BOARD)}")
             yield location, {**row, _TOML_TABLES[table]: value}
 
 
@@ -352,7 +352,7 @@ def with_articles(plan: Plan, articles: Articles) -> Plan:
     changes: dict[str, Any] = {}
     numbers = {
         _STIFFNESS: [row.stiffness_n_mm for row in rows],
-        _SIMPLE: [
+        _STRENGTH: [
             None if row.strength is None else row.strength.of_box(*base)
             for row, base in zip(rows, plan.size_mm[:, :2].tolist(), strict=True)
         ],

@@ -29,6 +29,11 @@ of the corners with the smallest and the largest x, y and z, and ``corners`` are
 ``sequence`` is a packing order. ``number`` is a running number, which may be a packing order. ``euler`` is an angle
 about one axis. Only tables of items have ``total weight`` and ``per layer`` (``item_columns.ITEM_ROLES``)."""
 
+PLACE_KINDS: Final = frozenset(("position", "positions", "low", "corners"))
+SIZE_KINDS: Final = frozenset(("size", "sizes", "high", "corners"))
+"""Kinds of columns that give the places of boxes, and their sizes. The corners with the largest coordinates (``high``)
+give sizes together with the places."""
+
 OWN_COLUMNS: Final = ("length_mm", "width_mm", "height_mm", "weight_kg")
 """petmjx's own names for columns of the sizes and the weight of items. The names contain the units."""
 

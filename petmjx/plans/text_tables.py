@@ -86,12 +86,11 @@ def tables_of_text(data: bytes | bytearray) -> list[RawTable]:
     if text.count("\0"):
         raise NoBoxes("is no text")
     if by_table := rows_of_sql(text):
-        tables = [
-            replace(table, title=name, notes=("rows of SQL", *table.notes))
+        return [
+            replace(table, title=name, notes=(*notes, "rows of SQL", *table.notes))
             for name, rows in by_table.items()
             for table in tables_of_rows(rows, begin)
         ]
-        return [replace(table, notes=(*notes, *table.notes)) for table in tables]
     if latex := text_of_latex(text):
         text, delimiter = latex, "&"
     if "│" in text or "┃" in text or "║" in text:
@@ -113,8 +112,7 @@ def tables_of_text(data: bytes | bytearray) -> list[RawTable]:
             lost.append((f"row {len(rows) - 1 + begin}", f"is no box: {printable_name(' '.join(words))}; truncated?"))
             del rows[-1]
     tables = tables_of_rows(rows, begin, lost=lost)
-    comma = any(table.decimal == "," for table in tables)
-    if comma:
+    if any(table.decimal == "," for table in tables):
         notes.append("decimal commas")
     return [replace(table, notes=(*notes, *table.notes)) for table in tables]
 
