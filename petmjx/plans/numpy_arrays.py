@@ -36,6 +36,8 @@ def loaded_array(data: bytes | bytearray, name: str = "") -> Any:
         # versions 2 and 3 differ only in the encoding of the names of fields
         is_first = npy.read_magic(stream) == (1, 0)
         shape, _, dtype = (npy.read_array_header_1_0 if is_first else npy.read_array_header_2_0)(stream)
+        if min(shape, default=0) < 0:
+            raise ValueError("shape")
     except _DAMAGED:
         raise InputError(f"{prefix}is no whole NumPy array: its header cannot be read") from None
     if dtype.hasobject:
