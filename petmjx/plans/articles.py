@@ -1,6 +1,9 @@
 """Tables of articles (``Articles``) from users' files: properties of boxes by article, product group or material.
 
-The properties are material, centre of mass, stiffness and strength (petmjx.plans.carton_strength).
+The properties are material, centre of mass, stiffness and strength. The strength of a carton is measured, or computed
+from the carton's board by McKee's formula: 5.87 · edge crush strength · √(thickness · perimeter) (McKee, Gander,
+Wachuta 1963, "Compression strength formula for corrugated boxes", Paperboard Packaging 48(8)). McKee's formula gives
+the strength of a new box in a press; the strength in use is this strength divided by a safety factor.
 """
 
 from __future__ import annotations
@@ -23,7 +26,6 @@ from petmjx.common.errors import InputError
 from petmjx.common.parquet_files import parquet_rows
 from petmjx.common.text import number_in, printable, printable_name
 from petmjx.common.toml_files import read_toml
-from petmjx.plans.carton_strength import CartonStrength
 from petmjx.plans.file_formats import (
     COMMA_NUMBER,
     CSV_SUFFIXES,
@@ -44,11 +46,11 @@ from petmjx.plans.plan_fields import COM_FIELDS, LARGEST_MM, SPARSE, com_along_a
 
 _KEYS: Final = ("article", "product_group")
 _STIFFNESS: Final = "stiffness_n_mm"
-_SIMPLE: Final = "strength_n"
+_STRENGTH: Final = "strength_n"
 _BOARD: Final = ("ect_kn_m", "thickness_mm", "safety_factor")
 _MATERIAL: Final = "material"
 _NUMBERS: Final = {
-    _SIMPLE: SPARSE[_SIMPLE][:2],
+    _STRENGTH: SPARSE[_STRENGTH][:2],
     "ect_kn_m": (0.0, 1e3),
     "thickness_mm": (0.0, 100.0),
     "safety_factor": (1.0, 1e3),
@@ -66,6 +68,36 @@ MOST_ARTICLES: Final = 1_000_000
 
 _COMMA_NUMBER: Final = re.compile(COMMA_NUMBER)
 _TOML_TABLES: Final = {"articles": "article", "product_groups": "product_group", "materials": _MATERIAL}
+
+
+MCKEE: Final = 5.87
+"""Factor of McKee's formula in its simple form, without a unit."""
+
+
+@dataclass(frozen=True)
+class CartonStrength:
+    """The strength that one row of a table of articles gives: in newtons, or through properties of the cartons' board.
+
+    Attributes:
+        strength_n: strength, N. If ``strength_n`` is None, the strength is computed from the board by McKee's formula.
+        ect_kn_m: edge crush strength of the board, kN/m.
+        thickness_mm: thickness of the board, mm.
+        safety_factor: divisor of the strength. If ``safety_factor`` is None, the strength is not divided.
+    """
+
+    strength_n: float | None = None
+    ect_kn_m: float | None = None
+    thickness_mm: float | None = None
+    safety_factor: float | None = None
+
+    def of_box(self, length_mm: float, width_mm: float) -> float:
+        """The largest load that a box with a base of ``length_mm`` × ``width_mm`` can bear, N."""
+        strength = self.strength_n
+        if strength is None:
+            perimeter_mm = 2 * (length_mm + width_mm)
+            # kN/m is N/mm
+            strength = MCKEE * (self.ect_kn_m or 0.0) * math.sqrt((self.thickness_mm or 0.0) * perimeter_mm)
+        return strength / (self.safety_factor or 1.0)
 
 
 @dataclass(frozen=True)
@@ -187,12 +219,12 @@ def _article(where: str, row: Mapping[str, Any]) -> tuple[str, str, Article]:
 
 def _strength(where: str, numbers: Mapping[str, float]) -> CartonStrength:
     board = [field for field in _BOARD if field not in numbers]
-    if _SIMPLE in numbers and any(field in numbers for field in _BOARD[:2]):
-        raise InputError(f"{where}: give either {_SIMPLE}, or {joined_names(_BOARD)}")
-    if _SIMPLE not in numbers and board:
+    if _STRENGTH in numbers and any(field in numbers for field in _BOARD[:2]):
+        raise InputError(f"{where}: give either {_STRENGTH}, or {joined_names(_BOARD)}")
+    if _STRENGTH not in numbers and board:
         verb = "is" if len(board) == 1 else "are"
         raise InputError(
-            f"{where}: needs {_SIMPLE}, or {joined_names(_BOARD)}; of these {joined_names(board)} {verb} missing"
+            f"{where}: needs {_STRENGTH}, or {joined_names(_BOARD)}; of these {joined_names(board)} {verb} missing"
         )
     return CartonStrength(**numbers)
 
@@ -230,7 +262,7 @@ def _toml_rows(tables: Mapping[str, Any], name: str) -> Iterator[tuple[str, dict
         for value, row in rows.items():
             location = f"{table}.{printable_name(value)}"
             if not isinstance(row, Mapping):
-                raise InputError(f"{name}: {location} must be a table with {_SIMPLE}, or with {joined_names(_BOARD)}")
+                raise InputError(f"{name}: {location} must be a table with {_STRENGTH}, or with {joined_names(_BOARD)}")
             yield location, {**row, _TOML_TABLES[table]: value}
 
 
@@ -320,7 +352,7 @@ def with_articles(plan: Plan, articles: Articles) -> Plan:
     changes: dict[str, Any] = {}
     numbers = {
         _STIFFNESS: [row.stiffness_n_mm for row in rows],
-        _SIMPLE: [
+        _STRENGTH: [
             None if row.strength is None else row.strength.of_box(*base)
             for row, base in zip(rows, plan.size_mm[:, :2].tolist(), strict=True)
         ],

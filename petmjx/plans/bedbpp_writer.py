@@ -93,12 +93,7 @@ def _write_entries(
     what: str,
     progress: Callable[[int], None] | None = None,
 ) -> None:
-    """Write a JSON object of named values.
-
-    Args:
-        text_of: function that returns the JSON text of a value.
-        what: "plan" or "order", for errors.
-    """
+    """Write a JSON object of named values; ``text_of`` gives the JSON text of a value, and errors call it ``what``."""
     path = path_of(path, "path")
     coming = iter(entries)
     first = next(coming, None)

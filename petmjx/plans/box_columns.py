@@ -20,7 +20,7 @@ from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
 from petmjx.plans.cell_numbers import cell_number, cell_text
 from petmjx.plans.column_extraction import HALF_EXTENTS, IGNORED, LAST_CELLS, ColumnExtraction
-from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, may_count, word_set, words_of
+from petmjx.plans.column_names import LENGTH_UNITS, may_count, word_set, words_of
 from petmjx.plans.known_forms import BoxSource
 from petmjx.plans.pose_columns import pose_choices
 from petmjx.plans.raw_tables import rows_by_name
@@ -39,7 +39,7 @@ from petmjx.plans.size_and_place_columns import (
 )
 from petmjx.plans.turn_columns import Turns, are_two_values, may_be_turns, turns_of
 
-GROSS: Final = word_set("gross brutto bruttogewicht bruttogew bruto brut lordo")
+_GROSS: Final = word_set("gross brutto bruttogewicht bruttogew bruto brut lordo")
 """Words for gross weights, which are preferred to net weights."""
 _SECOND_SIZES: Final = 0.5
 """A table may have several sets of columns for the sizes of boxes. A reading with the sizes of a further set costs this
@@ -106,41 +106,25 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str], units: str, masses
     """
     extraction = ColumnExtraction(source, chosen, units, masses)
     turns = None
-    geometries = pose_choices(extraction) if source.boxes.table.has_header else array_choices(extraction)
-    if source.boxes.table.has_header and not geometries:
-        places, sizes = places_in(extraction), sizes_in(extraction)
-        geometry = corners_in(extraction) if places is None or sizes is None else _geometry_of(sizes, places)
-        geometries = [] if geometry is None else [geometry]
-        if places is not None and sizes is not None:
-            further = other_sizes_in(extraction, sizes)
-            geometries += [replace(_geometry_of(other, places), prior=_SECOND_SIZES) for other in further]
-        turns = rotations_in(extraction)
-    chosen_half = chosen.get(HALF_EXTENTS, "")
-    for other_way in (partial(with_half_extents, chosen=chosen_half), with_last_cells):
-        geometries += [other for geometry in geometries if (other := other_way(geometry)) is not None]
-    for role in (HALF_EXTENTS, LAST_CELLS):
-        if role in chosen:
-            is_wanted = chosen[role] != IGNORED
-            fitting = [geometry for geometry in geometries if (role in geometry.columns) == is_wanted]
-            are_known = role == HALF_EXTENTS and any(meaning and meaning.half for meaning in extraction.meanings)
-            if is_wanted and geometries and not (fitting or are_known):
-                raise InputError(f"{printable_name(chosen[role])} cannot hold {role}")
-            geometries = fitting or geometries
-    geometries = [geometry for geometry in geometries if (geometry.size > 0).all(axis=1).any()] or geometries
-    weight_index = weight_column(extraction)
-    density_index = extraction.first("density") if weight_index is None else None
-    if not source.boxes.table.has_header:
+    if source.boxes.table.has_header:
+        geometries = pose_choices(extraction)
+        if not geometries:
+            geometries, turns = _geometries_of_names(extraction), rotations_in(extraction)
+        geometries = _with_other_ways(extraction, geometries, chosen)
+        weight_index = weight_column(extraction)
+        density_index = extraction.first("density") if weight_index is None else None
+    else:
+        geometries = _with_other_ways(extraction, array_choices(extraction), chosen)
         turns, extra, is_density = array_extras(extraction, geometries)
         weight_index, density_index = (None, extra) if is_density else (extra, None)
     weight, weight_unit = None, ""
     if weight_index is not None:
-        if any(cell not in (None, "", 0, "0", 0.0) for cell in extraction.cells(weight_index)):
-            weight, weight_unit = extraction.numbers(weight_index, MASS_UNITS)
+        weight, weight_unit = extraction.weights(weight_index)
     elif density_index is not None:
         weight, weight_unit = extraction.densities(density_index)
     sequence_index = extraction.first("sequence", "sequence")
     sequence = None
-    if sequence_index is not None and all(cell in (None, "") for cell in extraction.cells(sequence_index)):
+    if sequence_index is not None and extraction.is_empty(sequence_index):
         sequence_index = None
     if sequence_index is not None:
         sequence, _ = extraction.numbers(sequence_index, {"": 1.0})
@@ -207,6 +191,38 @@ def _leave_blank(extraction: ColumnExtraction, index: int, plan: Sequence[str] |
                     del extraction.faults[row]
 
 
+def _geometries_of_names(extraction: ColumnExtraction) -> list[Geometry]:
+    """The possible sizes and places in columns without poses, according to their names."""
+    places, sizes = places_in(extraction), sizes_in(extraction)
+    if places is None or sizes is None:
+        corners = corners_in(extraction)
+        return [] if corners is None else [corners]
+    further = other_sizes_in(extraction, sizes)
+    return [
+        _geometry_of(sizes, places),
+        *(replace(_geometry_of(other, places), prior=_SECOND_SIZES) for other in further),
+    ]
+
+
+def _with_other_ways(
+    extraction: ColumnExtraction, geometries: Sequence[Geometry], chosen: Mapping[str, str]
+) -> list[Geometry]:
+    """The geometries, and the same columns read as half extents or as first and last cells, as far as options allow.
+    If at least one geometry has a box with three positive sizes, geometries without such a box are left out."""
+    ways = [*geometries]
+    for other_way in (partial(with_half_extents, chosen=chosen.get(HALF_EXTENTS, "")), with_last_cells):
+        ways += [other for geometry in ways if (other := other_way(geometry)) is not None]
+    for role in (HALF_EXTENTS, LAST_CELLS):
+        if role in chosen:
+            is_wanted = chosen[role] != IGNORED
+            fitting = [geometry for geometry in ways if (role in geometry.columns) == is_wanted]
+            are_known = role == HALF_EXTENTS and any(meaning and meaning.half for meaning in extraction.meanings)
+            if is_wanted and ways and not (fitting or are_known):
+                raise InputError(f"{printable_name(chosen[role])} cannot hold {role}")
+            ways = fitting or ways
+    return [geometry for geometry in ways if (geometry.size > 0).all(axis=1).any()] or ways
+
+
 def _geometry_of(sizes: Sizes, places: Places) -> Geometry:
     """Sizes and places, joined into one ``Geometry``. If their units differ, both are converted to millimetres."""
     size, axes, size_unit, placed, columns, by_sizes, faults = sizes
@@ -240,11 +256,11 @@ _MOMENT: Final = re.compile(rf"\s*(?:{_DATE}(?:[T\s]+{_TIME})?|{_TIME})\s*")
 
 def weight_column(extraction: ColumnExtraction) -> int | None:
     """The column of weights. If several columns have weights, the first column of gross weights is taken; without gross
-    weights, the first column of weights is taken."""
+    weights, the first column of weights is taken. A column that an option names for another role is not taken."""
     if "weight" in extraction.fixed:
         return extraction.fixed["weight"]
-    weights = extraction.indices("weight")
-    gross = (index for index in weights if GROSS.intersection(words_of(extraction.table.header[index])))
+    weights = [index for index in extraction.indices("weight") if index not in extraction.fixed.values()]
+    gross = (index for index in weights if _GROSS.intersection(words_of(extraction.table.header[index])))
     return next(gross, next(iter(weights), None))
 
 
@@ -254,7 +270,7 @@ def counting_columns(extraction: ColumnExtraction, used: Collection[str]) -> dic
     for index, name in enumerate(extraction.table.header):
         if name in used or not (may_count(name) or extraction.meanings[index] is None):
             continue
-        numbers = [cell_number(cell, extraction.table.decimal) for cell in extraction.cells(index)]
+        numbers = extraction.cell_numbers(index)
         values = np.array([np.nan if number is None or number.unit else number.value for number in numbers])
         with np.errstate(invalid="ignore"):
             columns[name] = np.where(values == np.rint(values), values, np.nan)

@@ -104,12 +104,21 @@ def is_number(cell: Any) -> bool:
     return cell_number(cell) is not None or cell_number(cell, ",") is not None
 
 
-_GROUPS_AND_DECIMALS: Final = {
-    mark: re.compile(rf"^[+-]?\d{{1,3}}(?:{re.escape(other)}\d{{3}})+{re.escape(mark)}\d+$")
-    for mark, other in ((",", "."), (".", ","))
-}
-"""Decimal sign → pattern of the numbers that have groups of thousands and this decimal sign: "1.234,5" for ","."""
-_ONLY_GROUPS: Final = {",": re.compile(r"^[+-]?\d{1,3}(?:\.\d{3})+$"), ".": re.compile(r"^[+-]?\d{1,3}(?:,\d{3})+$")}
+def _by_decimal_sign(pattern: str) -> dict[str, re.Pattern[str]]:
+    """Decimal sign → a pattern in which D stands for this sign, and T for the other sign, between thousands."""
+    return {
+        sign: re.compile(pattern.replace("D", re.escape(sign)).replace("T", re.escape(other)))
+        for sign, other in ((",", "."), (".", ","))
+    }
+
+
+_GROUPS_AND_DECIMALS: Final = _by_decimal_sign(r"^[+-]?\d{1,3}(T\d{3})+D\d+$")
+"""Numbers with groups of thousands and decimals: "1.234,5" for ","."""
+_ONLY_GROUPS: Final = _by_decimal_sign(r"^[+-]?\d{1,3}(T\d{3})+$")
+_SURE: Final = _by_decimal_sign(
+    r"^[+-]?(\d{1,3}(T\d{3})+D\d+|0D\d+|D\d+|\d+D(\d{1,2}|\d{4,})|\d{4,}D\d+)(\s*[a-zA-Z]+)?$"
+)
+"""Numbers that certainly have this decimal sign."""
 
 
 def has_groups_with_decimals(rows: Sequence[Sequence[Any]], decimal: str) -> bool:
@@ -212,12 +221,6 @@ def cell_corners(cell: Any, decimal: str = ".") -> tuple[list[CellNumber], list[
     return (triples[0], triples[1]) if len(texts) == len(triples) == 2 else None
 
 
-_COMMA_SURE: Final = re.compile(
-    r"^[+-]?(\d{1,3}(\.\d{3})+,\d+|0,\d+|,\d+|\d+,(\d{1,2}|\d{4,})|\d{4,},\d+)(\s*[a-zA-Z]+)?$"
-)
-_POINT_SURE: Final = re.compile(
-    r"^[+-]?(\d{1,3}(,\d{3})+\.\d+|0\.\d+|\.\d+|\d+\.(\d{1,2}|\d{4,})|\d{4,}\.\d+)(\s*[a-zA-Z]+)?$"
-)
 _MAYBE: Final = re.compile(r"^[+-]?\d{1,3}([.,])\d{3}$")
 
 
@@ -292,20 +295,18 @@ def decimal_of(rows: Sequence[Sequence[Any]]) -> str:
     there are no whole numbers of four or more digits, "1.200" may mean 1200 if its column has whole numbers of three
     digits.
     """
-    commas = points = 0
-    maybe = {",": 0, ".": 0}
+    sure, maybe = {",": 0, ".": 0}, {",": 0, ".": 0}
     long_whole = beside_whole = False
     for column in zip(*rows, strict=False):
         has_groups = grouped = False
         for cell in column:
             if not isinstance(cell, str) or len(cell) >= 40:
                 continue
-            if (triple := _TRIPLE.match(cell)) is not None:
-                commas += any(map(_COMMA_SURE.match, triple.groups()))
-                points += any(map(_POINT_SURE.match, triple.groups()))
+            triple = _TRIPLE.match(cell)
+            for mark, pattern in _SURE.items():
+                sure[mark] += any(map(pattern.match, (cell,) if triple is None else triple.groups()))
+            if triple is not None:
                 continue
-            commas += _COMMA_SURE.match(cell) is not None
-            points += _POINT_SURE.match(cell) is not None
             if (match := _MAYBE.match(cell)) is not None:
                 maybe[match[1]] += 1
                 grouped |= match[1] == "."
@@ -313,8 +314,8 @@ def decimal_of(rows: Sequence[Sequence[Any]]) -> str:
                 long_whole |= len(cell) > 3
                 has_groups |= len(cell) > 2
         beside_whole |= has_groups and grouped
-    if commas or points:
-        return "," if commas > points else "."
+    if any(sure.values()):
+        return "," if sure[","] > sure["."] else "."
     if maybe["."] > _MANY * maybe[","] > 0:
         return "."  # the commas come from a few damaged cells
     if maybe[","]:

@@ -36,6 +36,7 @@ from petmjx.plans.column_names import (
     column_meanings,
     plain_text,
     split_unit,
+    unit_in,
     unknown_density_unit,
     word_set,
     words_of,
@@ -56,8 +57,8 @@ ROLES: Final = (
     "length", "width", "height", "depth", "x size", "y size", "z size", "x", "y", "z", "sizes", "position", "weight",
     "rotation", "plan", "sequence", "article", "item_id", HALF_EXTENTS, LAST_CELLS,
 )  # fmt: skip
-"""Roles that the option ``columns`` can assign to a column. ``sizes`` and ``position`` are three numbers in one
-column."""
+"""Roles that the option ``columns`` can assign to a column of a table of boxes. ``sizes`` and ``position`` are three
+numbers in one column."""
 IGNORED: Final = "-"
 """With this text instead of a column's name, a user says that no column has the role."""
 _READ_CELLS: Final = 200
@@ -79,9 +80,13 @@ another meaning."""
 _ORDER_WORDS: Final = frozenset(("order", "ordre", "orden", "ordine", "ordem"))
 
 
-def _is_other_mass(name: str) -> bool:
-    """Whether the name of a column says that its masses are not the weights of boxes."""
-    words = words_of(name)
+def _names_mass(name: str) -> bool:
+    """Whether the name of a column has a unit of mass. A "t" may be another abbreviation."""
+    return unit_in(name, MASS_UNITS) not in ("", "t")
+
+
+def _is_other_mass(words: Sequence[str]) -> bool:
+    """Whether the words of a column's name say that its masses are not the weights of boxes."""
     return bool(_NO_WEIGHT.intersection(words)) or any(part in word for word in words for part in _BEARS)
 
 
@@ -97,7 +102,15 @@ def _count_rows(numbers: Sequence[float]) -> bool:
 
 
 class ColumnExtraction:
-    """The columns of one source, while their meanings are being determined."""
+    """The columns of one source, while their meanings are being determined.
+
+    Attributes:
+        roles: roles that the option ``columns`` can assign to a column.
+        fixed: role → column that the option ``columns`` assigns to it.
+        ignored: roles that no column has, according to the option ``columns``.
+    """
+
+    roles: tuple[str, ...] = ROLES
 
     def __init__(self, source: BoxSource, chosen: Mapping[str, str], units: str, masses: str) -> None:
         self.source = source
@@ -119,10 +132,12 @@ class ColumnExtraction:
             self.meanings[eulers[0]] = ColumnMeaning("rotation")
         self._mean_by_cells()
         self.fixed: dict[str, int] = {}
+        self.ignored: set[str] = set()
         for role, name in chosen.items():
-            if role not in ROLES:
-                raise InputError(f"columns: unknown {printable_name(role)}; there are {', '.join(ROLES)}")
+            if role not in self.roles:
+                raise InputError(f"columns: unknown {printable_name(role)}; there are {', '.join(self.roles)}")
             if name == IGNORED:
+                self.ignored.add(role)
                 self.meanings = [
                     None if meaning is not None and _role_of(meaning) == role else meaning for meaning in self.meanings
                 ]
@@ -137,8 +152,7 @@ class ColumnExtraction:
         for axis in (*SIZE_WORDS, *XYZ):  # a column chosen for a size is no column of places ("bounds[0]")
             column = self.fixed.get(role_of(axis))
             if column is not None and ((meaning := self.meanings[column]) is None or meaning.kind != "size"):
-                unit = split_unit(self.table.header[column])[1]
-                self.meanings[column] = ColumnMeaning("size", axis, unit if unit in LENGTH_UNITS else "")
+                self.meanings[column] = ColumnMeaning("size", axis, unit_in(self.table.header[column]))
 
     def _mean_by_cells(self) -> None:
         """Determine meanings of columns from their cells.
@@ -154,12 +168,12 @@ class ColumnExtraction:
         self.axis_columns: dict[str, int] = {}  # "x" or "y" → column with the directions of the boxes' x or y axes
         if not self.table.has_header:
             return
-        kinds = {meaning.kind for meaning in self.meanings if meaning is not None}
-        for index, meaning in enumerate(self.meanings):
+        kinds = self.kinds
+        for index, (name, meaning) in enumerate(zip(self.table.header, self.meanings, strict=True)):
             cells = [row[index] for row in self.table.rows[:_READ_CELLS] if row[index] not in (None, "")]
             if not cells:
                 continue
-            words = words_of(self.table.header[index])
+            words = words_of(name)
             if any(isinstance(cell, str) and cell[:1] in "([{" and cell_corners(cell) for cell in cells[:3]) and sum(
                 map(bool, map(cell_corners, cells))
             ) * 2 > len(cells):
@@ -179,9 +193,9 @@ class ColumnExtraction:
                 continue
             if self._has_units(index, cells):
                 self.meanings[index] = None
-                self.unit_columns.append(self.table.header[index])
+                self.unit_columns.append(name)
             elif meaning is not None:
-                of_order = meaning.kind == "sequence" and _ORDER_WORDS.intersection(words_of(self.table.header[index]))
+                of_order = meaning.kind == "sequence" and _ORDER_WORDS.intersection(words)
                 numbers = [number.value for cell in cells if (number := cell_number(cell, self.table.decimal))]
                 texts = map(cell_text, self.cells(index))
                 # pairs of plan and text, since each plan may count from 1
@@ -192,11 +206,10 @@ class ColumnExtraction:
                     self.meanings[index] = ColumnMeaning("number")
             elif (
                 "weight" not in kinds
-                and (all(map(self._is_mass, cells)) or self._names_mass(index, cells))
-                and not _is_other_mass(self.table.header[index])
+                and (all(map(self._is_mass, cells)) or (_names_mass(name) and all(map(is_number, cells))))
+                and not _is_other_mass(words)
             ):
-                unit = split_unit(self.table.header[index])[1]
-                self.meanings[index] = ColumnMeaning("weight", unit=unit if unit in MASS_UNITS else "")
+                self.meanings[index] = ColumnMeaning("weight", unit=unit_in(name, MASS_UNITS))
             elif "rotation" not in kinds and (
                 (len({*map(cell_text, cells)}) > 1 and all(map(letters_of, cells))) or _are_quarter_turns(cells)
             ):
@@ -229,13 +242,19 @@ class ColumnExtraction:
         number = cell_number(cell, self.table.decimal)
         return number is not None and number.unit in MASS_UNITS
 
-    def _names_mass(self, index: int, cells: Sequence[Any]) -> bool:
-        """Whether the name of a column has a unit of mass, and its cells are numbers."""
-        unit = split_unit(self.table.header[index])[1]
-        return unit in MASS_UNITS and unit != "t" and all(is_number(cell) for cell in cells)
+    @property
+    def kinds(self) -> set[str]:
+        return {meaning.kind for meaning in self.meanings if meaning is not None}
 
     def cells(self, index: int) -> list[Any]:
-        return [row[index] for row in self.table.rows]
+        return self.table.cells(index)
+
+    def is_empty(self, index: int) -> bool:
+        return all(cell in (None, "") for cell in self.cells(index))
+
+    def cell_numbers(self, index: int) -> list[CellNumber | None]:
+        """The numbers of a column; None for cells without a number."""
+        return [cell_number(cell, self.table.decimal) for cell in self.cells(index)]
 
     def bad(self, row: int, index: int, text: str) -> None:
         self.faults.setdefault(row, (self.table.header[index], text))
@@ -259,6 +278,13 @@ class ColumnExtraction:
                 rows[row] = (number,)
         values, unit = self._in_one_unit(index, rows, units, 1)
         return values[:, 0], unit
+
+    def weights(self, index: int) -> tuple[FloatArray | None, str]:
+        """(n,) weights of a column, NaN if a cell is bad; None if all cells are empty or 0. The function also returns
+        their unit."""
+        if all(cell in (None, "", 0, "0", 0.0) for cell in self.cells(index)):
+            return None, ""
+        return self.numbers(index, MASS_UNITS)
 
     def densities(self, index: int) -> tuple[FloatArray, str]:
         """(n,) densities of a column, NaN if a cell is bad. The function also returns their unit according to the
@@ -331,8 +357,7 @@ class ColumnExtraction:
         meaning, form = self.meanings[index], self.source.form
         of_name = meaning.unit if meaning is not None and meaning.unit in units else ""
         if not of_name and index in self.fixed.values():  # the meaning of a chosen column may be unknown
-            unit = split_unit(self.table.header[index])[1]
-            of_name = unit if unit in units else ""
+            of_name = unit_in(self.table.header[index], units)
         of_name = of_name or (of_object[0] if of_object else "")
         wish = self.masses if is_mass else self.units
         wish = wish if wish in units else ""
@@ -365,16 +390,14 @@ class ColumnExtraction:
         """Axis → indices of the columns for this axis whose meaning has one of the given kinds. Columns about
         containers are left out."""
         by_axis: dict[str, list[int]] = {}
-        for index, meaning in enumerate(self.meanings):
-            if meaning is not None and meaning.kind in kinds and not meaning.of_container:
-                by_axis.setdefault(meaning.axis, []).append(index)
+        for index, meaning in self.named(*kinds):
+            by_axis.setdefault(meaning.axis, []).append(index)
         return by_axis
 
     def numbers_or_median(self, index: int) -> FloatArray:
         """(n,) numbers of a column. In place of a bad cell, the median of the column is returned; the bad cell is not
         reported here."""
-        numbers = [cell_number(cell, self.table.decimal) for cell in self.cells(index)]
-        values = np.array([np.nan if number is None else number.value for number in numbers])
+        values = np.array([np.nan if number is None else number.value for number in self.cell_numbers(index)])
         with np.errstate(invalid="ignore"):
             return np.where(np.isnan(values), np.nanmedian(values) if np.isfinite(values).any() else 1.0, values)
 
@@ -434,14 +457,18 @@ class ColumnExtraction:
         text = f'{printable_name(column)} must be a whole number ≥ 0, as in all other rows, got "{names[odd[0]]}"'
         raise InputError(f"{self.table.places[odd[0]]}: {text}")
 
-    def indices(self, kind: str, *, of_container: bool = False) -> list[int]:
-        """Indices of the columns with this kind of meaning. Columns about containers are left out unless
-        ``of_container`` is True."""
+    def named(self, *kinds: str, of_container: bool = False) -> list[tuple[int, ColumnMeaning]]:
+        """Index and meaning of each column whose meaning has one of the given kinds. Columns about containers are left
+        out unless ``of_container`` is True."""
         return [
-            index
+            (index, meaning)
             for index, meaning in enumerate(self.meanings)
-            if meaning is not None and meaning.kind == kind and (of_container or not meaning.of_container)
+            if meaning is not None and meaning.kind in kinds and (of_container or not meaning.of_container)
         ]
+
+    def indices(self, *kinds: str, of_container: bool = False) -> list[int]:
+        """Indices of the columns that :meth:`named` returns."""
+        return [index for index, _ in self.named(*kinds, of_container=of_container)]
 
     def first(self, kind: str, role: str = "") -> int | None:
         """The column with the role ``role``, or else the first column whose meaning has the kind ``kind``; None if

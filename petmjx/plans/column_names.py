@@ -20,14 +20,19 @@ from petmjx.plans.input_conventions import Limits
 
 Kind = Literal[
     "size", "sizes", "position", "positions", "low", "high", "first", "second", "corners", "quaternion", "euler",
-    "matrix", "weight", "density", "volume", "rotation", "quantity", "layers", "plan", "sequence", "number", "article",
-    "item_id", "group", "material", "row_kind", "strength",
+    "weight", "total weight", "density", "volume", "rotation", "quantity", "layers", "per layer", "plan", "sequence",
+    "number", "article", "item_id", "group", "row_kind", "strength",
 ]  # fmt: skip
 """Meaning of a column. ``sizes`` and ``positions`` are three numbers in one cell. ``low`` and ``high`` are coordinates
 of the corners with the smallest and the largest x, y and z, and ``corners`` are both corners in one cell. ``first`` and
 ``second`` are coordinates with the numbers 1 and 2 ("x1", "x2"), before it is known which corners they describe.
 ``sequence`` is a packing order. ``number`` is a running number, which may be a packing order. ``euler`` is an angle
-about one axis."""
+about one axis. Only tables of items have ``total weight`` and ``per layer`` (``item_columns.ITEM_ROLES``)."""
+
+PLACE_KINDS: Final = frozenset(("position", "positions", "low", "corners"))
+SIZE_KINDS: Final = frozenset(("size", "sizes", "high", "corners"))
+"""Kinds of columns that give the places of boxes, and their sizes. The corners with the largest coordinates (``high``)
+give sizes together with the places."""
 
 OWN_COLUMNS: Final = ("length_mm", "width_mm", "height_mm", "weight_kg")
 """petmjx's own names for columns of the sizes and the weight of items. The names contain the units."""
@@ -82,15 +87,18 @@ def word_set(text: str) -> frozenset[str]:
 
 
 _SIZES: Final = {
-    "length": "length len lgth lng lengths lange laenge longueur long longitud largo lunghezza lungh lung dlugosc dlug "
-    "dl comprimento lengte lengde uzunluk laeng delka laengde langd pituus hosszusag lungime duljina",
-    "width": "width wid wdth wth widths wide breite breit br largeur larg ancho anchura anch larghezza largh szerokosc "
-    "szer largura breedte genislik sirka bredde bredd leveys szelesseg latime sirina",
-    "height": "height hgt hght heights high hoehe hohe ho hauteur haut alto altura altezza alt wysokosc wys hoogte "
-    "yukseklik vyska hojde hoyde hojd korkeus magassag inaltime visina",
-    "depth": "depth depths deep tiefe profondeur prof profundidad fondo profondita glebokosc gleb diepte derinlik",
+    axis: word_set(words)
+    for axis, words in {
+        "length": "length len lgth lng lengths lange laenge longueur long longitud largo lunghezza lungh lung dlugosc "
+        "dlug dl comprimento lengte lengde uzunluk laeng delka laengde langd pituus hosszusag lungime duljina",
+        "width": "width wid wdth wth widths wide breite breit br largeur larg ancho anchura anch larghezza largh "
+        "szerokosc szer largura breedte genislik sirka bredde bredd leveys szelesseg latime sirina",
+        "height": "height hgt hght heights high hoehe hohe ho hauteur haut alto altura altezza alt wysokosc wys hoogte "
+        "yukseklik vyska hojde hoyde hojd korkeus magassag inaltime visina",
+        "depth": "depth depths deep tiefe profondeur prof profundidad fondo profondita glebokosc gleb diepte derinlik",
+    }.items()
 }
-ALL_SIZE_WORDS: Final = word_set(" ".join(_SIZES.values())) | word_set("l w b h d t x y z lg boy en ht")
+ALL_SIZE_WORDS: Final = frozenset().union(*_SIZES.values()) | word_set("l w b h d t x y z lg boy en ht")
 """Words and letters for sizes and axes."""
 _X, _Y, _Z = ("x", "y", "z")
 _AXES: Final = {_X: 0, _Y: 1, _Z: 2}
@@ -200,7 +208,6 @@ _WORDS: Final[dict[Kind, frozenset[str]]] = {
     ),
     "group": word_set("group productgroup gruppe warengruppe category kategorie categorie categoria"),
     "plan": word_set("plan plans planid load stack batch solution pattern") | CONTAINER_WORDS,
-    "material": word_set("werkstoff"),
     "strength": word_set("loadbear strength maxload tragkraft bearing"),
 }
 _LETTERS: Final[tuple[tuple[tuple[str, ...], tuple[str, ...]], ...]] = (
@@ -314,23 +321,19 @@ _IN_OTHER_SCRIPT: Final = re.compile(
 text, since these scripts put few spaces between words."""
 
 
+_PLAIN_LETTERS: Final = str.maketrans(
+    {"ł": "l", "Ł": "L", "ß": "ss", "µ": "u", "ı": "i", "æ": "ae", "ø": "o", "°": " deg "}
+)
+"""Letters and signs that Unicode does not decompose into a plain letter and an accent → their replacements."""
+
+
 def plain_text(text: str) -> str:
     """Text without accents: "Länge" → "Lange", "długość" → "dlugosc", "Maße" → "Masse". Known words in other scripts
     are translated: "длина" → "length", "x坐标" → "x coordinate"."""
     if not text.isascii():
         # The pattern ignores case. If the lower case of a matched word is not in ``_OTHER_SCRIPTS``, the word is kept.
         text = _IN_OTHER_SCRIPT.sub(lambda match: f" {_OTHER_SCRIPTS.get(match[0].lower(), match[0])} ", text).strip()
-    text = (
-        _NUMBER_SIGN.sub("No ", text)
-        .replace("ł", "l")
-        .replace("Ł", "L")
-        .replace("ß", "ss")
-        .replace("µ", "u")
-        .replace("ı", "i")
-        .replace("æ", "ae")
-        .replace("ø", "o")
-        .replace("°", " deg ")
-    )
+    text = _NUMBER_SIGN.sub("No ", text).translate(_PLAIN_LETTERS)
     return "".join(letter for letter in unicodedata.normalize("NFKD", text) if not unicodedata.combining(letter))
 
 
@@ -370,6 +373,12 @@ def split_unit(name: str) -> tuple[str, str]:
         whole, unit = split_unit(member[1])
         return (whole + member[2], unit) if unit else (name, "")
     return name, ""
+
+
+def unit_in(name: str, units: Mapping[str, float] = LENGTH_UNITS) -> str:
+    """The unit in a name, if it is one of ``units``; else ""."""
+    unit = split_unit(name)[1]
+    return unit if unit in units else ""
 
 
 _QUOTIENT: Final = re.compile(
@@ -458,59 +467,55 @@ def _meanings_of(names: tuple[str, ...]) -> list[ColumnMeaning | None]:
         meanings = [_meaning(_SCALE.sub(" size", name)) for name in names]
     meanings = _with_corners(meanings)
     bases = [split_unit(name.rpartition(".")[2])[0].strip(" .:") for name in names]
+
+    def set_size(column: int, axis: str, *, placed: bool = False, half: bool = False, letter: bool = False) -> None:
+        meanings[column] = ColumnMeaning("size", axis, unit_in(names[column]), placed=placed, half=half, letter=letter)
+
+    def three_columns(pattern: re.Pattern[str]) -> dict[str, int]:
+        """x, y and z → the columns whose names match a pattern with the letter of an axis; empty unless there are
+        three."""
+        columns = {match[1].lower(): index for index, base in enumerate(bases) if (match := pattern.fullmatch(base))}
+        return columns if len(columns) == 3 else {}
+
     named_sides = [_OF_SIDE.sub("", base.lower()).replace("floor", "bottom") for base in bases]
     sides = {side: index for index, side in enumerate(named_sides) if side in _SIDES}
     if sides.keys() >= _NEAR_SIDES:
         for side, column in sides.items():
-            kind, axis = _SIDES[side]
-            unit = split_unit(names[column])[1]
-            meanings[column] = ColumnMeaning(kind, axis, unit if unit in LENGTH_UNITS else "")
-    for number, column, placed in _numbered_sizes(names):
-        unit = split_unit(names[column])[1]
-        meanings[column] = ColumnMeaning("size", number, unit if unit in LENGTH_UNITS else "", placed=placed)
-    halves = {base.lower(): index for index, base in enumerate(bases) if base.lower() in ("hx", "hy", "hz")}
-    if len(halves) == 3:
-        for base, column in halves.items():
-            unit = split_unit(names[column])[1]
-            meanings[column] = ColumnMeaning("size", base[1], unit if unit in LENGTH_UNITS else "", half=True)
-    along = {match[1].lower(): index for index, base in enumerate(bases) if (match := _PLACED_AXIS.fullmatch(base))}
+            meanings[column] = ColumnMeaning(*_SIDES[side], unit_in(names[column]))
+    for number, column, is_placed in _numbered_sizes(names):
+        set_size(column, number, placed=is_placed)
+    for axis, column in three_columns(_HALF_AXIS).items():
+        set_size(column, axis, half=True)
+    along = three_columns(_PLACED_AXIS)
     kinds = {
         meaning.kind
         for index, meaning in enumerate(meanings)
         if meaning and index not in along.values() and not (meaning.kind == "sizes" and bases[index][-1:].isdigit())
     }
-    if len(along) == 3 and "position" in kinds and not kinds & {"size", "sizes", "high"}:
+    if "position" in kinds and not kinds & {"size", "sizes", "high"}:
         for axis, column in along.items():
-            meanings[column] = ColumnMeaning("size", axis, split_unit(names[column])[1], placed=True)
-    lengths = {match[1].lower(): index for index, base in enumerate(bases) if (match := _LENGTH_AXIS.fullmatch(base))}
-    if len(lengths) == 3:
-        for axis, column in lengths.items():
-            meanings[column] = ColumnMeaning("size", axis, split_unit(names[column])[1])
+            set_size(column, axis, placed=True)
+    for axis, column in three_columns(_LENGTH_AXIS).items():
+        set_size(column, axis)
     if {"Lg", "lg"} <= set(bases):  # longueur and largeur
-        small = bases.index("lg")
-        meanings[small] = ColumnMeaning("size", "width", split_unit(names[small])[1])
+        set_size(bases.index("lg"), "width")
     single = {index: base for index, base in enumerate(bases) if len(base) == 1 and base.lower() not in _AXES}
-    if (weight := _letter_of_weight(single)) is not None:
-        meanings[weight] = ColumnMeaning("weight")
-        del single[weight]
+    for index in [*single]:
+        if single[index] == "w" and [single.get(index - back) for back in (3, 2, 1)] == ["l", "d", "h"]:
+            meanings[index] = ColumnMeaning("weight")  # behind l, d and h, w is the weight, not the width
+            del single[index]
+            break
     for letters, axes in _LETTERS:
-        strict = letters != tuple(letter.lower() for letter in letters)
-        places = [
-            next((index for index, base in single.items() if (base if strict else base.lower()) == letter), None)
-            for letter in letters
-        ]
-        if None in places:
-            continue
-        for index, axis in zip(places, axes, strict=True):
-            assert index is not None
-            unit = split_unit(names[index])[1]
-            meanings[index] = ColumnMeaning("size", axis, unit if unit in LENGTH_UNITS else "", letter=True)
-        break
+        is_strict = any(map(str.isupper, letters))
+        columns = {base if is_strict else base.lower(): index for index, base in reversed(single.items())}
+        if columns.keys() >= {*letters}:
+            for letter, axis in zip(letters, axes, strict=True):
+                set_size(columns[letter], axis, letter=True)
+            break
     else:
         for index, base in single.items():
-            lone = _LONE.get(base.lower())
-            if meanings[index] is None and lone is not None:
-                meanings[index] = ColumnMeaning("size", lone, split_unit(names[index])[1], letter=True)
+            if meanings[index] is None and (lone := _LONE.get(base.lower())) is not None:
+                set_size(index, lone, letter=True)
     return meanings
 
 
@@ -532,24 +537,13 @@ def _with_corners(meanings: list[ColumnMeaning | None]) -> list[ColumnMeaning | 
     ]
 
 
-def _letter_of_weight(single: Mapping[int, str]) -> int | None:
-    """The column "w" of weights in a table whose columns of sizes are named "l", "d" and "h", if "w" follows them; else
-    None.
-
-    Args:
-        single: index of a column → the single letter that is its name.
-    """
-    for index, letter in single.items():
-        if letter == "w" and [single.get(index - back) for back in (3, 2, 1)] == ["l", "d", "h"]:
-            return index
-    return None
-
-
 _PLACED_AXIS: Final = re.compile(r"(?:packed|placed|rotated|oriented)[\s_.-]?([xyz])", re.IGNORECASE)
 """The name of a column with the size of a placed box along an axis, such as "PACKEDX", if other columns have the box's
 place."""
 _LENGTH_AXIS: Final = re.compile(r"len(?:gth)?[\s_.-]?([xyz])", re.IGNORECASE)
-"""The name of a column with the size of a box along an axis, such as "len_x", if three columns have such names."""
+_HALF_AXIS: Final = re.compile(r"h([xyz])", re.IGNORECASE)
+"""The name of a column with the size, or half the size, of a box along an axis, such as "len_x" and "hx", if three
+columns have such names."""
 _NUMBERED: Final = re.compile(r"^(.*?[A-Za-z])[\s_.-]?([0-3])$")
 """A name that ends in a number: "dim1", "DIM-2", "size_3"."""
 
@@ -608,22 +602,21 @@ def words_of(name: str) -> list[str]:
 @lru_cache(maxsize=1 << 14)
 def _meaning(name: str) -> ColumnMeaning | None:
     base, unit = split_unit(name)
+    length_unit = unit if unit in LENGTH_UNITS else ""
     indices = _INDEX.findall(base)
     index = indices[-1] if indices and base.endswith("]") else ""
     written = _ORDER.search(base)
     if written is not None:
-        order = _letters_order("".join(written.groups()))
-        return ColumnMeaning("sizes", unit=unit if unit in LENGTH_UNITS else "", order=order)
+        return ColumnMeaning("sizes", unit=length_unit, order=_letters_order("".join(written.groups())))
     words = words_of(_INDEX.sub(" ", base))
     if not words:
         return None
     if {_X, _Y, _Z} <= set(words) and not index:  # three coordinates in one cell: "Position (x, y, z)"
-        return ColumnMeaning("positions", unit=unit if unit in LENGTH_UNITS else "", anchor=_anchor_of(set(words)))
+        return ColumnMeaning("positions", unit=length_unit, anchor=_anchor_of(set(words)))
     # without "ß", German "Maße" (sizes) and "Masse" (mass) would be the same word
     of_sharp = "ß" in name
     tail = words_of(_INDEX.sub(" ", base.rpartition(".")[2])) or words
     path = words[: -len(tail)] if len(words) > len(tail) else []
-    length_unit = unit if unit in LENGTH_UNITS else ""
     contained = bool(CONTAINER_WORDS.intersection(tail[:-1])) and tail[-1] not in CONTAINER_WORDS
     meaning = _geometry(tail, path, index, of_sharp)
     if meaning is not None:
@@ -646,6 +639,23 @@ def _meaning(name: str) -> ColumnMeaning | None:
 _SHAPES: Final = word_set("primitive primitives shape shapes geometry geometries geom geoms collision collisions")
 """Words for objects whose type or name is that of a shape, not of an article."""
 _ANGLE_UNITS: Final = word_set("deg degree degrees grad rad radian radians")
+_SIZE_ON_AXIS: Final = re.compile(
+    r"(?:[dlsw]|len|dim|size|extent|ext|box|siz)([xyz])|([xyz])(?:len|length|dim|size|extent|width|span)"
+)
+_PLACE_ON_AXIS: Final = re.compile(
+    r"(r|rot|c|p|pos|m|ctr|cen|center|centre|mid|start|min|max|lo|hi|end|t|q|flb|loc|coor|coord|koord)([xyz])"
+    r"|([xyz])(c|pos|min|max|center|centre|mid|start|end|lo|hi|loc|coor|coord|koord)"
+)
+"""A size or a coordinate along an axis, in one word: "dx", "xlen"; "posx", "xmin", "qx"."""
+_MARKS_OF_PLACES: Final[dict[str, tuple[Kind, str]]] = {
+    "q": ("quaternion", ""),
+    **dict.fromkeys(("r", "rot"), ("euler", "")),
+    **dict.fromkeys(("c", "m", "ctr", "cen", "center", "centre", "mid"), ("position", "centre")),
+    **dict.fromkeys(("min", "lo", "start"), ("low", "")),
+    **dict.fromkeys(("max", "hi", "end"), ("high", "")),
+}
+"""What stands beside the letter of the axis in such a word → kind of the column, and anchor. All other marks stand for
+a coordinate of any point."""
 
 
 def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> ColumnMeaning | None:
@@ -656,10 +666,9 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
     half = bool(everything & HALF_WORDS)
     tail = tail[:-1] if len(tail) > 1 and tail[-1] in _ANGLE_UNITS else tail  # "rz_deg"
     last = tail[-1]
-    primed = last == "'" and len(tail) > 1
-    if primed:
+    if last == "'" and len(tail) > 1:
         return ColumnMeaning("size", tail[-2], placed=True) if tail[-2] in _AXES else None
-    size_word = next((size for size, names in _SIZES.items() if words & set(names.split())), None)
+    size_word = next((size for size, names in _SIZES.items() if words & names), None)
     if size_word is None and len(tail) == 1:
         size_word = _SHORT.get(last)
     if size_word is None and len(tail) == 2 and tail[0] in _BOX | _ORIENTED | HALF_WORDS and last in _LONE:
@@ -669,30 +678,14 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
     if last in ("roll", "pitch"):
         return ColumnMeaning("euler", {"roll": "x", "pitch": "y"}[last])
     axis = next((word for word in reversed(tail) if word in _AXES), None)
-    numbered = next((word for word in reversed(tail) if word in ("1", "2")), None)
-    compact = re.fullmatch(r"([dlsw]|len|dim|size|extent|ext|box|siz)([xyz])", last) or (
-        re.fullmatch(r"([xyz])(len|length|dim|size|extent|width|span)", last)
-    )
-    if compact is not None and not words & _POSITION:
-        letter = compact[2] if compact[2] in _AXES else compact[1]
-        if last[1:] == "w" or last[:-1] == "w":
-            # a name such as "wx" is an angular velocity, not a size
-            return None
-        return ColumnMeaning("size", letter, placed=last[0] in "l" or placed, half=half)
-    point = re.fullmatch(
-        r"(r|rot|c|p|pos|m|ctr|cen|center|centre|mid|start|min|max|lo|hi|end|t|q|flb|loc|coor|coord|koord)([xyz])", last
-    )
-    back = re.fullmatch(r"([xyz])(c|pos|min|max|center|centre|mid|start|end|lo|hi|loc|coor|coord|koord)", last)
-    edge = re.fullmatch(r"([xyz])([012])", "".join(tail[-2:])) if numbered or last == "0" else None
-    mark, letter = (point[1], point[2]) if point else (back[2], back[1]) if back else ("", "")
-    if letter:
-        if mark in ("q", "r", "rot"):
-            return ColumnMeaning("quaternion" if mark == "q" else "euler", letter)
-        if mark in ("c", "m", "ctr", "cen", "center", "centre", "mid"):
-            return ColumnMeaning("position", letter, anchor="centre")
-        return ColumnMeaning(
-            "low" if mark in ("min", "lo", "start") else "high" if mark in ("max", "hi", "end") else "position", letter
-        )
+    if (size := _SIZE_ON_AXIS.fullmatch(last)) is not None and not words & _POSITION:
+        # a name such as "wx" is an angular velocity, not a size
+        is_size, letter = last[0] != "w", size[1] or size[2]
+        return ColumnMeaning("size", letter, placed=last[0] == "l" or placed, half=half) if is_size else None
+    if (place := _PLACE_ON_AXIS.fullmatch(last)) is not None:
+        kind, anchor = _MARKS_OF_PLACES.get(place[1] or place[4], ("position", ""))
+        return ColumnMeaning(kind, place[2] or place[3], anchor=anchor)
+    edge = re.fullmatch(r"([xyz])([012])", "".join(tail[-2:]))
     if edge is not None and not size_word:
         return ColumnMeaning(("low", "first", "second")[int(edge[2])], edge[1])
     if index and int(index) < 6 and (words & _BOUNDS or {"bounding", "box"} <= words):  # a list with two corners
@@ -701,9 +694,8 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
         return ColumnMeaning("quaternion", index or axis or last)
     if axis is None and len(tail) == 1 and last in _AXIS_WORDS:
         return ColumnMeaning("position", _AXIS_WORDS[last])
-    is_dims = bool(words & _DIMENSIONS or context & _DIMENSIONS)
-    if "masse" in words and not of_sharp and not index and axis is None:
-        is_dims = bool((words | context) & (_DIMENSIONS - {"masse"}))
+    may_be_mass = "masse" in words and not of_sharp and not index and axis is None
+    is_dims = bool(everything & (_DIMENSIONS - {"masse"} if may_be_mass else _DIMENSIONS))
     if words & CONTAINER_WORDS and words & {"location", "nr", "no", "id"} and axis is None and not index:
         return None
     is_position = bool(everything & _POSITION) or bool(everything & CENTRE_WORDS and (axis or index))
@@ -720,7 +712,7 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
         if len(tail) == 1 or is_position or everything & (CENTRE_WORDS | _LOW | _HIGH | BASE_WORDS):
             if everything & _HIGH and not everything & {"left"}:
                 return ColumnMeaning("high", axis)
-            kind: Kind = "low" if everything & {"min", "minimum", "low", "lower"} else "position"
+            kind = "low" if everything & {"min", "minimum", "low", "lower"} else "position"
             return ColumnMeaning(kind, axis, anchor=_anchor_of(everything))
         return ColumnMeaning("position", axis) if len(tail) <= 2 and not words & {"bin", "grid"} else None
     if index and is_dims:
@@ -776,6 +768,10 @@ _NO_WEIGHT: Final = word_set("max limit capacity total maximum tare tara dim dim
 _UNLOADING: Final = word_set(
     "unload unloading unpack unpacking entladen entladung ausladen dechargement descarga scarico"
 )
+_NAMED: Final = word_set("id name nr no number nummer index label numer")
+"""Words that may stand beside a word for pallets, articles or boxes in the name of a column with their names."""
+_ARTICLES: Final = word_set("sku article artikel artykul articulo articolo product produkt produit gtin urun")
+"""Words of which one is enough for a column of articles, whatever other words its name has."""
 _CODES: Final = word_set("item cargo code codice codigo kod")
 """In the name of a column with the ids of boxes, these words may stand beside a word for boxes."""
 _FIRST: Final[tuple[Kind, ...]] = (
@@ -816,29 +812,15 @@ def _kind_of(tail: list[str], path: list[str]) -> Kind | None:
         return "row_kind"
     if joined in ("auftrag", "auftragsnr", "commande", "pedido", "ordine", "zamowienie", "orderid", "planid"):
         return "plan"
-    named = {"id", "name", "nr", "no", "number", "nummer", "index", "label", "numer"}
     if words & _WORDS["plan"] and not words & {"item", "box", "case", "article", "artikel", "sku"}:
-        rest = words - _WORDS["plan"] - named - {"location"}
-        return "plan" if not rest else None
-    if words & {
-        "sku",
-        "article",
-        "artikel",
-        "artykul",
-        "articulo",
-        "articolo",
-        "product",
-        "produkt",
-        "produit",
-        "gtin",
-        "urun",
-    }:
+        return None if words - _WORDS["plan"] - _NAMED - {"location"} else "plan"
+    if words & _ARTICLES:
         return "article"
-    if joined in _WORDS["item_id"] or (words & _WORDS["item_id"] and words <= _WORDS["item_id"] | named | _CODES):
+    if joined in _WORDS["item_id"] or (words & _WORDS["item_id"] and words <= _WORDS["item_id"] | _NAMED | _CODES):
         return "item_id"
     if words <= _WORDS["number"] | {"lfd", "laufende"}:
         return "number"
-    if joined in _WORDS["article"] or (words & _WORDS["article"] and words <= _WORDS["article"] | named):
+    if joined in _WORDS["article"] or (words & _WORDS["article"] and words <= _WORDS["article"] | _NAMED):
         return "article"
     if "stackable" in path and "name" in words:
         return "article"

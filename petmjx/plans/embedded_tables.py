@@ -68,11 +68,7 @@ def _table_of(
     tables: dict[str, list[list[str]]], statement: re.Match[str], text: str, bodies: Mapping[str, int]
 ) -> list[list[str]]:
     """The table that a statement names, as the list of the rows that have been read so far. A new table has one row,
-    with the names of its columns.
-
-    Args:
-        bodies: name of a table → position in the text where the list of its columns begins, in its CREATE TABLE.
-    """
+    with the names of its columns. ``bodies``: name of a table → position of the list of columns in its CREATE TABLE."""
     name = statement[1].strip(_QUOTES)
     if name not in tables:
         columns = statement[2].split(",") if statement[2] else _created_columns(text, bodies.get(name, len(text)))

@@ -8,19 +8,23 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable, printable_name
+from petmjx.options.run_options import RunOptions
 from petmjx.plans.cell_numbers import cell_number, cell_triple
 from petmjx.plans.data_frames import sources_of_frame
 from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.foreign_formats import sources_of_bytes
 from petmjx.plans.item_columns import BOX_PROPERTIES, ItemColumns, has_sizes_of_items, item_columns
 from petmjx.plans.item_joins import bytes_of, with_items_of
-from petmjx.plans.item_units_and_quantities import DELI, PG, SIZES, ForeignOrders, OrderReading, orders_of_items
+from petmjx.plans.item_units_and_quantities import DELI, EURO, PG, SIZES, ForeignOrders, OrderReading, orders_of_items
 from petmjx.plans.known_forms import BoxSource, rows_of
 from petmjx.plans.numpy_arrays import loaded_array
+from petmjx.plans.order import Item, Order, target_named
 from petmjx.plans.order_texts import SET_ITEMS, order_source
-from petmjx.plans.plans_as_orders import orders_of_plans
+from petmjx.plans.plan_reader import DEFAULT_MAX_BOXES, read_plans
 from petmjx.plans.raw_tables import BoxList, RawTable
 from petmjx.plans.workbooks import sheets_of_xlsx
 
@@ -65,8 +69,11 @@ def frame_orders(frame: Any, source: str, reading: OrderReading) -> ForeignOrder
 def _has_three_places(source: BoxSource) -> bool:
     """Whether a list has coordinates x, y and z that are not all empty or zero. A column "Position" alone is not
     enough, since it may number the rows of an order."""
-    kinds: dict[str, set[str]] = {}
     table = source.boxes.table
+    if not table.has_header:
+        return bool(table.rows)
+    axes: set[str] = set()
+    has_coordinates = False
     for index, meaning in enumerate(source.boxes.meanings):
         if meaning is None or meaning.of_container:
             continue
@@ -74,17 +81,11 @@ def _has_three_places(source: BoxSource) -> bool:
         if meaning.kind == "positions":
             if sum(cell_triple(cell, table.decimal) is not None for cell in cells) * 2 > len(cells):
                 return True
-        elif meaning.kind in ("position", "low"):
-            if all(cell in (None, "") for cell in cells):
-                continue
+        elif meaning.kind in ("position", "low") and any(cell not in (None, "") for cell in cells):
             numbers = [number.value for cell in cells if (number := cell_number(cell, table.decimal)) is not None]
-            zeros = len(numbers) > 1 and not any(numbers)
-            kinds.setdefault("zeros" if zeros else meaning.kind, set()).add(meaning.axis)
-        else:
-            kinds.setdefault(meaning.kind, set()).add(meaning.axis)
-    placed = kinds.get("position", set()) | kinds.get("low", set())
-    zeros_too = placed | (kinds.get("zeros", set()) if placed else set())
-    return "matrix" in kinds or (not table.has_header and bool(table.rows)) or len(zeros_too) >= 3
+            axes.add(meaning.axis)
+            has_coordinates |= len(numbers) < 2 or any(numbers)
+    return has_coordinates and len(axes) >= 3
 
 
 def _with_articles(sources: Sequence[BoxSource], items: Path | None) -> BoxSource | None:
@@ -184,6 +185,54 @@ def _sheet_of_deli(data: bytes | bytearray) -> BoxSource | None:
 
 
 _LENGTHS: Final = ("length", "width", "height")
+
+
+# Plans.
+
+
+def orders_of_plans(path: Path, source: str, reading: OrderReading) -> ForeignOrders:
+    """Read each plan of a file as an order with the plan's boxes.
+
+    Args:
+        source: name of the file in messages.
+
+    Raises:
+        InputError: the file has no usable plan. The error does not name the file.
+    """
+    wishes = reading.wishes
+    options = RunOptions(
+        units=",".join(filter(None, (wishes.units, wishes.masses))) or None,
+        columns=dict(wishes.columns) or None,
+        density=wishes.density_kg_m3,
+    )
+    plan_set = read_plans([path], options, max_boxes=DEFAULT_MAX_BOXES, extent_mm=None)
+    target = target_named(reading.target or EURO)
+    orders = []
+    for plan in plan_set.plans:
+        names = [
+            article or item_id or f"box {number}"
+            for number, (article, item_id) in enumerate(zip(plan.articles, plan.item_ids, strict=True), start=1)
+        ]
+        groups = plan.product_groups or ("",) * plan.n_boxes
+        of_boxes = np.full(plan.n_boxes, np.nan) if plan.strength_n is None else plan.strength_n
+        strengths = [None if np.isnan(strength) else strength for strength in of_boxes.tolist()]
+        items = [
+            Item(name, item_id or name, group, length, width, height, mass, strength_n=strength)
+            for name, item_id, group, (length, width, height), mass, strength in zip(
+                *(names, plan.item_ids, groups, plan.item_size_mm.tolist(), plan.mass_kg.tolist(), strengths),
+                strict=True,
+            )
+        ]
+        orders.append((plan.plan_id, Order(target, tuple(items), tuple(range(1, len(items) + 1)))))
+    refused = tuple((skip.plan_id or "", str(skip)) for skip in plan_set.skipped)
+    if not orders and refused:
+        raise InputError(refused[0][1].removeprefix(f"{source}: "))
+    reading_line = next((text.line() for text in plan_set.readings.values()), "read as petmjx's plans")
+    line = (
+        f"{source}: holds plans: the boxes of each are an order, their places are not used; {reading_line}; "
+        f"packed on {target}"
+    )
+    return ForeignOrders(tuple(orders), refused, line)
 
 
 # Tables of items.

@@ -138,7 +138,7 @@ def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path |
         for other in (columns.source, *sources)
     )
     sized = some_sizes and n_sizes != 1  # a column for only one of the three sizes is probably not the size of a box
-    places_named = bool(boxes.kinds & {"position", "positions", "low", "matrix"}) or columns.source.form == POSES
+    places_named = bool(boxes.kinds & {"position", "positions", "low"}) or columns.source.form == POSES
     names = f"there are {', '.join(map(printable_name, boxes.table.header[:20]))}"
     if not columns.n_boxes and boxes.table.lost:
         place, fault = boxes.table.lost[0]

@@ -13,7 +13,16 @@ import numpy as np
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.plans.cell_numbers import cell_number, cell_text, is_number
-from petmjx.plans.column_names import OWN_COLUMNS, column_meanings, is_unit, known_meanings, plain_text, split_unit
+from petmjx.plans.column_names import (
+    OWN_COLUMNS,
+    PLACE_KINDS,
+    SIZE_KINDS,
+    column_meanings,
+    is_unit,
+    known_meanings,
+    plain_text,
+    split_unit,
+)
 from petmjx.plans.raw_tables import MOST_COLUMNS, RawTable
 
 SEARCHED_ROWS: Final = 60
@@ -99,13 +108,12 @@ def geometric_columns(header: Sequence[str]) -> list[int]:
     return [
         index
         for index, meaning in enumerate(column_meanings(header))
-        if meaning is not None and meaning.kind in ("size", "sizes", "position", "positions", "low", "high", "corners")
+        if meaning is not None and meaning.kind in PLACE_KINDS | SIZE_KINDS
     ]
 
 
 def has_places(names: Sequence[str]) -> bool:
-    kinds = {meaning.kind for meaning in known_meanings(names).values()}
-    return bool(kinds & {"position", "positions", "low", "corners"})
+    return any(meaning.kind in PLACE_KINDS for meaning in known_meanings(names).values())
 
 
 def with_groups(names: list[str], group: Sequence[Any]) -> list[str]:

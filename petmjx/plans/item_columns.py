@@ -8,7 +8,7 @@ only orders have: weights of whole rows, boxes per layer, numbers of cartons.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -18,24 +18,30 @@ from numpy.typing import NDArray
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
-from petmjx.plans.box_columns import GROSS
+from petmjx.plans.box_columns import weight_column
 from petmjx.plans.cell_numbers import cell_number, cell_text, number_fault_of
-from petmjx.plans.column_extraction import IGNORED, ROLES, ColumnExtraction
-from petmjx.plans.column_names import MASS_UNITS, ColumnMeaning, Kind, is_content, split_unit, word_set, words_of
+from petmjx.plans.column_extraction import ROLES, ColumnExtraction
+from petmjx.plans.column_names import (
+    MASS_UNITS,
+    ColumnMeaning,
+    Kind,
+    is_content,
+    split_unit,
+    unit_in,
+    word_set,
+    words_of,
+)
 from petmjx.plans.known_forms import BoxSource
 from petmjx.plans.order import MOST_ITEMS
 from petmjx.plans.plan_fields import sparse_fault
 from petmjx.plans.raw_tables import BoxList
 from petmjx.plans.size_and_place_columns import sizes_in
 
-ITEM_ROLES: Final = ("quantity", "layers", "per layer", "total weight")
+ITEM_ROLES: Final[tuple[Kind, ...]] = ("quantity", "layers", "per layer", "total weight")
 """Roles of columns that only orders have, in addition to ``ROLES``. ``quantity`` is the number of boxes in a row of the
 table. ``per layer`` is the number of boxes in each of the row's ``layers``. ``weight`` is the weight of one box, and
 ``total weight`` the weight of all boxes of a row."""
 TWO_WAYS: Final = "can be read in two ways:"
-_KINDS: Final[dict[str, Kind]] = {
-    "quantity": "quantity", "layers": "layers", "per layer": "quantity", "total weight": "weight",
-}  # fmt: skip
 _LEAST_RISING: Final = 8
 """Whole numbers that increase from row to row, by unequal steps, are identifiers if there are at least this many rows.
 Quantities in this many rows would hardly be sorted by chance."""
@@ -195,58 +201,47 @@ _PIECES_OF: Final = re.compile(
 
 
 class _ItemExtraction(ColumnExtraction):
-    """The columns of one source while their meanings are being determined, including columns that only orders have."""
+    """The columns of one source while their meanings are being determined, including columns that only orders have.
+
+    Attributes:
+        of_box: columns of weights whose names say that a weight is the weight of one box.
+    """
+
+    roles = (*ROLES, *ITEM_ROLES)
 
     def __init__(self, source: BoxSource, chosen: Mapping[str, str], units: str, masses: str) -> None:
-        header = source.boxes.table.header
-        for role, name in chosen.items():
-            if role not in ROLES and role not in ITEM_ROLES:
-                known = ", ".join((*ROLES, *ITEM_ROLES))
-                raise InputError(f"columns: unknown {printable_name(role)}; known are {known}")
-            if role in ITEM_ROLES and name not in (*header, IGNORED):
-                names = ", ".join(map(printable_name, header[:20]))
-                raise InputError(f"has no column {printable_name(name)} ({role}); there are {names}")
-        super().__init__(source, {role: name for role, name in chosen.items() if role in ROLES}, units, masses)
-        self.chosen = {role: name for role, name in chosen.items() if role in ITEM_ROLES}
-        self.totals: set[int] = set()
+        super().__init__(source, chosen, units, masses)
+        header = self.table.header
         self.of_box: set[int] = set()
-        self.of_layer: set[int] = set()
         if _is_of_packingsolver(header):
             for index, name in enumerate(header):
                 if name.upper() in ("X", "Y", "Z"):
                     self.meanings[index] = ColumnMeaning("size", name.lower())
         self._take_names_of_orders()
-        for role, name in self.chosen.items():
-            if name != IGNORED:
-                index = header.index(name)
-                self.meanings[index] = ColumnMeaning(_KINDS[role])
-                self.of_layer.discard(index)
-                self.totals.discard(index)
-                {"per layer": self.of_layer, "total weight": self.totals}.get(role, set()).add(index)
+        for role in ITEM_ROLES:
+            if role in self.fixed:
+                self.meanings[self.fixed[role]] = ColumnMeaning(role)
 
     def _take_names_of_orders(self) -> None:
         """Determine the meanings of column names that only orders have."""
-        kinds = {meaning.kind for meaning in self.meanings if meaning is not None}
+        kinds = self.kinds
         for index, name in enumerate(self.table.header):
             if name in self.unit_columns:
                 continue
-            base, unit = split_unit(name)
-            words = set(words_of(base))
-            joined = "".join(words_of(base))
+            listed = words_of(split_unit(name)[0])
+            words, joined = set(listed), "".join(listed)
             meaning = self.meanings[index]
             if words & _WEIGHT and words & _TOTAL:
-                self.meanings[index] = ColumnMeaning("weight", unit=unit if unit in MASS_UNITS else "")
-                self.totals.add(index)
+                self.meanings[index] = ColumnMeaning("total weight", unit=unit_in(name, MASS_UNITS))
             elif (
                 joined in _UNIT_WEIGHT
                 or (words & _WEIGHT and words & {"unit", "piece", "each", "stuck", "per"})
                 or (meaning is not None and meaning.kind == "weight" and words & _BOX)
             ):
-                self.meanings[index] = ColumnMeaning("weight", unit=unit if unit in MASS_UNITS else "")
+                self.meanings[index] = ColumnMeaning("weight", unit=unit_in(name, MASS_UNITS))
                 self.of_box.add(index)
             elif words & _LAYER and words & _PER:
-                self.meanings[index] = ColumnMeaning("quantity")
-                self.of_layer.add(index)
+                self.meanings[index] = ColumnMeaning("per layer")
             elif (
                 "quantity" not in kinds
                 and not is_content(name)
@@ -261,20 +256,15 @@ class _ItemExtraction(ColumnExtraction):
                 self.meanings[index] = ColumnMeaning("article")
 
     def check_pieces(self, quantity: int) -> None:
-        """Refuse a column of quantities that may count pieces instead of boxes.
-
-        Raises:
-            InputError: the name of the column of quantities has no word for boxes, and another column has the number of
-                pieces in each box.
-        """
+        """Refuse a column of quantities that may count pieces instead of boxes: its name has no word for boxes, and
+        another column has the number of pieces in each box."""
         name = self.table.header[quantity]
         if set(words_of(name)) & _BOXES:
             return
         for index, content in enumerate(self.table.header):
             if self.meanings[index] is not None or not is_content(content):
                 continue
-            numbers = [cell_number(cell, self.table.decimal) for cell in self.cells(index)]
-            if any(number is not None and number.value > 1 for number in numbers):
+            if any(number is not None and number.value > 1 for number in self.cell_numbers(index)):
                 counted, content = printable_name(name), printable_name(content)
                 raise InputError(
                     f"{TWO_WAYS} {counted} counts boxes, or pieces ({content} is the number of pieces in a box); if it "
@@ -295,7 +285,7 @@ class _ItemExtraction(ColumnExtraction):
     def _is_whole(self, index: int) -> bool:
         """Whether most cells of a column are whole numbers, but no identifiers. Numbers are identifiers if they
         increase by equal steps (10, 20, 30), if they increase over many rows, or if they are all large."""
-        numbers = [cell_number(cell, self.table.decimal) for cell in self.cells(index)]
+        numbers = self.cell_numbers(index)
         integers = [number.value for number in numbers if number is not None and number.value.is_integer()]
         if len(integers) * 2 <= len(numbers):
             return False
@@ -312,41 +302,26 @@ class _ItemExtraction(ColumnExtraction):
         quantities.
         """
         articles = next((texts for kind in ("article", "item_id") if (texts := self.texts(kind)[0])), None)
-        if (
-            articles is not None
-            and len(set(articles)) < len(articles)
-            and "plan" not in {meaning.kind for meaning in self.meanings if meaning is not None}
-        ):
+        if articles is not None and len(set(articles)) < len(articles) and "plan" not in self.kinds:
             return ""
         for index, name in enumerate(self.table.header):
             is_other = name in BOX_PROPERTIES or bool(set(words_of(name)) & _NO_QUANTITY) or is_content(name)
             is_other |= bool(split_unit(name)[1])  # a number with a unit of length or mass is no quantity
-            if self.meanings[index] is not None or index in self.taken or is_other:
+            if self.meanings[index] is not None or index in self.fixed.values() or is_other:
                 continue
-            numbers = [cell_number(cell, self.table.decimal) for cell in self.cells(index)]
+            numbers = self.cell_numbers(index)
             values = [number.value for number in numbers if number is not None and not number.unit]
             all_integers = len(values) == len(numbers) and all(value.is_integer() for value in values)
             if all_integers and self._is_whole(index) and 1 < max(values) <= MOST_ITEMS and min(values) >= 0:
                 return name
         return ""
 
-    def role(
-        self, role: str, kind: str, *, within: Collection[int] | None = None, without: Collection[int] = ()
-    ) -> int | None:
-        """The column of a role: the column that an option names for this role, or else the first column whose name
-        means this role. The result is None if the role has no column."""
-        name = self.chosen.get(role)
-        if name is not None:
-            return None if name == IGNORED else self.table.header.index(name)
-        columns = (index for index in self.indices(kind) if index not in self.taken)
-        return next((index for index in columns if (within is None or index in within) and index not in without), None)
-
-    @property
-    def taken(self) -> set[int]:
-        return {
-            *self.fixed.values(),
-            *(self.table.header.index(name) for name in self.chosen.values() if name != IGNORED),
-        }
+    def column_of(self, role: Kind) -> int | None:
+        """The column that an option names for a role of ``ITEM_ROLES``, or else the first column whose name means this
+        role. The result is None if the role has no column."""
+        if role in self.fixed or role in self.ignored:
+            return self.fixed.get(role)
+        return next((index for index in self.indices(role) if index not in self.fixed.values()), None)
 
     def counts(self, index: int, smallest: int, otherwise: float | None = None) -> FloatArray:
         """(n,) whole numbers of a column; NaN if a cell is bad.
@@ -398,15 +373,8 @@ class _ItemExtraction(ColumnExtraction):
         return texts
 
     def _check_single(self, columns: Mapping[str, str]) -> None:
-        """Refuse a table with two different columns for a size, such as the size of a carton and the size of its
-        content.
-
-        Args:
-            columns: role → name of the chosen column.
-
-        Raises:
-            InputError: two columns are possible, and no option names the right one.
-        """
+        """Refuse a table with another column for one of the sizes in ``columns`` (role → name), such as the size of the
+        content of a carton, unless an option names the right one."""
         for role, name in columns.items():
             index = self.table.header.index(name)
             meaning = self.meanings[index]
@@ -459,19 +427,19 @@ def item_columns(
         return None
     header = source.boxes.table.header
     columns: dict[str, str] = {}
-    layer_index = work.role("per layer", "quantity", within=work.of_layer)
-    quantity_index, per_layer = work.role("quantity", "quantity", without=work.of_layer), None
-    if layer_index is not None and (quantity_index is None or "per layer" in work.chosen):
+    layer_index = work.column_of("per layer")
+    quantity_index, per_layer = work.column_of("quantity"), None
+    if layer_index is not None and (quantity_index is None or "per layer" in work.fixed):
         quantity_index, per_layer = layer_index, True
-    elif layer_index is not None or "quantity" in work.chosen:
+    elif layer_index is not None or "quantity" in chosen:
         per_layer = False
-    if quantity_index is not None and "quantity" not in work.chosen and not per_layer:
+    if quantity_index is not None and "quantity" not in chosen and not per_layer:
         cells = work.cells(quantity_index)
         for index in work.indices("quantity", of_container=True):
-            if index not in work.of_layer and work.cells(index) != cells:
+            if work.cells(index) != cells:
                 raise work.tie("quantity", header[quantity_index], header[index])
         work.check_pieces(quantity_index)
-    layers_index = work.role("layers", "layers")
+    layers_index = work.column_of("layers")
     copies = _is_of_packingsolver(header)
     quantity = layers = None
     if quantity_index is not None:
@@ -500,12 +468,8 @@ def item_columns(
     strength, upright = (work.strengths(), work.sides()) if properties else (None, None)
     used = {*names, *columns.values(), group_name, *(BOX_PROPERTIES if properties else ())}
     used |= set() if sequence_index is None else {header[sequence_index]}
-    maybe = "" if quantity is not None or "quantity" in work.chosen else work.maybe_quantity()
-    unread = [
-        name
-        for index, name in enumerate(header)
-        if name not in used and any(cell not in (None, "") for cell in work.cells(index))
-    ]
+    maybe = "" if quantity is not None or "quantity" in chosen else work.maybe_quantity()
+    unread = [name for index, name in enumerate(header) if name not in used and not work.is_empty(index)]
     return ItemColumns(
         work.source, values, size_unit, names, weight, unit, weight_is, quantity, layers, per_layer, order, article,
         item_id, group, sequence, columns, work.faults, tuple(unread), maybe, strength, upright,
@@ -513,31 +477,25 @@ def item_columns(
 
 
 def _weight(work: _ItemExtraction, columns: dict[str, str]) -> tuple[FloatArray | None, str, str]:
-    """(n,) weights or densities, their unit, and their meaning (``ItemColumns.weight_is``)."""
+    """(n,) weights or densities, their unit, and their meaning (``ItemColumns.weight_is``). The role and the name of
+    their column are added to ``columns``."""
     header = work.table.header
-    row_index = work.role("total weight", "weight", within=work.totals)
-    index = work.fixed.get("weight")
-    if index is None and "total weight" not in work.chosen:
-        gross = {number for number, name in enumerate(header) if GROSS.intersection(words_of(name))} - work.totals
-        index = work.role("weight", "weight", within=gross)
-        index = work.role("weight", "weight", without=work.totals) if index is None else index
+    index = None if "total weight" in work.fixed and "weight" not in work.fixed else weight_column(work)
+    is_of_box = index in work.of_box or "weight" in work.fixed or "total weight" in work.ignored
+    role, weight_is = "weight", "box" if is_of_box else ""
+    if index is None:
+        index, role, weight_is = work.column_of("total weight"), "total weight", "row"
     if index is not None:
-        weight_is = "box" if index in work.of_box or "weight" in work.fixed else ""
-        columns["weight"] = header[index]
-    elif row_index is not None:
-        index, weight_is = row_index, "row"
-        columns["total weight"] = header[index]
-    else:
-        index, weight_is = work.first("density"), "density"
-        if index is None:
+        weight, unit = work.weights(index)
+        if weight is None:
             return None, "", ""
-        columns["density"] = header[index]
-        return *work.densities(index), weight_is
-    if all(cell in (None, "", 0, "0", 0.0) for cell in work.cells(index)):
-        columns.pop("weight", None), columns.pop("total weight", None)
+        columns[role] = header[index]
+        return weight, unit, weight_is
+    index = work.first("density")
+    if index is None:
         return None, "", ""
-    weight, unit = work.numbers(index, MASS_UNITS)
-    return weight, unit, weight_is
+    columns["density"] = header[index]
+    return *work.densities(index), "density"
 
 
 def _orders_in(work: _ItemExtraction, index: int) -> list[str] | None:

@@ -15,7 +15,7 @@ from petmjx.common.checked_records import reason
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable
 from petmjx.plans.cell_numbers import cell_number, cell_text
-from petmjx.plans.column_names import LENGTH_UNITS, column_meanings, known_meanings, split_unit, word_set
+from petmjx.plans.column_names import column_meanings, known_meanings, unit_in, word_set
 from petmjx.plans.foreign_formats import sources_of_bytes
 from petmjx.plans.json_reader import unpacked_bytes
 from petmjx.plans.known_forms import PACKINGSOLVER, BoxSource
@@ -100,8 +100,8 @@ def has_named_places(path: Path) -> bool:
         if meaning is not None and meaning.kind in ("position", "low") and not meaning.of_container
     }
     named = zip(boxes.table.header, boxes.meanings, strict=True)
-    n_lengths = sum(meaning is None and split_unit(name)[1] in LENGTH_UNITS for name, meaning in named)
-    return boxes.has_sizes and (len(axes) > 1 or n_lengths > 2 or bool(boxes.kinds & {"positions", "matrix"}))
+    n_lengths = sum(meaning is None and unit_in(name) != "" for name, meaning in named)
+    return boxes.has_sizes and (len(axes) > 1 or n_lengths > 2 or "positions" in boxes.kinds)
 
 
 def _with_items_beside(best: BoxSource, path: Path) -> BoxSource:
@@ -152,13 +152,8 @@ def _with_weights_of(best: BoxSource, items: BoxSource) -> BoxSource | None:
 def _with_columns(
     best: BoxSource, other: RawTable, rows: Sequence[int | None], added: Sequence[int], note: str
 ) -> BoxSource:
-    """The boxes ``best``, with additional columns from a table of items.
-
-    Args:
-        other: the table of items.
-        rows: for each box, the row of its item in ``other``; None: the box has no item.
-        added: indices of the columns of ``other`` that are added.
-    """
+    """The boxes, with the columns ``added`` of a table of items. For each box, ``rows`` has the row of its item; None:
+    the box has no item."""
 
     def cell(row: int, index: int) -> Any:
         number = cell_number(other.rows[row][index], ",") if other.decimal == "," else None
@@ -176,11 +171,8 @@ def _with_columns(
 
 
 def _sorted_sizes(table: RawTable, names: Sequence[str] = ()) -> list[list[float]]:
-    """For each row, the numbers in columns of sizes, in ascending order.
-
-    Args:
-        names: names of the columns that are used, in capital letters; empty: all columns with sizes are used.
-    """
+    """For each row, the numbers in the columns with these names (in capital letters; without names, in all columns of
+    sizes), in ascending order."""
     sizes = {name for name, meaning in known_meanings(table.header).items() if meaning.kind == "size"}
     indices = [k for k, name in enumerate(table.header) if (name.upper() in names if names else name in sizes)]
     numbers = [[cell_number(row[index], table.decimal) for index in indices] for row in table.rows]
@@ -188,13 +180,7 @@ def _sorted_sizes(table: RawTable, names: Sequence[str] = ()) -> list[list[float
 
 
 def _agree(rows: Sequence[int | None], one: Sequence[Sequence[float]], two: Sequence[Sequence[float]]) -> bool:
-    """Whether nearly all boxes have the sizes of their items.
-
-    Args:
-        rows: for each box, the row of its item; None: the box has no item.
-        one: sizes of each box.
-        two: sizes of each item.
-    """
+    """Whether nearly all boxes (sizes ``one``) have the sizes of their items (``two``)."""
     pairs = [(one[row], two[item]) for row, item in enumerate(rows) if item is not None]
     alike = sum(len(a) == len(b) and bool(np.allclose(a, b)) for a, b in pairs)
     return alike >= _LEAST_MATCHED_SHARE * max(len(rows), 1)
@@ -218,7 +204,7 @@ def _naming_columns(table: RawTable) -> list[int]:
         index
         for index, meaning in enumerate(column_meanings(table.header))
         if (meaning is None or meaning.kind not in _MEASURES)
-        and (len(running) < 2 or [cell_text(row[index]) for row in table.rows] != running)
+        and (len(running) < 2 or [*map(cell_text, table.cells(index))] != running)
     ]
 
 
@@ -229,15 +215,16 @@ def _rows_by_name(table: RawTable, other: RawTable) -> list[int | None] | None:
     box_columns = _naming_columns(table)
     for item_column in _naming_columns(other):
         names: dict[str, int] = {}
-        for number, row in enumerate(other.rows):
-            names.setdefault(cell_text(row[item_column]), number)
+        for number, cell in enumerate(other.cells(item_column)):
+            names.setdefault(cell_text(cell), number)
         names.pop("", None)
         if len(names) < len(other.rows):
             continue
         for box_column in box_columns:
-            rows = [names.get(cell_text(row[box_column])) for row in table.rows]
+            texts = [*map(cell_text, table.cells(box_column))]
+            rows = [*map(names.get, texts)]
             matched = sum(row is not None for row in rows)
-            text = any(not cell_text(row[box_column]).replace(".", "").isdigit() for row in table.rows[:5])
-            if matched + 0.5 * text > most:
-                best, most = rows, matched + 0.5 * text
+            are_words = any(not text.replace(".", "").isdigit() for text in texts[:5])
+            if matched + 0.5 * are_words > most:
+                best, most = rows, matched + 0.5 * are_words
     return best

@@ -396,19 +396,15 @@ class _OrderBuilder:
             cover = quantity * size[:, 0] * size[:, 1] / areas
             with np.errstate(invalid="ignore"):
                 if bool((cover[several] <= _FULL).all()):
-                    raise self._layer_tie()
+                    name = columns.columns["quantity"]
+                    raise InputError(
+                        f"{TWO_WAYS} {printable_name(name)} counts the boxes of one layer, or of all layers; say which "
+                        f"with --columns 'per layer={name}' or --columns quantity={name}"
+                    )
             self.notes.append("the quantity in a row is the number of boxes in all its layers")
         elif per_layer:
             self.notes.append("the quantity in a row is the number of boxes in each of its layers")
         return (quantity * layers if per_layer else quantity).astype(np.int64)
-
-    def _layer_tie(self) -> InputError:
-        name = self.columns.columns["quantity"]
-        shown = printable_name(name)
-        return InputError(
-            f"{TWO_WAYS} {shown} counts the boxes of one layer, or of all layers; say which with "
-            f"--columns 'per layer={name}' or --columns quantity={name}"
-        )
 
     def _check_sizes(self, unit: str) -> None:
         """Add faults for sizes out of range."""

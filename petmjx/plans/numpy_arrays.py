@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
-import ast
 import io
 import math
 import re
-import struct
 import tokenize
 import zipfile
-import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
+from numpy.lib import format as npy
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
 from petmjx.plans.column_names import known_meanings
 from petmjx.plans.known_forms import ARRAY, MOST_BYTES, POSES, BoxSource, with_known_form
 from petmjx.plans.raw_tables import BoxList, RawTable, united, with_titles
-from petmjx.plans.workbooks import check_archive
-
-_MOST_HEADER: Final = 10_000
-"""Largest length of an array's header in bytes, as in NumPy."""
+from petmjx.plans.workbooks import DAMAGED_ZIP, check_archive
 
 
 def loaded_array(data: bytes | bytearray, name: str = "") -> Any:
@@ -36,13 +31,18 @@ def loaded_array(data: bytes | bytearray, name: str = "") -> Any:
         name: name of the array in its archive, for error messages; "" if the file is not an archive but a single array.
     """
     prefix = f"{printable_name(name)} " if name else ""
+    stream = io.BytesIO(data)
     try:
-        dtype, shape, begin = _array_header(data)
-    except (ValueError, TypeError, SyntaxError, KeyError, IndexError, struct.error, MemoryError, RecursionError):
+        # versions 2 and 3 differ only in the encoding of the names of fields
+        is_first = npy.read_magic(stream) == (1, 0)
+        shape, _, dtype = (npy.read_array_header_1_0 if is_first else npy.read_array_header_2_0)(stream)
+        if min(shape, default=0) < 0:
+            raise ValueError("shape")
+    except _DAMAGED:
         raise InputError(f"{prefix}is no whole NumPy array: its header cannot be read") from None
     if dtype.hasobject:
         raise InputError(f"{prefix}is an array of Python objects, which may hold code, and is not read")
-    n_bytes = len(data) - begin
+    n_bytes = len(data) - stream.tell()
     expected = math.prod(shape) * dtype.itemsize
     if expected != n_bytes:
         raise InputError(
@@ -51,9 +51,10 @@ def loaded_array(data: bytes | bytearray, name: str = "") -> Any:
         )
     if math.prod(max(extent, 1) for extent in shape) > MOST_BYTES:
         raise InputError(f"{prefix}is an array {shape} without values")
+    stream.seek(0)
     try:
-        array = np.load(io.BytesIO(data), allow_pickle=False)
-    except (ValueError, OSError, EOFError, SyntaxError, tokenize.TokenError) as error:
+        array = np.load(stream, allow_pickle=False)
+    except _DAMAGED as error:
         raise InputError(f"{prefix}is not a whole NumPy array: {error}") from error
     for path, values in _arrays_in(array):
         is_text = values.dtype.kind == "U" and values.size
@@ -62,6 +63,11 @@ def loaded_array(data: bytes | bytearray, name: str = "") -> Any:
     return array
 
 
+_DAMAGED: Final = (
+    *(ValueError, TypeError, KeyError, SyntaxError, tokenize.TokenError),
+    *(MemoryError, RecursionError, OSError, EOFError),
+)
+"""Exceptions that NumPy raises for a damaged array."""
 _LAST_CODE_POINT: Final = 0x10FFFF
 """Largest code point of Unicode. A text in an array is damaged if it has a larger code point; Python cannot show it."""
 
@@ -80,30 +86,12 @@ def _code_points(texts: Any) -> Any:
     return flat.view(np.dtype(np.uint32).newbyteorder(flat.dtype.byteorder))
 
 
-def _array_header(data: bytes | bytearray) -> tuple[np.dtype[Any], tuple[int, ...], int]:
-    """The type, the shape and the position of the first value in .npy bytes (NumPy's format, versions 1 to 3).
-
-    Raises:
-        ValueError, TypeError, SyntaxError, KeyError, IndexError, struct.error: the header is damaged.
-    """
-    width = "<H" if data[6] == 1 else "<I"
-    first = 8 + struct.calcsize(width)
-    (length,) = struct.unpack_from(width, data, 8)
-    if length > _MOST_HEADER or first + length > len(data) or not data.startswith(b"\x93NUMPY"):
-        raise ValueError("header")
-    fields = ast.literal_eval(bytes(data[first : first + length]).decode("utf-8" if data[6] > 2 else "latin1"))
-    shape = fields["shape"]
-    if not isinstance(shape, tuple) or any(type(extent) is not int or extent < 0 for extent in shape):
-        raise ValueError("shape")
-    return np.lib.format.descr_to_dtype(fields["descr"]), shape, first + length
-
-
 def loaded_arrays(data: bytes | bytearray) -> dict[str, Any]:
     check_archive(data)
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             members = {name: archive.read(name) for name in archive.namelist() if name.endswith(".npy")}
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError) as error:
+    except DAMAGED_ZIP as error:
         raise InputError(f"is not a whole archive of NumPy arrays: {error}") from error
     return {name.removesuffix(".npy"): loaded_array(member, name) for name, member in members.items()}
 

@@ -113,11 +113,7 @@ def keep_orders(source: Path, path: Path) -> None:
 
 
 def _read(path: Path, name: str) -> tuple[bytearray, bool]:
-    """The text of a file of orders, and whether it holds orders in BED-BPP's form.
-
-    Raises:
-        InputError: the file cannot be read, or is damaged.
-    """
+    """The text of a file of orders, and whether it holds orders in BED-BPP's form."""
     try:
         data, fault = read_text_bytes(path)
         if fault is not None and not data:
@@ -133,11 +129,7 @@ def _read(path: Path, name: str) -> tuple[bytearray, bool]:
 
 
 def _check_entries(data: bytearray, name: str) -> None:
-    """Check that a text is a JSON object with at least one entry.
-
-    Raises:
-        InputError: the text is damaged, or has no order.
-    """
+    """Refuse a text that is no JSON object with at least one entry."""
     try:
         n_orders = sum(1 for _ in scan_plans(data, "order id → order", "order"))
     except InputError as error:
@@ -148,16 +140,11 @@ def _check_entries(data: bytearray, name: str) -> None:
 
 def _foreign(path: Path, name: str, reading: OrderReading | None) -> ForeignOrders | None:
     """Read the orders of a file that is not in the form of BED-BPP's orders. The result is None if the file is a JSON
-    object without boxes.
-
-    Raises:
-        InputError: the file cannot be read as orders.
-    """
+    object without boxes."""
     from petmjx.common.parquet_files import parquet_table
-    from petmjx.plans.foreign_orders import foreign_orders, frame_orders
+    from petmjx.plans.foreign_orders import foreign_orders, frame_orders, orders_of_plans
     from petmjx.plans.item_columns import TWO_WAYS
     from petmjx.plans.item_units_and_quantities import OrderReading
-    from petmjx.plans.plans_as_orders import orders_of_plans
 
     try:
         data, _ = unpacked_bytes(path)

@@ -224,14 +224,8 @@ def _thpack(lines: Sequence[_Line]) -> BoxSource:
 
 
 def _problem_head(lines: Sequence[_Line], position: int) -> tuple[dict[str, float], int, int]:
-    """Read the first two lines of a problem.
-
-    Returns:
-        The sizes of the container by axis, the number of box types, and the position of the first type's line.
-
-    Raises:
-        InputError: the two lines do not have the sizes of a container and a number of box types.
-    """
+    """The sizes of the container by axis, the number of box types, and the position of the first type's line, from the
+    first two lines of a problem."""
     if position + 1 >= len(lines):
         raise InputError(f"{lines[-1].place}: ends within a problem")
     line, count = lines[position], lines[position + 1]

@@ -207,13 +207,8 @@ def _as_number(text: str, decimal: str) -> Any:
 def _converted_objects(
     values: Sequence[Any], read: Callable[[Any], Any], otherwise: Any, kind: type[np.generic]
 ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-    """Python objects, converted one by one; and a mask of the usable values.
-
-    Args:
-        read: function that converts a value; it returns None if the value is unusable.
-        otherwise: value that replaces unusable values.
-        kind: type of the resulting array.
-    """
+    """Python objects, converted one by one by ``read``, which returns None for an unusable value; and a mask of the
+    usable values."""
     readings = [read(value.item() if isinstance(value, np.generic) else value) for value in values]
     usable = np.array([value is not None for value in readings], dtype=bool)
     array = np.empty(len(readings), dtype=kind)

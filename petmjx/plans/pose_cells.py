@@ -48,9 +48,7 @@ def with_pose_column(boxes: BoxList) -> BoxList:
         matrices = _matrices([[row[index] for index in indices] for row in table.rows], shape)
         return boxes if matrices is None else replace(boxes, table=_replaced(table, name, indices, matrices))
     for index, name in enumerate(table.header):
-        cells = [row[index] for row in table.rows]
-        matrices = _matrices_of_texts(cells)
-        if matrices is not None:
+        if (matrices := _matrices_of_texts(table.cells(index))) is not None:
             return replace(boxes, table=_replaced(table, name, [index], matrices))
     return boxes
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -41,9 +41,7 @@ def pose_choices(extraction: ColumnExtraction) -> list[Geometry]:
     rotations."""
     header, n = extraction.table.header, len(extraction.table.rows)
     sizes = sizes_in(extraction)
-    matrix = next(
-        (index for index in range(len(header)) if any(is_matrix(row[index]) for row in extraction.table.rows[:3])), None
-    )
+    matrix = _column_with(extraction, is_matrix)
     if matrix is not None:
         rotations, places = np.full((n, 3, 3), np.nan), np.full((n, 3), np.nan)
         for row, cell in enumerate(extraction.cells(matrix)):
@@ -79,6 +77,13 @@ def pose_choices(extraction: ColumnExtraction) -> list[Geometry]:
             geometry = Geometry(sizes.size, at.place, sizes.axes, sizes.unit, at.unit, anchor, columns=columns)
             geometries.append(_turned(extraction, replace(geometry, prior=0.4 * number), rotation, index))
     return geometries
+
+
+def _column_with(extraction: ColumnExtraction, is_of_kind: Callable[[Any], bool]) -> int | None:
+    """The first column that has a cell of a kind in one of the first rows; None if there is no such column."""
+    rows = extraction.table.rows[:3]
+    columns = range(len(extraction.table.header))
+    return next((index for index in columns if any(is_of_kind(row[index]) for row in rows)), None)
 
 
 def _check_scales(extraction: ColumnExtraction, scale: FloatArray, index: int) -> None:
@@ -161,14 +166,10 @@ def _angles(extraction: ColumnExtraction) -> list[_Rotations]:
 
 def _turning_matrices(extraction: ColumnExtraction) -> list[_Rotations]:
     """Rotations by matrices (3, 3), if there are any."""
-    rows = extraction.table.rows
-    index = next(
-        (index for index in range(len(extraction.table.header)) if any(is_rotation(row[index]) for row in rows[:3])),
-        None,
-    )
+    index = _column_with(extraction, is_rotation)
     if index is None:
         return []
-    rotations = np.full((len(rows), 3, 3), np.nan)
+    rotations = np.full((len(extraction.table.rows), 3, 3), np.nan)
     for row, cell in enumerate(extraction.cells(index)):
         try:
             rotations[row] = np.array(cell, float)
@@ -190,11 +191,7 @@ def _frames(extraction: ColumnExtraction) -> list[_Rotations]:
 
 def _turned(extraction: ColumnExtraction, geometry: Geometry, rotation: FloatArray, index: int) -> Geometry:
     """The geometry with the rotations of its boxes (``Geometry.turn``). Boxes whose rotation is not a multiple of right
-    angles are refused.
-
-    Args:
-        index: index of the column that errors name.
-    """
+    angles are refused; their errors name the column ``index``."""
     for row in np.flatnonzero(tilt(rotation) > _LEVEL):
         cosine = np.abs(rotation[row]).max(axis=1)
         degrees = np.degrees(np.arccos(np.clip(cosine.min(), 0, 1)))

@@ -205,8 +205,7 @@ def _pairs_of_line(line: str) -> Mapping[str, Any]:
             pairs[match[1]], at = _value_of_name(line, match.end(), 0)
         except InputError:
             return {}
-        if (gap := _SEPARATORS.match(line, at)) is not None:
-            at = gap.end()
+        at = _behind(_SEPARATORS, line, at)
     return pairs
 
 
@@ -229,7 +228,7 @@ def values_of_blocks(text: str) -> Any:
     if len(heads) < 2 or any(not _COMMENT.fullmatch(line) for line in lines[: heads[0]]):
         return None
     lists: dict[str, JsonLines] = {}
-    sections: list[tuple[str, dict[str, Any]]] = []
+    sections: list[tuple[str, str, dict[str, Any]]] = []  # name, letters of the name, named values
     fault = ""
     for head, end in zip(heads, [*heads[1:], len(lines)], strict=True):
         section = cast(re.Match[str], _BLOCK.fullmatch(lines[head]))[1] or ""
@@ -240,16 +239,16 @@ def values_of_blocks(text: str) -> Any:
             elif not _COMMENT.fullmatch(lines[index]) and (end < len(lines) or named is not None):
                 what = "is no named value" if named is None else "its name stands twice"
                 fault = fault or f"line {index + 1}: {what}: {printable_name(lines[index].strip())}"
-        name = re.sub(r"[\W\d_]+", "", section)
-        values = lists.setdefault(name, JsonLines())
+        letters = re.sub(r"[\W\d_]+", "", section)
+        values = lists.setdefault(letters, JsonLines())
         values.append(pairs)
         values.lines.append(head + 1)
-        sections.append((section, pairs))
+        sections.append((section, letters, pairs))
     boxes = max(lists.values(), key=len)
     titles = [name for name, some in lists.items() if some is not boxes and names_part(name) and len(some) > 1]
     title = ""
-    for section, pairs in sections if titles else ():  # boxes below "[pallet2]"
-        if re.sub(r"[\W\d_]+", "", section) in titles:
+    for section, letters, pairs in sections if titles else ():  # boxes below "[pallet2]"
+        if letters in titles:
             title = section
         else:
             pairs |= _fields_of_title(title)

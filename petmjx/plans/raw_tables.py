@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from petmjx.common.text import count_text
 from petmjx.plans.cell_numbers import NO_WORDS, YES_WORDS, cell_text
-from petmjx.plans.column_names import ColumnMeaning, column_meanings, known_meanings
+from petmjx.plans.column_names import PLACE_KINDS, SIZE_KINDS, ColumnMeaning, column_meanings, known_meanings
 
 MOST_ROWS: Final = 1_000_000
 """Largest number of rows of a table, the same as in a sheet. As Python values, a table of a million boxes takes a
@@ -49,16 +49,13 @@ class RawTable:
     has_header: bool = True
     part: str = ""
 
-    def column(self, name: str) -> list[Any]:
-        """The cells of a column.
-
-        Raises:
-            KeyError: the table has no such column.
-        """
-        if name not in self.header:
-            raise KeyError(name)
-        index = self.header.index(name)
+    def cells(self, index: int) -> list[Any]:
+        """The cells of the column with an index."""
         return [row[index] for row in self.rows]
+
+    def column(self, name: str) -> list[Any]:
+        """The cells of the column with a name."""
+        return self.cells(self.header.index(name))
 
 
 def united(tables: Sequence[RawTable]) -> RawTable:
@@ -188,12 +185,12 @@ class BoxList:
     @property
     def has_places(self) -> bool:
         """Whether the boxes have coordinates."""
-        return bool(self.kinds & {"position", "positions", "low", "corners", "matrix"})
+        return bool(self.kinds & PLACE_KINDS)
 
     @property
     def has_sizes(self) -> bool:
         """Whether the boxes have sizes."""
-        return bool(self.kinds & {"size", "sizes", "high", "corners"})
+        return bool(self.kinds & SIZE_KINDS)
 
 
 _PLACED_FLAGS: Final = frozenset(("packed", "placed", "fitted", "fit", "is_packed", "is_placed", "loaded", "success"))

@@ -4,7 +4,7 @@ have no names, by their numbers."""
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final, NamedTuple
@@ -21,6 +21,7 @@ from petmjx.plans.column_names import (
     HALF_WORDS,
     LENGTH_UNITS,
     split_unit,
+    unit_in,
     word_set,
     words_of,
 )
@@ -164,17 +165,14 @@ def _are_equal(one: Sizes, other: Sizes) -> bool:
 
 
 def _all_sizes(extraction: ColumnExtraction, used: Collection[str] = ()) -> Iterator[Sizes]:
-    """Yield the sizes of each set of three columns, then those of each column with three sizes per cell.
-
-    Args:
-        used: names of columns; sets with one of these columns are left out. The names may change between two sets.
-    """
+    """Yield the sizes of each set of three columns, then those of each column with three sizes per cell. Sets with a
+    column in ``used`` are left out. ``used`` may change between two sets."""
     header = extraction.table.header
     for columns, axes, placed in _columns_of_sizes(extraction):
         if not any(header[index] in used for index in columns):
             yield _sizes_of(extraction, columns, axes, placed)
-    for index, meaning in enumerate(extraction.meanings):
-        if meaning is not None and meaning.kind == "sizes" and not (meaning.of_container or header[index] in used):
+    for index, meaning in extraction.named("sizes"):
+        if header[index] not in used:
             values, unit = extraction.triples(index)
             first, second, third = meaning.order if len(meaning.order) == 3 else ("0", "1", "2")
             factor, anchor = (2.0, "centre") if meaning.half else (1.0, "")
@@ -210,26 +208,30 @@ def _columns_of_sizes(extraction: ColumnExtraction) -> Iterator[tuple[tuple[int,
                     yield columns, axes, placed
 
 
-def _sets_of_columns(header: Sequence[str], picked: Sequence[Sequence[int]]) -> Iterator[tuple[int, ...]]:
-    """Yield each set of three columns with sizes. Columns belong to the same set if their names have the same words
-    beside the words for sizes ("product_length" and "product_width"). If no three columns have the same words, but all
-    sizes have equally many columns, the first column of each size form a set, the second column of each size form
-    another set, and so on.
+def _sets_of_columns(header: Sequence[str], picked: Sequence[Sequence[int]]) -> list[tuple[int, ...]]:
+    """Each set of three columns with sizes, from the columns of each size. Columns belong to the same set if their
+    names have the same words beside the words for sizes ("product_length" and "product_width"). If no three columns
+    have the same words, but all sizes have equally many columns, the first column of each size form a set, the second
+    column of each size form another set, and so on."""
+    in_order = list(zip(*picked, strict=True)) if len({*map(len, picked)}) == 1 else []
+    return _alike(header, picked, _words_beside_size) or in_order or _same_stems(header, picked)
 
-    Args:
-        picked: indices of the columns of each size.
-    """
-    if all(len(columns) == 1 for columns in picked):
-        yield tuple(columns[0] for columns in picked)
-        return
-    by_words: dict[tuple[str, ...], dict[int, int]] = {}
+
+def _same_stems(header: Sequence[str], picked: Sequence[Sequence[int]]) -> list[tuple[int, ...]]:
+    """Each set of three columns that belong to the same object, such as ``dimensions.length``, ``dimensions.width`` and
+    ``dimensions.height``. If no three columns belong to the same object, the first column of each size."""
+    return _alike(header, picked, _stem) or [tuple(columns[0] for columns in picked)]
+
+
+def _alike(
+    header: Sequence[str], picked: Sequence[Sequence[int]], common_part: Callable[[str], Hashable]
+) -> list[tuple[int, ...]]:
+    """Each set of three columns whose names have the same common part."""
+    sets: dict[Hashable, dict[int, int]] = {}
     for number, columns in enumerate(picked):
         for index in columns:
-            by_words.setdefault(_words_beside_size(header[index]), {}).setdefault(number, index)
-    triples = [tuple(slots.values()) for slots in by_words.values() if len(slots) == len(picked)]
-    if not triples and len({*map(len, picked)}) == 1:
-        triples = list(zip(*picked, strict=True))
-    yield from triples or _same_stems(header, picked)
+            sets.setdefault(common_part(header[index]), {}).setdefault(number, index)
+    return [tuple(columns.values()) for columns in sets.values() if len(columns) == len(picked)]
 
 
 def _words_beside_size(name: str) -> tuple[str, ...]:
@@ -238,6 +240,13 @@ def _words_beside_size(name: str) -> tuple[str, ...]:
     base = split_unit(name)[0]
     words = (word for word in words_of(base.rpartition(".")[2]) if word not in ALL_SIZE_WORDS and not word.isdecimal())
     return (base.rpartition(".")[0], *(word.rstrip("xyz") for word in words))
+
+
+def _stem(name: str) -> str:
+    """The part of a column's name that the columns of one object have in common. It is the name without a digit at its
+    end ("sp_size_1" → "sp_size_"), or else the part before the last dot ("dimensions.length" → "dimensions")."""
+    path, dot, last = name.rpartition(".")
+    return f"{path}{dot}{last[:-1]}" if last[-1:].isdigit() else path
 
 
 def places_in(extraction: ColumnExtraction) -> Places | None:
@@ -250,13 +259,10 @@ def places_in(extraction: ColumnExtraction) -> Places | None:
         return _places_of(extraction, [fixed[axis] for axis in XYZ], "")
     still = _still_columns(extraction)
     by_anchor: dict[str, dict[str, list[int]]] = {}
-    for index, meaning in enumerate(extraction.meanings):
-        if meaning is None or meaning.kind not in ("position", "low") or meaning.of_container:
-            continue
-        if index in still:
-            continue
-        anchor = meaning.anchor or ("corner" if meaning.kind == "low" else "")
-        by_anchor.setdefault(anchor, {}).setdefault(meaning.axis, []).append(index)
+    for index, meaning in extraction.named("position", "low"):
+        if index not in still:
+            anchor = meaning.anchor or ("corner" if meaning.kind == "low" else "")
+            by_anchor.setdefault(anchor, {}).setdefault(meaning.axis, []).append(index)
     by_anchor = {anchor: _on_axes(columns) for anchor, columns in by_anchor.items()}
     bottoms = [
         index for index in by_anchor.get("", {}).get("z", ()) if BASE_WORDS.intersection(words_of(header[index]))
@@ -274,8 +280,8 @@ def places_in(extraction: ColumnExtraction) -> Places | None:
     for anchor, by_axis in sorted(by_anchor.items(), key=lambda entry: entry[0] == ""):
         by_axis |= {axis: [fixed[axis]] for axis in XYZ if axis in fixed}
         if all(axis in by_axis for axis in XYZ):
-            indices = next(_same_stems(header, _columns_of_places(header, [by_axis[axis] for axis in XYZ])))
-            words = {meaning.axis for index in indices if (meaning := extraction.meanings[index]) is not None}
+            indices = _same_stems(header, _columns_of_places(header, [by_axis[axis] for axis in XYZ]))[0]
+            words = {known.axis for index in indices if (known := extraction.meanings[index]) is not None}
             by_name[anchor] = _places_of(extraction, indices, anchor)._replace(
                 named_up="z" if "height" in words else ""
             )
@@ -284,10 +290,9 @@ def places_in(extraction: ColumnExtraction) -> Places | None:
         return by_name[""]._replace(anchor="corner")
     if by_name:
         return next(iter(by_name.values()))
-    for index, meaning in enumerate(extraction.meanings):
-        if meaning is not None and meaning.kind == "positions":
-            values, unit = extraction.triples(index)
-            return Places(values, unit, meaning.anchor, {"position": header[index]})
+    for index, meaning in extraction.named("positions", of_container=True):
+        values, unit = extraction.triples(index)
+        return Places(values, unit, meaning.anchor, {"position": header[index]})
     # the file may have the far corners and the sizes, but no near corners
     far = {axis: columns[0] for axis, columns in _on_axes(extraction.columns_of("high")).items()}
     if not all(axis in far for axis in XYZ):
@@ -305,13 +310,12 @@ def _still_columns(extraction: ColumnExtraction) -> set[int]:
     header = extraction.table.header
     varying: dict[str, bool] = {}
     columns: dict[str, list[int]] = {}
-    for index, meaning in enumerate(extraction.meanings):
-        if meaning is not None and meaning.kind in ("position", "low") and not meaning.of_container:
-            prefix = header[index].rpartition(".")[0]
-            cells = extraction.cells(index)
-            columns.setdefault(prefix, []).append(index)
-            most = max(map(cells.count, cells[:_COMPARED]), default=0)
-            varying[prefix] = varying.get(prefix, False) or most < _STILL * len(cells)
+    for index in extraction.indices("position", "low"):
+        prefix = header[index].rpartition(".")[0]
+        cells = extraction.cells(index)
+        columns.setdefault(prefix, []).append(index)
+        most = max(map(cells.count, cells[:_COMPARED]), default=0)
+        varying[prefix] = varying.get(prefix, False) or most < _STILL * len(cells)
     if not any(varying.values()):
         return set()
     return {index for prefix, indices in columns.items() if prefix and not varying[prefix] for index in indices}
@@ -356,11 +360,10 @@ def corners_in(extraction: ColumnExtraction) -> Geometry | None:
         columns = {axis: header[index] for axis, index in zip(XYZ, lows, strict=True)}
         columns |= {f"{axis} (far)": header[index] for axis, index in zip(XYZ, highs, strict=True)}
         return _between(extraction, corner, far_corner, unit, highs, [header[index] for index in lows], columns)
-    for index, meaning in enumerate(extraction.meanings):
-        if meaning is not None and meaning.kind == "corners":
-            both, unit = extraction.corners(index)
-            near = ["its near corner"] * 3
-            return _between(extraction, both[:, :3], both[:, 3:], unit, [index] * 3, near, {"corners": header[index]})
+    for index in extraction.indices("corners", of_container=True):
+        both, unit = extraction.corners(index)
+        near = ["its near corner"] * 3
+        return _between(extraction, both[:, :3], both[:, 3:], unit, [index] * 3, near, {"corners": header[index]})
     return None
 
 
@@ -420,8 +423,7 @@ def _eight_corners(extraction: ColumnExtraction) -> Geometry | None:
         f"{axis} of corner {number}": header[names[f"{axis}{number}"]] for number in range(2, 8) for axis in XYZ
     }
     lows, highs = [columns[axis] for axis in XYZ], [names[f"{axis}8"] for axis in XYZ]
-    unit = split_unit(columns["x"])[1]
-    return _between(extraction, low, high, unit if unit in LENGTH_UNITS else "", highs, lows, columns)
+    return _between(extraction, low, high, unit_in(columns["x"]), highs, lows, columns)
 
 
 def _between(
@@ -482,25 +484,6 @@ def with_last_cells(geometry: Geometry) -> Geometry | None:
 
 def _are_whole(*numbers: FloatArray) -> bool:
     return all(np.array_equal(some, np.rint(some), equal_nan=True) for some in numbers)
-
-
-def _same_stems(header: Sequence[str], picked: Sequence[Sequence[int]]) -> Iterator[tuple[int, ...]]:
-    """Yield each choice of three columns that belong to the same object, such as ``dimensions.length``,
-    ``dimensions.width`` and ``dimensions.height``. If no three columns belong to the same object, yield the first
-    column of each size."""
-    by_stem: dict[str, dict[int, int]] = {}
-    for number, columns in enumerate(picked):
-        for index in columns:
-            by_stem.setdefault(_stem(header[index]), {}).setdefault(number, index)
-    triples = [tuple(slots.values()) for slots in by_stem.values() if len(slots) == len(picked)]
-    yield from triples or [tuple(columns[0] for columns in picked)]
-
-
-def _stem(name: str) -> str:
-    """The part of a column's name that the columns of one object have in common. It is the name without a digit at its
-    end ("sp_size_1" → "sp_size_"), or else the part before the last dot ("dimensions.length" → "dimensions")."""
-    path, dot, last = name.rpartition(".")
-    return f"{path}{dot}{last[:-1]}" if last[-1:].isdigit() else path
 
 
 def _columns_of_places(header: Sequence[str], columns_of_axes: Sequence[Sequence[int]]) -> list[list[int]]:

@@ -222,12 +222,8 @@ def parquet_frame(path: Path) -> pa.Table:
 def _parquet(
     path: Path, needed: Callable[[list[str]], list[str]], *, nested: bool = False
 ) -> tuple[list[str], pa.Table]:
-    """The names of all columns of a Parquet file, and the columns that are needed.
-
-    Args:
-        needed: function that chooses columns by the names of all columns.
-        nested: whether columns may contain tables.
-    """
+    """The names of all columns of a Parquet file, and the columns that ``needed`` chooses by these names. ``nested``:
+    whether columns may contain tables."""
     with open_for_arrow(path) as stream:
         try:
             with pq.ParquetFile(stream) as file:

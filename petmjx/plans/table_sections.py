@@ -193,27 +193,26 @@ def _sections(
         if is_total(row, geometric):
             notes.append(f"{place} is a total, and left out")
             continue
-        if row[0] is not None and len(filled) == 1 and _are_none_unplaced(cell_text(row[0])):
-            notes += _remark_notes([(_line(row), place)])
+        line, is_alone = _line(row), len(filled) == 1
+        if is_alone and row[0] is not None and _are_none_unplaced(line):
+            notes += _remark_notes([(line, place)])
             continue
-        if len(filled) == 1 and _has_other_separator(filled[0], width):
+        if is_alone and _has_other_separator(filled[0], width):
             lost.append((place, f"has 1 field instead of {width}: another separator?"))
             continue
-        is_remark = _is_remark(row, geometric)
-        if len(filled) == 1 and width > 2 and isinstance(filled[0], str) and not (_mostly_numbers(row) or is_remark):
-            trailing.append((filled[0], place))
-            is_unplaced = row[0] is not None and are_unplaced(filled[0])
-            continue
-        if _is_title(row, geometric, names_pallets):
-            short_titles[_line(row)] = _short_title(filled)
-            trailing.append((_line(row), place))
-            is_unplaced = row[0] is not None and are_unplaced(_line(row))
+        is_remark = _is_remark(line, row, geometric)
+        is_text = is_alone and width > 2 and isinstance(filled[0], str) and not (is_number(filled[0]) or is_remark)
+        if is_text or _is_title(line, row, geometric, names_pallets):
+            if not is_text:
+                short_titles[line] = _short_title(filled)
+            trailing.append((line, place))
+            is_unplaced = row[0] is not None and are_unplaced(line)
             continue
         if trailing and is_unplaced:
             n_unplaced += 1
             continue
         if is_remark:
-            remarks.append((_line(row), place))
+            remarks.append((line, place))
             continue
         is_between = not trailing and any(body for _, body in sections)
         if is_between:  # a line with a name and a value may be a damaged box
@@ -296,9 +295,9 @@ _KEY_AND_VALUE: Final = re.compile(r"^[^\d:;]{3,60}:\s*[\d.,]+\s*\S{0,12}$")
 """A line such as "Cube utilization: 81.2 %" below a table."""
 
 
-def _is_remark(row: Sequence[Any], geometric: Sequence[int]) -> bool:
-    """Whether a row consists of a name and a value, such as "Utilization: 81.2 %", and is no title."""
-    line = _line(row)
+def _is_remark(line: str, row: Sequence[Any], geometric: Sequence[int]) -> bool:
+    """Whether a row (as text: ``line``) consists of a name and a value, such as "Utilization: 81.2 %", and is no
+    title."""
     is_pair = _KEY_AND_VALUE.match(line) is not None and not TITLE_WORDS.intersection(words_of(line))
     return is_pair and _n_numbers(row, geometric) * 2 < len(geometric)
 
@@ -311,15 +310,15 @@ def _lost_lines(lines: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
     return [(place, f"is no box: {printable_name(line)}") for line, place in lines]
 
 
-def _is_title(row: Sequence[Any], geometric: Sequence[int], pallet_columns: Sequence[int]) -> bool:
-    """Whether a row of several cells is the title of a section. There are two kinds of such rows. A row of the first
-    kind has no number, and its words say only that boxes are not placed. A row of the second kind begins with a text
-    that has a word for pallets or orders, and most sizes and places are missing.
+def _is_title(line: str, row: Sequence[Any], geometric: Sequence[int], pallet_columns: Sequence[int]) -> bool:
+    """Whether a row of several cells (as text: ``line``) is the title of a section. There are two kinds of such rows. A
+    row of the first kind has no number, and its words say only that boxes are not placed. A row of the second kind
+    begins with a text that has a word for pallets or orders, and most sizes and places are missing.
 
     Args:
         pallet_columns: columns whose cells name pallets in every row, so that their cells are never titles.
     """
-    if row[0] is not None and not any(map(is_number, row)) and are_unplaced(_line(row)):
+    if row[0] is not None and not any(map(is_number, row)) and are_unplaced(line):
         return True
     begin = next((index for index, cell in enumerate(row) if cell is not None), None)
     if begin is None or begin in pallet_columns or not isinstance(row[begin], str):
@@ -374,11 +373,7 @@ def _mostly_numbers(row: Sequence[Any]) -> bool:
 def _without_header(
     rows: Sequence[tuple[Any, ...]], begin: int, title: str, lost: tuple[tuple[str, str], ...]
 ) -> RawTable:
-    """Make a table from rows of numbers that have no column names.
-
-    Raises:
-        InputError: the rows do not make such a table.
-    """
+    """Make a table from rows of numbers that have no column names. Other rows are refused."""
     used = [(index, row) for index, row in enumerate(rows) if any(cell is not None for cell in row)]
     widths = Counter(len(row) for _, row in used)
     width = widths.most_common(1)[0][0] if widths else 0

@@ -86,12 +86,11 @@ def tables_of_text(data: bytes | bytearray) -> list[RawTable]:
     if text.count("\0"):
         raise NoBoxes("is no text")
     if by_table := rows_of_sql(text):
-        tables = [
-            replace(table, title=name, notes=("rows of SQL", *table.notes))
+        return [
+            replace(table, title=name, notes=(*notes, "rows of SQL", *table.notes))
             for name, rows in by_table.items()
             for table in tables_of_rows(rows, begin)
         ]
-        return [replace(table, notes=(*notes, *table.notes)) for table in tables]
     if latex := text_of_latex(text):
         text, delimiter = latex, "&"
     if "│" in text or "┃" in text or "║" in text:
@@ -113,8 +112,7 @@ def tables_of_text(data: bytes | bytearray) -> list[RawTable]:
             lost.append((f"row {len(rows) - 1 + begin}", f"is no box: {printable_name(' '.join(words))}; truncated?"))
             del rows[-1]
     tables = tables_of_rows(rows, begin, lost=lost)
-    comma = any(table.decimal == "," for table in tables)
-    if comma:
+    if any(table.decimal == "," for table in tables):
         notes.append("decimal commas")
     return [replace(table, notes=(*notes, *table.notes)) for table in tables]
 
@@ -220,30 +218,11 @@ missing values, is no such line."""
 
 
 def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
-    """Fields separated by white space. If there is a line of dashes, the dashes show where columns are, so a cell may
-    be empty. Without a line of dashes, fields are separated by two or more spaces, or by one or more, whichever gives
-    more rows with equally many fields.
-    """
-    rule = next((index for index, line in enumerate(lines) if _RULE.match(line)), None)
-    if rule is not None:
-        spans = [match.span() for match in re.finditer(r"[-=_]+", lines[rule])]
-        above = next((count for count in range(rule) if not lines[rule - 1 - count].strip()), rule)
-        head = rule - (above if above <= _MOST_HEADER_LINES else 1)
-        for index, line in enumerate(lines):
-            if _RULE.match(line):
-                yield []
-            elif index < head:
-                yield line.split()
-            elif index > rule and line not in lines[head:rule] and _is_sentence(line, spans):
-                yield [" ".join(line.split())]
-            else:
-                ends = [*(begin for begin, _ in spans[1:]), None]
-                starts = [0, *(begin for begin, _ in spans[1:])]
-                cells = [line[start:end].strip() for start, end in zip(starts, ends, strict=True)]
-                moved = any(re.search(r"\d\s+\d", cell) for cell in cells) or any(
-                    re.match(r"[\d.,]{2}", line[begin - 1 : begin + 1]) for begin in starts[1:]
-                )
-                yield line.split() if moved else cells if line.strip() else []
+    """Fields separated by white space. If there is a line of dashes, the dashes show where columns are. Without a line
+    of dashes, fields are separated by two or more spaces, or by one or more, whichever gives more rows with equally
+    many fields."""
+    if (rule := next((index for index, line in enumerate(lines) if _RULE.match(line)), None)) is not None:
+        yield from _ruled_fields(lines, rule)
         return
     ways = [[re.split(r"\s{2,}|\t", line.strip()) for line in lines], [line.split() for line in lines]]
 
@@ -269,6 +248,28 @@ def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
         if len(rows[index]) < len(rows[index - 1]) and all(map(is_unit_cell, rows[index])):
             rows[index] = _below_names(rows[index], lines[index], rows[index - 1], lines[index - 1])
     yield from rows
+
+
+def _ruled_fields(lines: Sequence[str], rule: int) -> Iterator[list[str]]:
+    """Fields in the columns that the line of dashes with the number ``rule`` shows. A cell may be empty. A line whose
+    numbers lie across the columns is divided at its white space."""
+    spans = [match.span() for match in re.finditer(r"[-=_]+", lines[rule])]
+    above = next((count for count in range(rule) if not lines[rule - 1 - count].strip()), rule)
+    head = rule - (above if above <= _MOST_HEADER_LINES else 1)
+    begins = [begin for begin, _ in spans[1:]]
+    for index, line in enumerate(lines):
+        if _RULE.match(line):
+            yield []
+        elif index < head:
+            yield line.split()
+        elif index > rule and line not in lines[head:rule] and _is_sentence(line, spans):
+            yield [" ".join(line.split())]
+        else:
+            cells = [line[begin:end].strip() for begin, end in zip([0, *begins], [*begins, None], strict=True)]
+            is_across = any(re.search(r"\d\s+\d", cell) for cell in cells) or any(
+                re.match(r"[\d.,]{2}", line[begin - 1 : begin + 1]) for begin in begins
+            )
+            yield line.split() if is_across else cells if line.strip() else []
 
 
 def _is_sentence(line: str, spans: Sequence[tuple[int, int]]) -> bool:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import io
 import re
 import zipfile
+import zlib
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
@@ -83,7 +84,7 @@ def tables_of_ods(data: bytes | bytearray) -> list[RawTable]:
         if b"<!DOCTYPE" in content[:2000] or b"<!ENTITY" in content:
             raise InputError("is a workbook (.ods) with declarations that petmjx does not read")
         root = ElementTree.fromstring(content)
-    except (zipfile.BadZipFile, KeyError, ElementTree.ParseError, EOFError, NotImplementedError, RuntimeError) as error:
+    except (*DAMAGED_ZIP, KeyError, ElementTree.ParseError) as error:
         raise InputError("is not a whole workbook (.ods)") from error
     return _tables_of_sheets(
         {str(table.get(f"{_TABLE}name")): _ods_rows(table) for table in root.iter(f"{_TABLE}table")}
@@ -121,6 +122,13 @@ def _ods_value(cell: ElementTree.Element) -> Any:
         return None if number is None else number.value
     paragraphs = ["".join(part.itertext()) for part in cell.iter(f"{_TEXT}p")]
     return "\n".join(paragraphs) or None
+
+
+DAMAGED_ZIP: Final = (
+    *(zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError),
+    *(ValueError, OSError, EOFError),
+)
+"""Exceptions that ``zipfile`` raises for a damaged member of an archive."""
 
 
 def check_archive(data: bytes | bytearray) -> None:

@@ -356,8 +356,10 @@ def two_pallets(first: object, second: object, step: bool) -> list[list[object]]
     return [[*row, number % 4 + 1] for number, row in enumerate(rows)] if step else rows
 
 
-@pytest.mark.parametrize("step", [False, True])
-@pytest.mark.parametrize("name", ["PalNo", "LU", "HU", "SSCC", "Stop", "Palette", "Nośnik", "Unit"])
+@pytest.mark.parametrize(
+    ("name", "step"),
+    [("Stop", False), *((name, True) for name in ("PalNo", "LU", "HU", "SSCC", "Palette", "Nośnik", "Unit"))],
+)
 def test_a_column_that_separates_pallets_is_used_with_a_note(tmp_path: Path, name: str, step: bool) -> None:
     plan_set = load(tmp_path, "load.csv", table(two_pallets(7, 8, step), f"{NAMES},{name}{',step' * step}"))
     assert [plan.n_boxes for plan in plan_set.plans] == [4, 4]

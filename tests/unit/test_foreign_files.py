@@ -49,6 +49,16 @@ def arrays() -> bytes:
     return content.getvalue()
 
 
+def sheet_with_damaged_content() -> bytes:
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as file:
+        file.writestr("mimetype", "application/vnd.oasis.opendocument.spreadsheet")
+        file.writestr("content.xml", "<a/>", zipfile.ZIP_DEFLATED)
+    data = bytearray(content.getvalue())
+    data[data.index(b"content.xml") + len(b"content.xml")] ^= 0xFF
+    return bytes(data)
+
+
 def table(delimiter: str = ",", **cells: str) -> str:
     row = dict(zip(COLUMNS, ("a", "1", "base", "0", "0", "0", "600", "400", "250", "12"), strict=True)) | cells
     return f"{delimiter.join(COLUMNS)}\n{delimiter.join(row.values())}\n"
@@ -60,6 +70,7 @@ KINDS = {
     "workbook.json": (workbook(), "is a workbook without a table of boxes"),
     "old.xls": (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(99), "is an Excel workbook of the old kind (.xls): "),
     "sheet.ods": (archive("mimetypeapplication/vnd.oasis.opendocument.spreadsheet"), "is not a whole workbook (.ods)"),
+    "damaged.ods": (sheet_with_damaged_content(), "is not a whole workbook (.ods)"),
     "a.npy": (array(), "holds no array of boxes, whose shape must be (n, 6 to 64); the file has array (3, 4)"),
     "a.npz": (arrays(), "holds no array of boxes, whose shape must be (n, 6 to 64); the file has a (3,)"),
     "a.zip": (archive("plans.json"), "is a ZIP archive: unpack it"),

@@ -384,8 +384,8 @@ def test_two_readings_are_refused_and_options_decide(tmp_path: Path) -> None:
             list(read_orders(tmp_path / name))
     (order,) = read(tmp_path / "units.csv", units="in").values()
     assert boxes_of(order)[0][:3] == pytest.approx((762, 508, 381))
-    for role, kg in (("weight", 48), ("total weight", 2)):
-        (order,) = read(tmp_path / "weights.csv", columns={role: "Gewicht"}).values()
+    for columns, kg in (({"weight": "Gewicht"}, 48), ({"total weight": "-"}, 48), ({"total weight": "Gewicht"}, 2)):
+        (order,) = read(tmp_path / "weights.csv", columns=columns).values()
         assert (len(order.items), order.items[0].weight_kg) == (24, kg)
     for role, count in (("quantity", 8), ("per layer", 16)):
         (order,) = read(tmp_path / "layers.csv", columns={role: "qty"}).values()

@@ -18,8 +18,7 @@ from support.runs import keep_nothing, leave_unfinished
 
 import petmjx
 from petmjx.common.units import STANDARD_GRAVITY
-from petmjx.plans.articles import Article, read_articles
-from petmjx.plans.carton_strength import CartonStrength
+from petmjx.plans.articles import Article, CartonStrength, read_articles
 from petmjx.show.load_tables import load_tables
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")

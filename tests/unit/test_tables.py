@@ -110,7 +110,7 @@ def plan_lists(draw: st.DrawFn) -> list[Plan]:
 
 
 @pytest.mark.filterwarnings("ignore::petmjx.PlanWarning")  # plans of random numbers cause all kinds of notes
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(plan_lists(), st.permutations(FORMS))
 def test_no_form_loses_anything(plans: list[Plan], forms: list[str]) -> None:
     """Plans are converted from each format to the next, and through a data frame."""
@@ -364,7 +364,7 @@ def test_damaged_parquet() -> None:
 
 
 @pytest.mark.filterwarnings("ignore::petmjx.PlanWarning")  # damaged numbers may look like other units
-@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_no_damage_ends_in_a_traceback(data: st.DataObject) -> None:
     text = bytearray("\n".join([HEADER, *(row(name, number) for name in "ABC" for number in (1, 2))]).encode())
