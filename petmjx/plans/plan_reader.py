@@ -101,8 +101,8 @@ def load_plans(
         max_boxes: largest number of boxes. Plans with more boxes are skipped.
         carrier_extent_mm: extent of the carrier along x and y. Boxes that reach beyond this extent are reported as
             outside. None: the extent of the plan's boxes.
-        units: unit of lengths (mm, cm, m, in or ft) and unit of masses (kg, g, lb or t) in the plans, such as "cm,g".
-            None: mm and kg; in files of other tools, the most plausible units.
+        units: unit of lengths (mm, cm, dm, m, in or ft) and unit of masses (kg, g, lb or t) in the plans, such as
+            "cm,g". None: mm and kg; in files of other tools, the most plausible units.
         anchor: the point of a box that the plans' coordinates describe: ``corner`` (front-left-bottom), ``centre``,
             ``base-centre``, ``far-corner`` (with the largest x, y and z), ``top-centre``, ``corner-x`` (with the
             largest x only) and the like. None: the corner; in files of other tools, the most plausible point.

@@ -243,6 +243,7 @@ def test_sizes_and_coordinates_may_have_units_of_their_own(tmp_path: Path) -> No
     assert plan.size_mm[0].tolist() == [400, 300, 200]
     assert plan.corner_mm[0].tolist() == [100, 0, 0]
     assert plan.mass_kg[0] == 6
+    assert Plan.from_boxes("a", [box], units="dm/mm,g").size_mm[0].tolist() == [4000, 3000, 2000]
     row = {"plan_id": "a", "sequence": 1, "article": "b", **box}
     file = tmp_path / "plans.csv"
     file.write_text("\n".join([",".join(row), ",".join(map(str, row.values()))]))
