@@ -16,6 +16,7 @@ from petmjx.plans.column_names import (
     ColumnMeaning,
     known_meanings,
     names_deck,
+    plain_text,
     word_set,
     words_of,
 )
@@ -27,9 +28,15 @@ STACKS: Final = word_set("stack stacks tower towers column columns pile piles bl
 """Words for parts of a plan that stand beside each other."""
 _NAMES: Final = (
     "planid", "orderid", "palletid", "containerid", "binid", "loadid", "plan",
-    "id", "name", "sscc", "partno", "bin", "pallet", "container", "index", "number", "no",
+    "id", "name", "sscc", "palletnumber", "partno", "bin", "pallet", "container", "bezeichnung", "nom", "nombre",
+    "nome", "naam", "nazwa", "index", "number", "no", "nr", "nummer", "numero", "numer",
 )  # fmt: skip
-"""Fields that name a plan, most reliable first, in lower case and without "_"."""
+"""Fields that name a plan, most reliable first, in lower case and without "_". The field "palletnumber" stands for all
+fields that ``_OF_PALLETS`` matches."""
+_OF_PALLETS: Final = re.compile(
+    rf"(?:{'|'.join(sorted(CONTAINER_WORDS))})[\W_]*(?:nr|no|num|number|nummer|numer|numero|code|key|id)"
+)
+"""A field with the number or the key of a pallet, such as "Palettennummer"."""
 _N_OF_PLANS: Final = 7
 """Number of fields at the beginning of ``_NAMES`` that name a plan wherever they are in a file."""
 CONTAINERS: Final = word_set(
@@ -376,7 +383,9 @@ def _texts_of_names(holder: Mapping[str, Any]) -> dict[str, str]:
     texts: dict[str, str] = {}
     for name, value in holder.items():
         if text := _name_text(value):
-            texts.setdefault(str(name).lower().replace("_", ""), text)
+            field = str(name).lower().replace("_", "")
+            is_number = field not in _NAMES and _OF_PALLETS.fullmatch(plain_text(field)) is not None
+            texts.setdefault("palletnumber" if is_number else field, text)
     return {name: texts[name] for name in _NAMES if name in texts}
 
 

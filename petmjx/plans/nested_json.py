@@ -18,7 +18,7 @@ import numpy as np
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable_name
 from petmjx.plans.cell_numbers import cell_number, decimal_of
-from petmjx.plans.column_names import ColumnMeaning, known_meanings, names_unplaced, word_set, words_of
+from petmjx.plans.column_names import CONTAINER_WORDS, ColumnMeaning, known_meanings, names_unplaced, word_set, words_of
 from petmjx.plans.header_and_total_rows import geometric_columns, geometric_names
 from petmjx.plans.json_reader import DuplicateFieldObject, any_integer, json_fault, json_object
 from petmjx.plans.nested_containers import (
@@ -301,8 +301,12 @@ def _members(
         inner_place = f"{place}[{index}]"
         if isinstance(inner, Mapping):
             yield f"{path}[]", NestedBox(inner, inner_place, around)
-        if isinstance(inner, Mapping | list | tuple):
             yield from _members(inner, f"{path}[]", inner_place, around, depth + 1)
+        elif isinstance(inner, list | tuple):
+            # each list of boxes in a list of such lists is a plan (or a layer), so an empty object stands for it
+            are_boxes = len(value) > 1 and bool(inner) and isinstance(inner[0], Mapping)
+            step = (*around, (_last_step(inner_place), dict[str, Any]())) if are_boxes else around
+            yield from _members(inner, f"{path}[]", inner_place, step, depth + 1)
 
 
 def _last_step(path: str) -> str:
@@ -316,12 +320,11 @@ def _alike(members: Sequence[Mapping[str, Any]]) -> bool:
     return len(common) >= 2 and len(common) * 2 >= max(map(len, names))
 
 
-_FORM_WORDS: Final = word_set(
+_FORM_WORDS: Final = CONTAINER_WORDS | word_set(
     "box boxes item items placement placements package packages packed placed fitted fit carton cartons case cases "
-    "data result results rows records bin bins container containers pallet pallets plans layout solution parcels "
-    "objects orders order stack positions kartons pieces"
+    "data result results rows records plans layout solution parcels objects orders order stack positions kartons pieces"
 )
-"""Words in names of fields that hold lists of boxes but do not name a plan."""
+"""Words in names of fields that hold lists of boxes but do not name a plan, unless a number of a pallet follows."""
 
 
 def _is_plan_key(value: Mapping[str, Any]) -> bool:
@@ -338,8 +341,11 @@ def _is_plan_key(value: Mapping[str, Any]) -> bool:
         stems[bool(inner)].add(re.sub(r"\d+", "", str(name)))
     if not stems.get(False, set()) <= stems[True]:
         return False
-    if len(lists) == 1 and _FORM_WORDS.intersection(words_of(next(iter(value)))):
-        return False
+    if len(lists) == 1:
+        words = words_of(str(next(iter(value))))
+        is_numbered = bool(words) and words[-1].isdecimal() and not _BOXES.intersection(words)
+        if _FORM_WORDS.intersection(words) and not is_numbered:
+            return False
     if len(lists) > 1 and all(rows_of_numbers(inner) is not None for inner in lists):
         named = set().union(*(words_of(str(name)) for name in value))
         return not named & (_FORM_WORDS | _BOXES) and len({len(inner[0]) for inner in lists}) == 1

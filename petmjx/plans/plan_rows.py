@@ -17,7 +17,7 @@ from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.cell_numbers import cell_text
 from petmjx.plans.column_extraction import IGNORED
-from petmjx.plans.column_names import PALLET_WORDS, may_count, words_of
+from petmjx.plans.column_names import CONTAINER_WORDS, PALLET_WORDS, may_count, names_deck, words_of
 from petmjx.plans.placement_table import WIDE_STEP
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, gaps_mm
 from petmjx.plans.plausibility import n_before_support
@@ -160,11 +160,17 @@ def plan_names(columns: BoxColumns, source: str, notes: list[str]) -> list[str]:
     words = words_of(columns.columns.get("plan", ""))
     if "plan" in words or "order" in words:  # the names are names of plans, not numbers of containers
         return [name or stem for name in names]
-    if set(names) in ({"0"}, {"1"}):
-        return [stem] * len(names)  # there is only one container
+    if len(set(names)) == 1 and (names[0] in ("0", "1") or _is_kind_of_pallet(names[0])):
+        return [stem] * len(names)  # there is only one container, which has no name of its own
     numbers = sorted(int(name) for name in set(names) if name.isdecimal())
     is_counted = bool(words) or numbers in (list(range(len(numbers))), list(range(1, len(numbers) + 1)))
     return [f"{stem}/{name}" if is_counted and name.isdecimal() else name or stem for name in names]
+
+
+def _is_kind_of_pallet(name: str) -> bool:
+    """Whether a name is only a word for pallets, or a kind of pallets, such as "EUR". Several files may have it."""
+    is_word = CONTAINER_WORDS.issuperset(words_of(name)) or names_deck(name)
+    return is_word and not any(character.isdigit() for character in name)
 
 
 # The packing order.
