@@ -286,6 +286,11 @@ def _column_words(reading: Reading) -> str:
     return ", ".join(f"{role}={name}" for role, name in reading.columns.items())
 
 
+def _columns_of(readings: Sequence[Reading]) -> str:
+    """The columns of readings; if readings have different columns, those of each reading."""
+    return ", or ".join(dict.fromkeys(map(_column_words, readings)))
+
+
 _DIFFERENCES: Final = (
     (("size_columns",), "--columns", lambda reading: reading.size_columns),
     (("units",), "--units", _length_words),
@@ -320,8 +325,8 @@ def differences(one: Reading, two: Reading) -> list[tuple[str, str, str]]:
 
 
 def tie_text(readings: Sequence[Reading], weak: bool) -> str:
-    """The line about a tie: the two readings, how they differ, the vertical axes of other readings, and the options
-    that decide."""
+    """The line about a tie: the two readings, how they differ, the vertical axes of other readings, the options that
+    decide, and the columns that were used."""
     one, two = readings[0], readings[1]
     parts = differences(one, two)
     first, second = (", ".join(part[index] for part in parts) for index in (1, 2))
@@ -334,7 +339,8 @@ def tie_text(readings: Sequence[Reading], weak: bool) -> str:
     ways += "".join(f"; {up_words(up)} is possible, too" for up in further)
     is_piled = weak and one.evidence.is_piled
     advice = f"{options}, or with --as FILE.toml" if options else "--as FILE.toml"
-    return f"{reason} {ways}; {f'{SEVERAL}; ' if is_piled else ''}say which with {advice}"
+    columns = "" if _column_words(one) in first else f"; columns: {_columns_of(readings[:2])}"
+    return f"{reason} {ways}; {f'{SEVERAL}; ' if is_piled else ''}say which with {advice}{columns}"
 
 
 def implausible_text(reading: Reading) -> str:
@@ -345,7 +351,7 @@ def implausible_text(reading: Reading) -> str:
         options = f"{turned}{SEVERAL}; if boxes really overlap, say --anchor {reading.anchor}"
     return (
         f"no reading is plausible; the best has coordinates of {_ANCHOR_WORDS[reading.anchor]}, {up_words(reading.up)} "
-        f"({reading.evidence}); {options}"
+        f"({reading.evidence}); {options}; columns: {_columns_of([reading])}"
     )
 
 

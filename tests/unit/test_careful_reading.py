@@ -303,7 +303,7 @@ def test_a_file_whose_boxes_mostly_overlap_is_refused(tmp_path: Path) -> None:
     message = refusal(load(tmp_path, "load.csv", content))
     reading = "coordinates of corners, z upwards (8 boxes overlap; 8 boxes in all)"
     assert f"no reading is plausible; the best has {reading}" in message
-    assert message.endswith("if boxes really overlap, say --anchor corner")
+    assert "; if boxes really overlap, say --anchor corner; columns: x size=dx [mm]" in message
     assert refusal(load(tmp_path, "load.csv", content, sizes="item")).endswith("say which with --columns rotation=NAME")
     assert len(load(tmp_path, "load.csv", content, anchor="corner").plans) == 1
 
