@@ -32,6 +32,9 @@ _LEAST_OF_PALLETS: Final = 4
 """Smallest number of boxes in a file for which petmjx searches for a column that names the pallets."""
 _LARGEST_NUMBER: Final = 2**53
 """Largest number of a packing order. Larger whole numbers may have been rounded, since they are stored as float64."""
+_MOSTLY: Final = 0.75
+"""Numbers count boxes, with some gaps or repeated numbers, if at least this share of them are distinct, and if boxes
+have at least this share of the numbers from the smallest to the largest."""
 _OF_STACKS: Final = frozenset(("stack", "stacks", "stack id", "stack_id", "stack no", "stack_no", "stackid"))
 """Names of columns that may name pallets, or stacks of one pallet."""
 
@@ -187,6 +190,9 @@ def packing_order(
     possible = _can_be_placed(order, low, size)
     for name, values in columns.counters.items():
         counted = values[rows]
+        if may_count(name) and (flaw := _flaw_of_numbers(counted)):
+            shown = printable_name(name)
+            notes.append(f"{shown} {flaw}, so it is not read as the packing order (--columns sequence={shown})")
         if np.isnan(counted).any() or not _counts_all(counted) or not (np.diff(counted) < 0).any():
             continue  # some boxes have no number, or the numbers only repeat the order of the rows
         if not _can_be_placed(counted, low, size):
@@ -230,6 +236,16 @@ def _counts_all(values: FloatArray) -> bool:
     if values.min() == WIDE_STEP:
         values = values / WIDE_STEP
     return bool((np.sort(values) - np.arange(len(values)) == min(max(float(values.min()), 0.0), 1.0)).all())
+
+
+def _flaw_of_numbers(values: FloatArray) -> str:
+    """Why whole numbers are no running numbers although most of them are: some are repeated, or there are gaps. The
+    result is "" for running numbers, whatever the first number is, and for other numbers, such as ids."""
+    distinct = np.unique(values)  # NaN stays, so values with NaN have no flaw
+    steps = np.diff(distinct)
+    if len(distinct) < _MOSTLY * len(values) or not np.ptp(values) + 1 <= len(values) / _MOSTLY:
+        return ""
+    return "repeats numbers" if len(distinct) < len(values) else "has gaps" if (steps > 1).any() else ""
 
 
 def _can_be_placed(order: NDArray[Any], low: FloatArray, size: FloatArray) -> bool:

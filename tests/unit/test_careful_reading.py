@@ -175,6 +175,17 @@ def test_a_column_that_counts_is_the_packing_order_where_rows_are_not(tmp_path: 
         assert any(note.startswith(f"{name} may be the packing order, too") for note in reading.notes)
 
 
+@pytest.mark.parametrize(
+    ("numbers", "flaw"),
+    [((1, 0, 3), "has gaps"), ((1, 1, 2, 3), "repeats numbers"), ((7, 5, 6), ""), ((1, 2, 3), ""), ((4711, 12, 7), "")],
+)
+def test_running_numbers_with_gaps_or_repeats_have_a_note(tmp_path: Path, numbers: tuple[int, ...], flaw: str) -> None:
+    rows = [[f"b{k}", 0, 0, 200 * k, 400, 300, 200, 5, number] for k, number in enumerate(numbers)]
+    (reading,) = load(tmp_path, "load.csv", table(rows, f"{NAMES},Nr.")).readings.values()
+    notes = [note for note in reading.notes if "not read as the packing order" in note]
+    assert notes == ([f"Nr. {flaw}, so it is not read as the packing order (--columns sequence=Nr.)"] if flaw else [])
+
+
 def test_an_order_with_a_box_before_its_support_is_odd(tmp_path: Path) -> None:
     rows = [[*row, number] for row, number in zip(TOWER, (3, 1, 2), strict=True)]
     plan_set = load(tmp_path, "load.csv", table(rows, f"{NAMES},step"))
