@@ -3,6 +3,7 @@ reading (units, vertical axis …), become a checked table of placements."""
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,6 +18,7 @@ from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.cell_numbers import cell_number
 from petmjx.plans.column_extraction import HALF_EXTENTS, IGNORED, LAST_CELLS
+from petmjx.plans.column_names import ALL_SIZE_WORDS, known_meanings, plain_text, split_unit, word_set
 from petmjx.plans.known_forms import PACKINGSOLVER
 from petmjx.plans.masses_and_densities import assumed_density, masses_kg
 from petmjx.plans.placed_boxes import (
@@ -86,6 +88,7 @@ class PlanBuilder:
                 f"{printable_name(reading.columns[LAST_CELLS])} and columns like it hold the last grid cell of each "
                 "box (the box ends one cell further)"
             )
+        self._note_units(reading, candidate)
         self._note_quantities()
         faults = range_faults(self.columns, reading, candidate)
         # ``exact`` has the columns of a reading that the user has written down; only a guessed reading needs this check
@@ -230,6 +233,18 @@ class PlanBuilder:
                 "boxes as placed, say --sizes placed"
             )
 
+    def _note_units(self, reading: Reading, candidate: Candidate) -> None:
+        """Add notes about columns whose names have a unit that petmjx does not know, such as "width [furlong]". Their
+        unit is chosen by plausibility, unless the user names it."""
+        weights = [self.columns.columns.get("weight", "")]
+        for names, unit, is_named in (
+            (candidate.geometry.columns.values(), reading.units, self.wishes.units),
+            (weights, reading.masses, self.wishes.masses),
+        ):
+            unknown = [name for name in dict.fromkeys(names) if _has_unknown_unit(name)]
+            if unknown and not is_named:
+                self.notes.append(f"{first_names(unknown)}: unknown unit, read as {unit} (say which with --units)")
+
     def _note_quantities(self) -> None:
         """Add a note about quantities above 1. There is no note if each of these quantities equals the number of rows
         with the same article, because each box then has a row. A row has only one place, so it is read as one box
@@ -332,3 +347,18 @@ class PlanBuilder:
                 values[name] = [texts[row][:1000] for row in rows.tolist()]
         numbers = np.array([row_number(self.places[row], row) for row in rows.tolist()], np.int64)
         return Table({name: as_column(column) for name, column in values.items()}, (), numbers)
+
+
+_LAST_WORD: Final = re.compile(r"(?:[\[(]|\s(?:in|/)\s)\s*([^\W\d_]\w*)\s*[\])]?\s*$")
+"""A word in brackets, or behind "in" or "/", at the end of a name."""
+_NO_UNITS: Final = word_set(
+    "outer inner external internal ext int aussen innen net gross netto brutto total each item max min original nominal"
+)
+"""Words at such a place that state which size or weight a column has, and are no units."""
+
+
+def _has_unknown_unit(name: str) -> bool:
+    """Whether the name of a column ends in a word that is probably a unit, but none that petmjx knows."""
+    match = None if split_unit(name)[1] else _LAST_WORD.search(name)
+    word = "" if match is None else plain_text(match[1]).lower()
+    return bool(word) and word not in _NO_UNITS | ALL_SIZE_WORDS and not known_meanings([word])

@@ -186,6 +186,17 @@ def test_running_numbers_with_gaps_or_repeats_have_a_note(tmp_path: Path, number
     assert notes == ([f"Nr. {flaw}, so it is not read as the packing order (--columns sequence=Nr.)"] if flaw else [])
 
 
+def test_columns_with_unknown_units_have_a_note(tmp_path: Path) -> None:
+    header = "name,x,y,z,length (outer),width [furlong],height in punkte,weight (stone)"
+    (reading,) = load(tmp_path, "load.csv", table(TOWER, header)).readings.values()
+    assert [note for note in reading.notes if "unknown unit" in note] == [
+        "width [furlong], height in punkte: unknown unit, read as mm (say which with --units)",
+        "weight (stone): unknown unit, read as kg (say which with --units)",
+    ]
+    (named,) = load(tmp_path, "load.csv", table(TOWER, header), units="mm,kg").readings.values()
+    assert not any("unknown unit" in note for note in named.notes)
+
+
 def test_an_order_with_a_box_before_its_support_is_odd(tmp_path: Path) -> None:
     rows = [[*row, number] for row, number in zip(TOWER, (3, 1, 2), strict=True)]
     plan_set = load(tmp_path, "load.csv", table(rows, f"{NAMES},step"))
