@@ -121,6 +121,7 @@ def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
             "along": list(reading.along),
             "columns": dict(reading.columns),
             "notes": list(reading.notes),
+            "unread": list(reading.unread),
             "evidence": str(reading.evidence),
             "line": reading.line(),
             "unused": list(reading.unused),
@@ -175,7 +176,7 @@ def _lines(record: Mapping[str, Any]) -> Iterator[str]:
     reading = record["reading"]
     if reading is not None:
         yield _line("read", reading["line"].removeprefix("read as "))
-        for line in [note for note in reading["notes"] if note.startswith(NOT_READ)][:_MOST_LINES]:
+        for line in reading["unread"][:_MOST_LINES]:
             yield _line("not read", line.removeprefix(NOT_READ))
         columns = ", ".join(f"{role} = {printable_name(name)}" for role, name in reading["columns"].items())
         yield _line("columns", columns)
