@@ -32,7 +32,6 @@ from petmjx.plans.nested_containers import (
     fields_of_article,
     fields_of_part,
     plan_names_of,
-    repeated_ids,
 )
 from petmjx.plans.nested_fields import LEAST_NUMBERS, flattened, rows_by_column, rows_of_numbers
 from petmjx.plans.raw_tables import MOST_ROWS, BoxList, RawTable, flags_unplaced, not_placed, united
@@ -363,9 +362,9 @@ def _box_list(path: str, members: Sequence[NestedBox]) -> BoxList | None:
     articles, sources = articles_around(members), list[str]()
     of_parts: dict[int, tuple[dict[str, Any], dict[str, ColumnMeaning]]] = {}
     for row, member in zip(flat, members, strict=True):
-        row.update(fields_of_part(member, of_parts))
-        fields, source = fields_of_article(member, articles)
-        row.update(fields)
+        of_part = fields_of_part(member, row, of_parts)
+        of_article, source = fields_of_article(member, row, articles)
+        row |= of_part | of_article
         sources.append(source)
     notes = [*filter(None, dict.fromkeys(sources)), *add_bottoms(members, flat)]
     for others_in in (_static_objects, _other_kinds, _floors):
@@ -385,23 +384,18 @@ def _box_list(path: str, members: Sequence[NestedBox]) -> BoxList | None:
     triples = sum(kind in ("sizes", "positions") for kind in kinds)
     if not (geometric >= 3 or triples or matrices or numbered):
         return None
-    box_members, left = [], 0
-    for number, row in enumerate(flat):
-        if flags_unplaced(row.items()):
-            left += 1
-        else:
-            box_members.append(number)
-    rows = [tuple(_cell(flat[number].get(name)) for name in header) for number in box_members]
-    places = [members[number].place or f"[{number}]" for number in box_members]
+    numbers = [number for number, row in enumerate(flat) if not flags_unplaced(row.items())]
+    rows = [tuple(_cell(flat[number].get(name)) for name in header) for number in numbers]
+    places = [members[number].place or f"[{number}]" for number in numbers]
+    boxes = [members[number] for number in numbers]
     table = RawTable(header, rows, places, decimal_of(rows) or "", title=path, has_header=not numbered)
-    parts = plan_names_of([members[number] for number in box_members], articles)
-    if ids := repeated_ids([members[number] for number in box_members], articles):
+    parts, ids = plan_names_of(boxes, articles)
+    if ids:
         notes.append(f"several plans have {first_names(ids)}: other fields or numbers name them")
-    containers: dict[str, Mapping[str, float]] = {}
-    for number, part in zip(box_members, parts, strict=True):
-        if part not in containers:
-            containers[part] = container_around(members[number], articles)
-    containers = {part: sizes for part, sizes in containers.items() if sizes}
+    first_boxes = dict(zip(reversed(parts), reversed(boxes), strict=True))
+    containers = {
+        part: sizes for part in dict.fromkeys(parts) if (sizes := container_around(first_boxes[part], articles))
+    }
     keyed: Mapping[str, Any] = next(
         (holder for _, holder in reversed(members[0].around) if len(holder) > 1 and _is_plan_key(holder)), {}
     )
@@ -410,7 +404,8 @@ def _box_list(path: str, members: Sequence[NestedBox]) -> BoxList | None:
     around: dict[str, Any] = {}
     for _, holder in members[0].around:
         around |= {name: inner for name, inner in holder.items() if not isinstance(inner, list)}
-    return BoxList(table, path, tuple(parts), containers, (*notes, *not_placed(left)), around)
+    left_out = not_placed(len(flat) - len(boxes))
+    return BoxList(table, path, tuple(parts), containers, (*notes, *left_out), around)
 
 
 def _fields_of(member: NestedBox) -> dict[str, Any]:
