@@ -55,6 +55,7 @@ packers. The model of a plan with this number of boxes declares 132,000 pairs of
 MOST_LINES: Final = 100_000
 """Largest number of unusable entries of a file that are listed one by one. Further entries are only counted."""
 REPEATED: Final = "repeated plan id"
+NO_EFFECT: Final = "no effect on"
 FRAME: Final = "data frame"
 OBJECT: Final = "python"
 """Names in messages: ``FRAME`` stands for a data frame, ``OBJECT`` for any other Python object."""
@@ -310,7 +311,7 @@ class _PlanLoader:
             verb = "has" if len(names) == 1 else "have"
             forms = "it is" if len(self.own_files) == 1 else "they are"
             yield (
-                f"{joined_names(names)} {verb} no effect on {first_names(list(self.own_files), 2)}, since {forms} in "
+                f"{joined_names(names)} {verb} {NO_EFFECT} {first_names(list(self.own_files), 2)}, since {forms} in "
                 "petmjx's own form, with z upwards"
             )
 
