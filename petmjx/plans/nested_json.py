@@ -20,7 +20,7 @@ from petmjx.common.text import count_text, first_names, printable_name
 from petmjx.plans.cell_numbers import cell_number, decimal_of
 from petmjx.plans.column_names import CONTAINER_WORDS, ColumnMeaning, known_meanings, names_unplaced, word_set, words_of
 from petmjx.plans.header_and_total_rows import geometric_columns, geometric_names
-from petmjx.plans.json_reader import DuplicateFieldObject, any_integer, json_fault, json_object
+from petmjx.plans.json_reader import DuplicateFieldObject, json_fault, json_value
 from petmjx.plans.nested_containers import (
     CONTAINERS,
     LAYERS,
@@ -59,8 +59,7 @@ def decoded_json(text: str) -> Any:
         InputError: the text is neither. The error names the line and the column, but not the file.
     """
     try:
-        value = _json_value(text)
-        return _without_types(value) if _TYPED_NAME.search(text) else value
+        return _value_of(text)
     except RecursionError:
         raise InputError("not JSON (nested too deeply)") from None
     except json.JSONDecodeError as error:
@@ -72,8 +71,7 @@ def decoded_json(text: str) -> Any:
                     continue
                 values.lines.append(number)
                 try:
-                    value = _json_value(line)
-                    values.append(_without_types(value) if _TYPED_NAME.search(line) else value)
+                    values.append(_value_of(line))
                 except RecursionError:
                     raise InputError(f"not JSON at line {number} (nested too deeply)") from None
                 except json.JSONDecodeError as fault:
@@ -82,17 +80,6 @@ def decoded_json(text: str) -> Any:
         cut_off = error.pos >= len(text.rstrip()) or error.msg.startswith("Unterminated")
         fault_text = "the file ends too early; truncated?" if cut_off else json_fault(error)
         raise InputError(f"not JSON at line {error.lineno}, column {error.colno} ({fault_text})") from None
-
-
-def _json_value(text: str) -> Any:
-    """Decode JSON. Python refuses whole numbers with thousands of digits; here they become infinite, and a later check
-    refuses them as not finite, with their row and column."""
-    try:
-        return json.loads(text, object_pairs_hook=json_object)
-    except json.JSONDecodeError:
-        raise
-    except ValueError:
-        return json.loads(text, object_pairs_hook=json_object, parse_int=any_integer)
 
 
 _TYPES: Final[Mapping[str, type | tuple[type, ...]]] = {
@@ -106,6 +93,11 @@ _TYPES: Final[Mapping[str, type | tuple[type, ...]]] = {
 {"$numberInt": "5"}. Name of such a field → Python type of its value. The names come from MongoDB's extended JSON,
 DynamoDB and Firestore."""
 _TYPED_NAME: Final = re.compile(r'\{\s*"(?:\$number\w+|\$oid|[NS]|(?:integer|double|string)Value)"\s*:')
+
+
+def _value_of(text: str) -> Any:
+    value = json_value(json.JSONDecoder.decode, text)
+    return _without_types(value) if _TYPED_NAME.search(text) else value
 
 
 def _without_types(value: Any) -> Any:
