@@ -74,27 +74,10 @@ class PlanBuilder:
 
     def plans(self) -> ForeignPlans:
         names, lost, reading, candidate = self._choice()
-        if candidate.geometry.faults:
-            self.columns = replace(self.columns, faults={**candidate.geometry.faults, **self.columns.faults})
         plans, refused = self._plans_of_size(names)
-        self.faults = {row: f"{column} {text}" for row, (column, text) in self.columns.faults.items()}
-        if (turns := self.columns.turns) is not None and not turns.may_be_ignored(reading.rule):
-            self.faults = {row: f"{turns.column} {text}" for row, text in turns.faults.items()} | self.faults
+        self._find_faults(reading, candidate, plans)
         self._check_words(reading, candidate)
-        if HALF_EXTENTS in reading.columns:
-            self.notes.append(f"{printable_name(reading.columns[HALF_EXTENTS])} and columns like it hold half sizes")
-        if LAST_CELLS in reading.columns:
-            self.notes.append(
-                f"{printable_name(reading.columns[LAST_CELLS])} and columns like it hold the last grid cell of each "
-                "box (the box ends one cell further)"
-            )
-        self._note_units(reading, candidate)
-        self._note_quantities()
-        faults = range_faults(self.columns, reading, candidate)
-        # ``exact`` has the columns of a reading that the user has written down; only a guessed reading needs this check
-        if not self.wishes.exact:
-            faults = edge_faults(self.columns, reading, candidate, plans) | faults
-        self.faults = faults | self.faults
+        self._note_columns(reading, candidate)
         size, low = placed_boxes(self.columns, reading, candidate, plans, self.wishes, self.faults, self.notes)
         self._note_plans_apart(plans, size, low)
         for row in rows_below_deck(low, plans, size):
@@ -214,6 +197,22 @@ class PlanBuilder:
         _, low = placed_boxes(self.columns, reading, candidate, plans, self.wishes, self.columns.faults, [])
         return any(np.nanmin(low[rows, 2], initial=np.inf) > DEFAULT_TOLERANCE_MM for rows in plans.values())
 
+    def _find_faults(self, reading: Reading, candidate: Candidate, plans: Mapping[str, NDArray[np.int64]]) -> None:
+        """Find the faults of rows. A row with several faults keeps that of its cells, before that of its rotation, of
+        its range and of its distance from other boxes."""
+        if candidate.geometry.faults:
+            self.columns = replace(self.columns, faults={**candidate.geometry.faults, **self.columns.faults})
+        turns = self.columns.turns
+        uses_turns = turns is not None and not turns.may_be_ignored(reading.rule)
+        # ``exact`` has the columns of a reading that the user has written down; only a guessed reading needs this check
+        of_places = {} if self.wishes.exact else edge_faults(self.columns, reading, candidate, plans)
+        self.faults = {
+            **of_places,
+            **range_faults(self.columns, reading, candidate),
+            **({row: f"{turns.column} {text}" for row, text in turns.faults.items()} if turns and uses_turns else {}),
+            **{row: f"{column} {text}" for row, (column, text) in self.columns.faults.items()},
+        }
+
     def _check_words(self, reading: Reading, candidate: Candidate) -> None:
         """Add a note that tells how two unknown words in a column of rotations were read.
 
@@ -233,9 +232,16 @@ class PlanBuilder:
                 "boxes as placed, say --sizes placed"
             )
 
-    def _note_units(self, reading: Reading, candidate: Candidate) -> None:
-        """Add notes about columns whose names have a unit that petmjx does not know, such as "width [furlong]". Their
-        unit is chosen by plausibility, unless the user names it."""
+    def _note_columns(self, reading: Reading, candidate: Candidate) -> None:
+        """Add notes about half sizes, last grid cells, unknown units and quantities. The unit of a column such as
+        "width [furlong]" is chosen by plausibility, unless the user names it."""
+        if HALF_EXTENTS in reading.columns:
+            self.notes.append(f"{printable_name(reading.columns[HALF_EXTENTS])} and columns like it hold half sizes")
+        if LAST_CELLS in reading.columns:
+            self.notes.append(
+                f"{printable_name(reading.columns[LAST_CELLS])} and columns like it hold the last grid cell of each "
+                "box (the box ends one cell further)"
+            )
         weights = [self.columns.columns.get("weight", "")]
         for names, unit, is_named in (
             (candidate.geometry.columns.values(), reading.units, self.wishes.units),
@@ -244,6 +250,7 @@ class PlanBuilder:
             unknown = [name for name in dict.fromkeys(names) if _has_unknown_unit(name)]
             if unknown and not is_named:
                 self.notes.append(f"{first_names(unknown)}: unknown unit, read as {unit} (say which with --units)")
+        self._note_quantities()
 
     def _note_quantities(self) -> None:
         """Add a note about quantities above 1. There is no note if each of these quantities equals the number of rows
