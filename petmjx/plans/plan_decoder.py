@@ -80,15 +80,12 @@ class _AnyItem(_Item, forbid_unknown_fields=False, gc=False, rename=_JSON_NAMES)
     com_length: float | None = None
     com_width: float | None = None
     com_height: float | None = None
-    stiffness_n_mm: float | None = None
-    strength_n: float | None = None
 
 
 class _AnyPlacement(_Placement, forbid_unknown_fields=False, gc=False):
     """A placement that may have further fields."""
 
     item: _AnyItem
-    approach_deg: float | None = None
 
 
 # loops over these functions run in C
@@ -280,51 +277,49 @@ def parse_plan(plan_id: str, value: object, options: DecoderOptions) -> Plan:
     where = f"{options.source}: plan {printable_id(plan_id)}"
     if (fault := plan_id_fault(plan_id)) is not None:
         raise PlanError(f"{where}: {fault}")
-    placements = _any_placements(value)
-    plan = None
-    if placements and len(placements) <= options.max_boxes:
+    if isinstance(value, list) and len(value) <= options.max_boxes and (placements := _any_placements(value)):
         (plan,) = _plans_of([plan_id], [placements], options)
-        plan = None if plan is None else _with_rare_fields(plan, placements, options)
-    if plan is None:
-        raise PlanError(f"{where}{fault_of_plan(value, options.max_boxes, options.given) or ': is unusable'}")
-    assert isinstance(value, list)  # other values have no placements
-    count_unread(value, options.unread)
-    return plan
+        plan = None if plan is None else _with_rare_fields(plan, value, placements, options)
+        if plan is not None:
+            count_unread(value, options.unread)
+            return plan
+    raise PlanError(f"{where}{fault_of_plan(value, options.max_boxes, options.given) or ': is unusable'}")
 
 
-def _any_placements(value: object) -> list[_AnyPlacement] | None:
+def _any_placements(value: list[Any]) -> list[_AnyPlacement] | None:
     """The placements of a decoded plan; None if a field is missing, is repeated or has the wrong type."""
     try:
         placements = msgspec.convert(value, list[_AnyPlacement])
     except (msgspec.ValidationError, OverflowError, UnicodeError):
         return None
-    assert isinstance(value, list)  # as msgspec has just checked
     if any(isinstance(record, DuplicateFieldObject) for placed in value for record in (placed, placed["item"])):
         return None
     names = ((one.article, one.id, one.product_group, one.material) for one in map(_ITEM, placements))
     return placements if is_text("".join(filter(None, chain.from_iterable(names)))) else None
 
 
-def _with_rare_fields(plan: Plan, placements: Sequence[_AnyPlacement], options: DecoderOptions) -> Plan | None:
-    """A plan with the fields that few plans have; None if one of their values is not allowed."""
+def _with_rare_fields(
+    plan: Plan, value: list[dict[str, Any]], placements: Sequence[_AnyPlacement], options: DecoderOptions
+) -> Plan | None:
+    """A plan with the fields that few plans have; None if one of their values is not allowed. ``value``: the decoded
+    placements, which also have the fields of ``SPARSE``."""
     items, size_mm = [*map(_ITEM, placements)], plan.item_size_mm
     materials = [item.material or "" for item in items]
     kinds = tuple(item.kind or "" for item in items)
-    com_mm = np.array([[value or 0.0 for value in _CENTRE_OF_MASS(item)] for item in items]) * options.given.length_mm
+    com_mm = np.array([[side or 0.0 for side in _CENTRE_OF_MASS(item)] for item in items]) * options.given.length_mm
     sparse: dict[str, list[float | None]] = {
-        name: [getattr(placement if name == "approach_deg" else placement.item, name) for placement in placements]
-        for name in SPARSE
+        name: [(placed if name == "approach_deg" else placed["item"]).get(name) for placed in value] for name in SPARSE
     }
     is_good = (
         bool((2 * np.abs(com_mm) < size_mm).all())
-        and all(sparse_fault(name, value) is None for name, values in sparse.items() for value in values)
+        and all(sparse_fault(name, number) is None for name, values in sparse.items() for number in values)
         and all(kind_fault(name) is None for name in kinds)
         and all(pallet_fault(name, sides) is None for name, sides in zip(kinds, size_mm, strict=True))
     )
     if not is_good:
         return None
     numbers: dict[str, Any] = {
-        name: np.array([np.nan if value is None else value for value in values])
+        name: np.array([np.nan if number is None else number for number in values], np.float64)
         for name, values in sparse.items()
         if values.count(None) < len(values)
     }
