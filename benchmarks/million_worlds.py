@@ -28,7 +28,7 @@ from petmjx.engines.engine_registry import check_options, options_of
 from petmjx.options.run_options import AUTO, RunOptions
 from petmjx.packers.sample_plans import generate_one
 from petmjx.plans.plan import Plan
-from petmjx.plans.plan_validation import parse_plan
+from petmjx.plans.plan_decoder import DecoderOptions, parse_plan
 from petmjx.runs.simulate import RunStart, simulate
 from petmjx.runs.study import FinishedWorld
 from petmjx.runs.sweep_file import Sweep, load_sweep
@@ -225,7 +225,7 @@ def made(n: int) -> list[Plan]:
         most = FEWEST + index % (MOST - FEWEST + 1)
         index += 1
         if len(placements) >= most:
-            plans.append(parse_plan(plan_id, "million", placements[:most], most, {}))
+            plans.append(parse_plan(plan_id, placements[:most], DecoderOptions("million")))
     return plans
 
 

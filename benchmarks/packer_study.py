@@ -34,7 +34,7 @@ from petmjx.packers.packer_registry import BALANCED
 from petmjx.packers.sample_plans import as_placements
 from petmjx.plans.order import TARGET_EXTENT_MM, Order
 from petmjx.plans.plan import Plan
-from petmjx.plans.plan_validation import parse_plan
+from petmjx.plans.plan_decoder import DecoderOptions, parse_plan
 from petmjx.results.share_statistics import PairedCounts, mcnemar_p
 from petmjx.runs.ready_sweeps import find_sweep
 
@@ -154,7 +154,7 @@ def _plans(
                     key = (name, packer, order_id)
                     placements = as_placements(packings[order_id])
                     plans[key] = (
-                        parse_plan(f"{len(plans)}", "study", placements, len(placements), {}) if placements else None
+                        parse_plan(f"{len(plans)}", placements, DecoderOptions("study")) if placements else None
                     )
     return plans
 

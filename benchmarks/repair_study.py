@@ -19,7 +19,7 @@ import petmjx
 from petmjx.common.text import count_text
 from petmjx.packers.sample_plans import MOST_SAMPLES, generate
 from petmjx.plans.plan import Plan
-from petmjx.plans.plan_validation import parse_plan
+from petmjx.plans.plan_decoder import DecoderOptions, parse_plan
 from petmjx.repairs.draft_rules import Rules
 from petmjx.repairs.drafts import Draft
 from petmjx.repairs.repair import Repaired
@@ -43,7 +43,7 @@ def falling(plans: Sequence[Plan], **how: Any) -> list[Plan]:
 def generated(n: int, seed: int, boxes: tuple[int, int], **how: Any) -> tuple[list[Plan], list[Plan]]:
     """From the mixed set of a seed, and only with a number of boxes in the range ``boxes``: the first ``n`` plans that
     fall, and up to the same number of plans that stand."""
-    drawn = (parse_plan(name, f"seed {seed}", placed, len(placed), {}) for name, placed in generate(MOST_SAMPLES, seed))
+    drawn = (parse_plan(name, placed, DecoderOptions(f"seed {seed}")) for name, placed in generate(MOST_SAMPLES, seed))
     fitting = (plan for plan in drawn if boxes[0] <= plan.n_boxes <= boxes[1])
     plans: list[Plan] = []
     neighbours: list[Plan] = []

@@ -21,7 +21,7 @@ from petmjx.options.simulation import Simulation
 from petmjx.packers.sample_plans import generate_one
 from petmjx.plans.order_generator import draw_order
 from petmjx.plans.plan import Plan
-from petmjx.plans.plan_validation import parse_plan
+from petmjx.plans.plan_decoder import DecoderOptions, parse_plan
 from petmjx.runs.confidence import confidence_sweep
 from petmjx.runs.ready_sweeps import find_sweep
 from petmjx.runs.simulate import simulate
@@ -119,7 +119,7 @@ def plan_of(index: int, loose_share: float | None = None) -> Plan:
     """A generated plan of the packer ``balanced``. With ``loose_share``, the plan is from a mixed set."""
     how: dict[str, Any] = {"packer": "balanced"} if loose_share is None else {"loose_share": loose_share}
     plan_id, placements = generate_one(index, SEED, **how)
-    return parse_plan(plan_id, "estimates", placements, len(placements), {})
+    return parse_plan(plan_id, placements, DecoderOptions("estimates"))
 
 
 def shelf_plan(number: int) -> Plan:

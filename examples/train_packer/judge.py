@@ -9,7 +9,7 @@ from petmjx.packers.learned_packer import Policy, pack_learned
 from petmjx.packers.sample_plans import as_placements
 from petmjx.plans.order import TARGET_EXTENT_MM
 from petmjx.plans.order_generator import draw_order
-from petmjx.plans.plan_validation import parse_plan
+from petmjx.plans.plan_decoder import DecoderOptions, parse_plan
 
 CATALOGUE = 4_000_000
 ORDERS, WORLDS = 24, 4
@@ -21,7 +21,7 @@ def judged(policy: Policy, engine: Any) -> dict[str, float]:
     for number in range(ORDERS):
         order = draw_order(CATALOGUE, number)
         placements = as_placements(pack_learned(order.items, TARGET_EXTENT_MM[order.target], policy=policy))
-        plans.append(parse_plan(f"{number}", "judge", placements, len(placements), {}))
+        plans.append(parse_plan(f"{number}", placements, DecoderOptions("judge")))
     worlds = petmjx.score(plans, confidence=WORLDS, engine=engine).worlds
     exact = worlds.variant == 0
     stable = worlds.verdict == "stable"

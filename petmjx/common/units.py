@@ -22,6 +22,7 @@ of this value."""
 LENGTHS_MM: Final[Mapping[str, tuple[float, str]]] = {
     "mm": (1.0, "millimetres"),
     "cm": (10.0, "centimetres"),
+    "dm": (100.0, "decimetres"),
     "m": (1000.0, "metres"),
     "in": (25.4, "inches"),
     "ft": (304.8, "feet"),

@@ -174,8 +174,8 @@ class RunOptions(CheckedRecord):
         str | None, AfterValidator(_units), CliFlag("--units", "LENGTH,MASS", default=f"{PLAN_UNITS}; {_OR_BY_FILE}")
     ] = Field(
         None,
-        description="unit of the lengths (mm, cm, m, in or ft), unit of the masses (kg, g, lb or t), or both (cm,g) in "
-        "the plans. If sizes and coordinates have different units, both are given: cm/mm means sizes in cm, "
+        description="unit of the lengths (mm, cm, dm, m, in or ft), unit of the masses (kg, g, lb or t), or both "
+        "(cm,g) in the plans. If sizes and coordinates have different units, both are given: cm/mm means sizes in cm, "
         "coordinates in mm",
     )
     anchor: Annotated[Anchor | None, CliFlag("--anchor", "POINT", default=f"corner; {_OR_BY_FILE}")] = Field(

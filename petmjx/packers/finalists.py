@@ -18,7 +18,7 @@ from petmjx.packers.physical_packer_options import PhysicalOptions
 from petmjx.packers.sample_plans import as_placements
 from petmjx.plans.order import Order, target_extent_mm
 from petmjx.plans.plan import Plan
-from petmjx.plans.plan_validation import parse_plan
+from petmjx.plans.plan_decoder import DecoderOptions, parse_plan
 
 SOURCE = "pack"
 """Text that messages show as the source of packed plans, which come from no file."""
@@ -222,7 +222,7 @@ def decisive_evaluations(judged: Sequence[Evaluation], options: PhysicalOptions)
 def plan_of(plan_id: str, finalist: Finalist) -> Plan:
     """A packing as a plan. The plan is the same as if it had been read from a file of ``petmjx samples``."""
     placements = as_placements(finalist.placed)
-    return parse_plan(plan_id, SOURCE, placements, len(placements), {})
+    return parse_plan(plan_id, placements, DecoderOptions(SOURCE))
 
 
 def choose(judged: Sequence[Evaluation], options: PhysicalOptions) -> Evaluation:

@@ -74,10 +74,7 @@ DENSITY_UNITS: Final = {
 }
 """Name of a unit of density → kg/m³."""
 _DENSITY_LETTERS: Final = {unit.replace("/", ""): unit for unit in DENSITY_UNITS}
-UNIT_WORDS: Final = {
-    **{unit: words for unit, (_, words) in {**LENGTHS_MM, **MASSES_KG}.items()},
-    "dm": "decimetres",
-}
+UNIT_WORDS: Final = {unit: words for unit, (_, words) in {**LENGTHS_MM, **MASSES_KG}.items()}
 """Name of a unit → the unit as messages call it."""
 
 

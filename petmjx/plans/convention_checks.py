@@ -301,14 +301,15 @@ def with_conventions(plan_set: PlanSet, extent_mm: tuple[float, float] | None) -
     ]
     # Plans of other tools are left out: their places have already been converted to petmjx's convention.
     own_odd = [layout for layout in odd if layout.source not in plan_set.readings]
-    conventions = [*find_conventions(plan_set.plans, own_odd, extent_mm), *odd_boxes(plan_set.plans)]
+    conventions = find_conventions(plan_set.plans, own_odd, extent_mm)
     return replace(plan_set, warnings=odd, conventions=[*readings, *conventions])
 
 
 def find_conventions(
     plans: Sequence[Plan], odd: Iterable[PlanWarnings], carrier_extent_mm: tuple[float, float] | None
 ) -> list[str]:
-    """A line for each convention that plans appear to follow instead of petmjx's.
+    """A line for each convention that plans appear to follow instead of petmjx's, and a line about boxes with
+    implausible densities (``_odd_boxes``).
 
     Args:
         plans: plans with distinct ids.
@@ -317,17 +318,19 @@ def find_conventions(
     """
     search = _Search(carrier_extent_mm)
     layouts = {layout.plan_id: layout for layout in odd}
-    units = _odd_densities(plans)
+    densities = _with_odd_boxes(plans)
+    units = _odd_densities(densities)
     for plan in plans if layouts or units else ():
         layout, unit = layouts.get(plan.plan_id), units.get(plan.plan_id)
         if layout is not None or unit is not None:
             search.look_at(plan, layout, unit)
     total = count_text(len(plans), "plan")
-    return [
+    lines = [
         f"{finding.example} ({finding.count:,} of {total}); if that is so, {finding.advice}"
         for looks, finding in search.found.items()
         if search.common(looks)
     ]
+    return [*lines, *_odd_boxes(densities)]
 
 
 def warn(lines: Iterable[str]) -> None:
@@ -430,13 +433,17 @@ def _from_the_middle(plan: Plan, way: Convention | None, extent_mm: tuple[float,
     return bool(on_it and (corner[:, :2] < -DEFAULT_TOLERANCE_MM).any())
 
 
-def odd_boxes(plans: Sequence[Plan]) -> list[str]:
+def _odd_boxes(densities: Sequence[tuple[Plan, FloatArray]]) -> list[str]:
     """A list with one line about boxes with implausible densities, such as one of 5,000 kg among boxes of 5 kg. The
     list is empty if there are no such boxes. Plans in which most boxes have such densities are left out, because
-    ``find_conventions`` has lines about them."""
+    they have lines about units.
+
+    Args:
+        densities: the result of ``_with_odd_boxes``.
+    """
     odd = [
         (abs(math.log(density[box] / _USUAL_KG_M3)), plan, box, density[box])
-        for plan, density in _with_odd_boxes(plans)
+        for plan, density in densities
         if not _are_odd(np.median(density))
         for box in np.flatnonzero(_are_odd(density)).tolist()
     ]
@@ -464,11 +471,11 @@ def _with_odd_boxes(plans: Sequence[Plan]) -> list[tuple[Plan, FloatArray]]:
     return [(plans[index], density[begins[index] : begins[index + 1]]) for index in odd.tolist()]
 
 
-def _odd_densities(plans: Sequence[Plan]) -> dict[str, tuple[Convention, str]]:
+def _odd_densities(densities: Sequence[tuple[Plan, FloatArray]]) -> dict[str, tuple[Convention, str]]:
     """Plan id → the unit that explains why most boxes have impossible densities, and a description of the box with the
-    most extreme density."""
+    most extreme density. ``densities``: as in ``_odd_boxes``."""
     reasons = {}
-    for plan, density in _with_odd_boxes(plans):
+    for plan, density in densities:
         median = np.median(density)
         if _are_odd(median):
             light = median < LIGHTEST_KG_M3

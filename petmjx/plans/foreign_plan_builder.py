@@ -3,6 +3,7 @@ reading (units, vertical axis …), become a checked table of placements."""
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,6 +18,7 @@ from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.cell_numbers import cell_number
 from petmjx.plans.column_extraction import HALF_EXTENTS, IGNORED, LAST_CELLS
+from petmjx.plans.column_names import ALL_SIZE_WORDS, known_meanings, plain_text, split_unit, word_set
 from petmjx.plans.known_forms import PACKINGSOLVER
 from petmjx.plans.masses_and_densities import assumed_density, masses_kg
 from petmjx.plans.placed_boxes import (
@@ -72,26 +74,10 @@ class PlanBuilder:
 
     def plans(self) -> ForeignPlans:
         names, lost, reading, candidate = self._choice()
-        if candidate.geometry.faults:
-            self.columns = replace(self.columns, faults={**candidate.geometry.faults, **self.columns.faults})
         plans, refused = self._plans_of_size(names)
-        self.faults = {row: f"{column} {text}" for row, (column, text) in self.columns.faults.items()}
-        if (turns := self.columns.turns) is not None and not turns.may_be_ignored(reading.rule):
-            self.faults = {row: f"{turns.column} {text}" for row, text in turns.faults.items()} | self.faults
+        self._find_faults(reading, candidate, plans)
         self._check_words(reading, candidate)
-        if HALF_EXTENTS in reading.columns:
-            self.notes.append(f"{printable_name(reading.columns[HALF_EXTENTS])} and columns like it hold half sizes")
-        if LAST_CELLS in reading.columns:
-            self.notes.append(
-                f"{printable_name(reading.columns[LAST_CELLS])} and columns like it hold the last grid cell of each "
-                "box (the box ends one cell further)"
-            )
-        self._note_quantities()
-        faults = range_faults(self.columns, reading, candidate)
-        # ``exact`` has the columns of a reading that the user has written down; only a guessed reading needs this check
-        if not self.wishes.exact:
-            faults = edge_faults(self.columns, reading, candidate, plans) | faults
-        self.faults = faults | self.faults
+        self._note_columns(reading, candidate)
         size, low = placed_boxes(self.columns, reading, candidate, plans, self.wishes, self.faults, self.notes)
         self._note_plans_apart(plans, size, low)
         for row in rows_below_deck(low, plans, size):
@@ -211,6 +197,22 @@ class PlanBuilder:
         _, low = placed_boxes(self.columns, reading, candidate, plans, self.wishes, self.columns.faults, [])
         return any(np.nanmin(low[rows, 2], initial=np.inf) > DEFAULT_TOLERANCE_MM for rows in plans.values())
 
+    def _find_faults(self, reading: Reading, candidate: Candidate, plans: Mapping[str, NDArray[np.int64]]) -> None:
+        """Find the faults of rows. A row with several faults keeps that of its cells, before that of its rotation, of
+        its range and of its distance from other boxes."""
+        if candidate.geometry.faults:
+            self.columns = replace(self.columns, faults={**candidate.geometry.faults, **self.columns.faults})
+        turns = self.columns.turns
+        uses_turns = turns is not None and not turns.may_be_ignored(reading.rule)
+        # ``exact`` has the columns of a reading that the user has written down; only a guessed reading needs this check
+        of_places = {} if self.wishes.exact else edge_faults(self.columns, reading, candidate, plans)
+        self.faults = {
+            **of_places,
+            **range_faults(self.columns, reading, candidate),
+            **({row: f"{turns.column} {text}" for row, text in turns.faults.items()} if turns and uses_turns else {}),
+            **{row: f"{column} {text}" for row, (column, text) in self.columns.faults.items()},
+        }
+
     def _check_words(self, reading: Reading, candidate: Candidate) -> None:
         """Add a note that tells how two unknown words in a column of rotations were read.
 
@@ -229,6 +231,26 @@ class PlanBuilder:
                 f"{printable_name(turns.column)} has rotations of unknown meaning ({words}); if sizes are those of the "
                 "boxes as placed, say --sizes placed"
             )
+
+    def _note_columns(self, reading: Reading, candidate: Candidate) -> None:
+        """Add notes about half sizes, last grid cells, unknown units and quantities. The unit of a column such as
+        "width [furlong]" is chosen by plausibility, unless the user names it."""
+        if HALF_EXTENTS in reading.columns:
+            self.notes.append(f"{printable_name(reading.columns[HALF_EXTENTS])} and columns like it hold half sizes")
+        if LAST_CELLS in reading.columns:
+            self.notes.append(
+                f"{printable_name(reading.columns[LAST_CELLS])} and columns like it hold the last grid cell of each "
+                "box (the box ends one cell further)"
+            )
+        weights = [self.columns.columns.get("weight", "")]
+        for names, unit, is_named in (
+            (candidate.geometry.columns.values(), reading.units, self.wishes.units),
+            (weights, reading.masses, self.wishes.masses),
+        ):
+            unknown = [name for name in dict.fromkeys(names) if _has_unknown_unit(name)]
+            if unknown and not is_named:
+                self.notes.append(f"{first_names(unknown)}: unknown unit, read as {unit} (say which with --units)")
+        self._note_quantities()
 
     def _note_quantities(self) -> None:
         """Add a note about quantities above 1. There is no note if each of these quantities equals the number of rows
@@ -332,3 +354,18 @@ class PlanBuilder:
                 values[name] = [texts[row][:1000] for row in rows.tolist()]
         numbers = np.array([row_number(self.places[row], row) for row in rows.tolist()], np.int64)
         return Table({name: as_column(column) for name, column in values.items()}, (), numbers)
+
+
+_LAST_WORD: Final = re.compile(r"(?:[\[(]|\s(?:in|/)\s)\s*([^\W\d_]\w*)\s*[\])]?\s*$")
+"""A word in brackets, or behind "in" or "/", at the end of a name."""
+_NO_UNITS: Final = word_set(
+    "outer inner external internal ext int aussen innen net gross netto brutto total each item max min original nominal"
+)
+"""Words at such a place that state which size or weight a column has, and are no units."""
+
+
+def _has_unknown_unit(name: str) -> bool:
+    """Whether the name of a column ends in a word that is probably a unit, but none that petmjx knows."""
+    match = None if split_unit(name)[1] else _LAST_WORD.search(name)
+    word = "" if match is None else plain_text(match[1]).lower()
+    return bool(word) and word not in _NO_UNITS | ALL_SIZE_WORDS and not known_meanings([word])

@@ -6,15 +6,17 @@ from __future__ import annotations
 import json
 import re
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeVar
 
 from petmjx.common.errors import InputError
 from petmjx.common.safe_read import FREE_BYTES, MOST_BYTES, allowed_bytes, read_regular, size
 from petmjx.common.text import count_text, printable_id
 from petmjx.common.unreadable_files import foreign_kind
 from petmjx.plans.file_formats import wide_encoding
+
+Value = TypeVar("Value")
 
 _GZIP_MAGIC: Final = b"\x1f\x8b\x08"
 _GZIP_CHUNK: Final = 1 << 14
@@ -220,7 +222,7 @@ def _decoded_value(data: bytes | bytearray, begin: int, window: int, where: str,
         text = _text(data[begin : begin + window])
         reaches_end = begin + window >= len(data)
         try:
-            value, end = _decode_start(text)
+            value, end = json_value(json.JSONDecoder.raw_decode, text)
         except json.JSONDecodeError as error:
             cut_off = error.pos >= len(text) - (0 if reaches_end else _LONGEST_TOKEN) or error.msg.startswith(
                 "Unterminated"
@@ -271,27 +273,32 @@ def _n_bytes(text: str, n_characters: int) -> int:
     return n_characters if text.isascii() else len(text[:n_characters].encode("utf-8", "surrogateescape"))
 
 
-def any_integer(digits: str) -> int | float:
+def _any_integer(digits: str) -> int | float:
     """Convert an integer of any length. An integer too large for float64 becomes infinite, and a later check refuses it
     as not finite."""
     return int(digits) if len(digits) < 400 else float(digits)
 
 
-def json_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _json_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """A JSON object from its fields, in order. If a field is repeated, the result is a ``DuplicateFieldObject``."""
     members = dict(pairs)
     return members if len(members) == len(pairs) else DuplicateFieldObject(pairs)
 
 
-_DECODER: Final = json.JSONDecoder(object_pairs_hook=json_object)
-_PATIENT_DECODER: Final = json.JSONDecoder(object_pairs_hook=json_object, parse_int=any_integer)
+_DECODER: Final = json.JSONDecoder(object_pairs_hook=_json_object)
+_PATIENT_DECODER: Final = json.JSONDecoder(object_pairs_hook=_json_object, parse_int=_any_integer)
 
 
-def _decode_start(text: str) -> tuple[Any, int]:
+def json_value(decode: Callable[[json.JSONDecoder, str], Value], text: str) -> Value:
+    """The value of a JSON text. Python refuses integers of more than 4,300 digits; here, a later check refuses them as
+    not finite, so that a plan with such an integer is named.
+
+    Args:
+        decode: the method of Python's decoder that decodes the text.
+    """
     try:
-        return _DECODER.raw_decode(text)
+        return decode(_DECODER, text)
     except json.JSONDecodeError:
         raise
     except ValueError:
-        # Python refuses integers of more than 4,300 digits. Here, a plan with such an integer is named and skipped.
-        return _PATIENT_DECODER.raw_decode(text)
+        return decode(_PATIENT_DECODER, text)

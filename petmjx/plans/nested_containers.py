@@ -16,6 +16,7 @@ from petmjx.plans.column_names import (
     ColumnMeaning,
     known_meanings,
     names_deck,
+    plain_text,
     word_set,
     words_of,
 )
@@ -27,9 +28,15 @@ STACKS: Final = word_set("stack stacks tower towers column columns pile piles bl
 """Words for parts of a plan that stand beside each other."""
 _NAMES: Final = (
     "planid", "orderid", "palletid", "containerid", "binid", "loadid", "plan",
-    "id", "name", "sscc", "partno", "bin", "pallet", "container", "index", "number", "no",
+    "id", "name", "sscc", "palletnumber", "partno", "bin", "pallet", "container", "bezeichnung", "nom", "nombre",
+    "nome", "naam", "nazwa", "index", "number", "no", "nr", "nummer", "numero", "numer",
 )  # fmt: skip
-"""Fields that name a plan, most reliable first, in lower case and without "_"."""
+"""Fields that name a plan, most reliable first, in lower case and without "_". The field "palletnumber" stands for all
+fields that ``_OF_PALLETS`` matches."""
+_OF_PALLETS: Final = re.compile(
+    rf"(?:{'|'.join(sorted(CONTAINER_WORDS))})[\W_]*(?:nr|no|num|number|nummer|numer|numero|code|key|id)"
+)
+"""A field with the number or the key of a pallet, such as "Palettennummer"."""
 _N_OF_PLANS: Final = 7
 """Number of fields at the beginning of ``_NAMES`` that name a plan wherever they are in a file."""
 CONTAINERS: Final = word_set(
@@ -57,17 +64,20 @@ class NestedBox:
 
 
 def fields_of_part(
-    member: NestedBox, of_parts: dict[int, tuple[dict[str, Any], dict[str, ColumnMeaning]]]
+    member: NestedBox,
+    own_fields: Mapping[str, Any],
+    of_parts: dict[int, tuple[dict[str, Any], dict[str, ColumnMeaning]]],
 ) -> dict[str, Any]:
     """The coordinates and the height that a box lacks, from the layer or stack that contains it.
 
     Args:
+        own_fields: the fields of the box.
         of_parts: id of a layer or stack → its numbers, and the meanings of their fields. This function adds entries.
     """
     step, holder = member.around[-1] if member.around else ("", {})
     if not (LAYERS | STACKS).intersection(words_of(step)):
         return {}
-    given = {(meaning.kind, meaning.axis) for meaning in known_meanings(flattened(member.value)).values()}
+    given = {(meaning.kind, meaning.axis) for meaning in known_meanings(own_fields).values()}
     if ("positions", "") in given or ("sizes", "") in given or not any(kind == "position" for kind, _ in given):
         return {}
     if id(holder) not in of_parts:
@@ -183,15 +193,17 @@ def _at_same_places(groups: Sequence[Sequence[Mapping[str, Any]]]) -> bool:
     return len(groups) > 1 and all(any(counts[place] > 1 for place in group) for group in places)
 
 
-def fields_of_article(member: NestedBox, articles: Collection[int]) -> tuple[dict[str, Any], str]:
+def fields_of_article(
+    member: NestedBox, own_fields: Mapping[str, Any], articles: Collection[int]
+) -> tuple[dict[str, Any], str]:
     """The weight, the name and the sizes that a box lacks, taken from its article. The article is an object "cargo" or
     "item" beside the list of boxes, or the member of a list of articles that contains the list of boxes. The function
     also returns a note that tells where weights or sizes are from; "" if the article gives none.
 
     Args:
+        own_fields: the fields of the box.
         articles: Python's ``id`` of each object that is an article (``articles_around``).
     """
-    own_fields = flattened(member.value)
     given = {meaning.kind for meaning in known_meanings(own_fields).values()}
     if not given & _PLACES or "weight" in given:
         return {}, ""
@@ -256,25 +268,37 @@ def _is_article(name: str) -> bool:
     return bool(words) and words[-1] in _ARTICLES and not CONTAINERS.intersection(words)
 
 
-def plan_names_of(members: Sequence[NestedBox], articles: Collection[int]) -> list[str]:
+def plan_names_of(members: Sequence[NestedBox], articles: Collection[int]) -> tuple[list[str], list[str]]:
     """The name of each member's plan, from the objects around the member. If the members are in several objects, each
     plan has the name of its object. If these objects are in several objects, too, such as pallets in orders, the plan's
     name is "order/pallet". Layers, stacks and articles do not count as such objects. If one object holds all members,
     the innermost name around them is the name of the only plan.
+
+    The function also returns the ids or names that several plans have, with their fields ("id 7"). These plans are
+    named by other fields or by their numbers. There are none if pallets are in several orders, because each order may
+    have pallets with the same ids.
 
     Args:
         articles: Python's ``id`` of each object that is an article (``articles_around``).
     """
     several = _levels_of_plans(members, articles)
     if not several:
-        return [_only_name(members[0].around)] * len(members) if members else []
+        return [_only_name(members[0].around)] * len(members) if members else [], []
     names = []
+    ids: Counter[str] = Counter()
     for level in several:
         distinct = {id(holder): (step, holder) for step, holder in level}
-        labels = _names_of(list(distinct.values()))
-        by_holder = dict(zip(distinct, labels, strict=True))
+        by_holder = dict(zip(distinct, _names_of(list(distinct.values())), strict=True))
         names.append([by_holder[id(holder)] for _, holder in level])
-    return ["/".join(filter(None, parts)) for parts in zip(*names, strict=True)]
+        for number, (_, holder) in distinct.items() if len(several) == 1 else ():
+            firsts = [(field, text) for field, text in _texts_of_names(holder).items() if field.endswith(_IDS)][:1]
+            ids.update(f"{field} {text}" for field, text in firsts if text != by_holder[number])
+    repeated = [text for text, count in ids.items() if count > 1]
+    return ["/".join(filter(None, parts)) for parts in zip(*names, strict=True)], repeated
+
+
+_IDS: Final = ("id", "name", "sscc")
+"""Endings of the names of fields whose texts should differ between plans."""
 
 
 def _levels_of_plans(
@@ -306,25 +330,6 @@ def _levels_of_plans(
         ]
         or same[:1]
     ]
-
-
-def repeated_ids(members: Sequence[NestedBox], articles: Collection[int]) -> list[str]:
-    """Ids or names that several plans have, with their fields ("id 7"). These plans are named by other fields or by
-    their numbers. The list is empty if pallets are in several orders, because each order may have pallets with the same
-    ids."""
-    levels = _levels_of_plans(members, articles)
-    if len(levels) != 1:
-        return []
-    holders = list({id(holder): (step, holder) for step, holder in levels[0]}.values())
-    ids: Counter[str] = Counter()
-    for name, (_, holder) in zip(_names_of(holders), holders, strict=True):
-        firsts = [(field, text) for field, text in _texts_of_names(holder).items() if field.endswith(_IDS)][:1]
-        ids.update(f"{field} {text}" for field, text in firsts if text != name)
-    return [text for text, count in ids.items() if count > 1]
-
-
-_IDS: Final = ("id", "name", "sscc")
-"""Endings of the names of fields whose texts should differ between plans."""
 
 
 def _is_part(step: str) -> bool:
@@ -376,7 +381,9 @@ def _texts_of_names(holder: Mapping[str, Any]) -> dict[str, str]:
     texts: dict[str, str] = {}
     for name, value in holder.items():
         if text := _name_text(value):
-            texts.setdefault(str(name).lower().replace("_", ""), text)
+            field = str(name).lower().replace("_", "")
+            is_number = field not in _NAMES and _OF_PALLETS.fullmatch(plain_text(field)) is not None
+            texts.setdefault("palletnumber" if is_number else field, text)
     return {name: texts[name] for name in _NAMES if name in texts}
 
 

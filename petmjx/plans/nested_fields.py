@@ -120,11 +120,8 @@ def flattened(value: Mapping[str, Any], prefix: str = "", depth: int = 0) -> dic
             elif len(inner) == 1 and isinstance(inner[0], Mapping) and _SHAPES.intersection(words_of(str(name))):
                 if depth < 4:
                     flat |= flattened(inner[0], f"{path}[0].", depth + 1)
-            elif (ends := _ends_of_vertices(inner)) is not None:
+            elif (ends := _two_corners(str(name), inner)) is not None:
                 for end, point in zip(("min", "max"), ends, strict=True):
-                    flat |= {f"{path}.{end}[{axis}]": value for axis, value in enumerate(point)}
-            elif _are_two_points(inner) and _TWO_CORNERS.intersection(words_of(str(name))):
-                for end, point in zip(("min", "max"), inner, strict=True):
                     flat |= {f"{path}.{end}[{axis}]": value for axis, value in enumerate(point)}
             elif len(inner) in _PARTS_OF_POSES and str(name).lower() in ("pose", "qpos"):
                 flat |= _parts_of_pose(path, inner)
@@ -142,8 +139,13 @@ _TWO_CORNERS: Final = word_set("bbox aabb bounds corners")
 """Words in names of lists with the two corners of a box, [[0, 0, 0], [400, 300, 200]]."""
 
 
-def _are_two_points(value: Sequence[Any]) -> bool:
-    return len(value) == 2 and all(isinstance(point, list | tuple) and len(point) == 3 for point in value)
+def _two_corners(name: str, value: Sequence[Any]) -> Sequence[Sequence[Any]] | None:
+    """The two corners of a box in a list of two or eight points; None for other lists."""
+    if len(value) not in (2, 8) or not all(isinstance(point, list | tuple) and len(point) == 3 for point in value):
+        return None
+    if len(value) == 8:
+        return _ends_of_vertices(value)
+    return value if _TWO_CORNERS.intersection(words_of(name)) else None
 
 
 _SHAPES: Final = word_set(
@@ -204,11 +206,9 @@ CORNER_NOISE: Final = 0.01
 has measured them, or because numbers are rounded."""
 
 
-def _ends_of_vertices(value: Sequence[Any]) -> tuple[list[Any], list[Any]] | None:
-    """The smallest and the largest coordinates of the eight corners of a box, [[x, y, z], …]; None for other lists. If
-    the points are not the corners of a level box, one coordinate in the result is replaced by an error text."""
-    if len(value) != 8 or not all(isinstance(point, list | tuple) and len(point) == 3 for point in value):
-        return None
+def _ends_of_vertices(value: Sequence[Any]) -> tuple[list[Any], list[Any]]:
+    """The smallest and the largest coordinates of the eight corners of a box, [[x, y, z], …]. If the points are not the
+    corners of a level box, one coordinate in the result is replaced by an error text."""
     ends: tuple[list[Any], list[Any]] = ([], [])
     columns = [*zip(*value, strict=True)]
     sorted_numbers = [

@@ -18,9 +18,9 @@ import numpy as np
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable_name
 from petmjx.plans.cell_numbers import cell_number, decimal_of
-from petmjx.plans.column_names import ColumnMeaning, known_meanings, names_unplaced, word_set, words_of
+from petmjx.plans.column_names import CONTAINER_WORDS, ColumnMeaning, known_meanings, names_unplaced, word_set, words_of
 from petmjx.plans.header_and_total_rows import geometric_columns, geometric_names
-from petmjx.plans.json_reader import DuplicateFieldObject, any_integer, json_fault, json_object
+from petmjx.plans.json_reader import DuplicateFieldObject, json_fault, json_value
 from petmjx.plans.nested_containers import (
     CONTAINERS,
     LAYERS,
@@ -32,7 +32,6 @@ from petmjx.plans.nested_containers import (
     fields_of_article,
     fields_of_part,
     plan_names_of,
-    repeated_ids,
 )
 from petmjx.plans.nested_fields import LEAST_NUMBERS, flattened, rows_by_column, rows_of_numbers
 from petmjx.plans.raw_tables import MOST_ROWS, BoxList, RawTable, flags_unplaced, not_placed, united
@@ -60,8 +59,7 @@ def decoded_json(text: str) -> Any:
         InputError: the text is neither. The error names the line and the column, but not the file.
     """
     try:
-        value = _json_value(text)
-        return _without_types(value) if _TYPED_NAME.search(text) else value
+        return _value_of(text)
     except RecursionError:
         raise InputError("not JSON (nested too deeply)") from None
     except json.JSONDecodeError as error:
@@ -73,8 +71,7 @@ def decoded_json(text: str) -> Any:
                     continue
                 values.lines.append(number)
                 try:
-                    value = _json_value(line)
-                    values.append(_without_types(value) if _TYPED_NAME.search(line) else value)
+                    values.append(_value_of(line))
                 except RecursionError:
                     raise InputError(f"not JSON at line {number} (nested too deeply)") from None
                 except json.JSONDecodeError as fault:
@@ -83,17 +80,6 @@ def decoded_json(text: str) -> Any:
         cut_off = error.pos >= len(text.rstrip()) or error.msg.startswith("Unterminated")
         fault_text = "the file ends too early; truncated?" if cut_off else json_fault(error)
         raise InputError(f"not JSON at line {error.lineno}, column {error.colno} ({fault_text})") from None
-
-
-def _json_value(text: str) -> Any:
-    """Decode JSON. Python refuses whole numbers with thousands of digits; here they become infinite, and a later check
-    refuses them as not finite, with their row and column."""
-    try:
-        return json.loads(text, object_pairs_hook=json_object)
-    except json.JSONDecodeError:
-        raise
-    except ValueError:
-        return json.loads(text, object_pairs_hook=json_object, parse_int=any_integer)
 
 
 _TYPES: Final[Mapping[str, type | tuple[type, ...]]] = {
@@ -107,6 +93,11 @@ _TYPES: Final[Mapping[str, type | tuple[type, ...]]] = {
 {"$numberInt": "5"}. Name of such a field → Python type of its value. The names come from MongoDB's extended JSON,
 DynamoDB and Firestore."""
 _TYPED_NAME: Final = re.compile(r'\{\s*"(?:\$number\w+|\$oid|[NS]|(?:integer|double|string)Value)"\s*:')
+
+
+def _value_of(text: str) -> Any:
+    value = json_value(json.JSONDecoder.decode, text)
+    return _without_types(value) if _TYPED_NAME.search(text) else value
 
 
 def _without_types(value: Any) -> Any:
@@ -301,8 +292,12 @@ def _members(
         inner_place = f"{place}[{index}]"
         if isinstance(inner, Mapping):
             yield f"{path}[]", NestedBox(inner, inner_place, around)
-        if isinstance(inner, Mapping | list | tuple):
             yield from _members(inner, f"{path}[]", inner_place, around, depth + 1)
+        elif isinstance(inner, list | tuple):
+            # each list of boxes in a list of such lists is a plan (or a layer), so an empty object stands for it
+            are_boxes = len(value) > 1 and bool(inner) and isinstance(inner[0], Mapping)
+            step = (*around, (_last_step(inner_place), dict[str, Any]())) if are_boxes else around
+            yield from _members(inner, f"{path}[]", inner_place, step, depth + 1)
 
 
 def _last_step(path: str) -> str:
@@ -316,12 +311,11 @@ def _alike(members: Sequence[Mapping[str, Any]]) -> bool:
     return len(common) >= 2 and len(common) * 2 >= max(map(len, names))
 
 
-_FORM_WORDS: Final = word_set(
+_FORM_WORDS: Final = CONTAINER_WORDS | word_set(
     "box boxes item items placement placements package packages packed placed fitted fit carton cartons case cases "
-    "data result results rows records bin bins container containers pallet pallets plans layout solution parcels "
-    "objects orders order stack positions kartons pieces"
+    "data result results rows records plans layout solution parcels objects orders order stack positions kartons pieces"
 )
-"""Words in names of fields that hold lists of boxes but do not name a plan."""
+"""Words in names of fields that hold lists of boxes but do not name a plan, unless a number of a pallet follows."""
 
 
 def _is_plan_key(value: Mapping[str, Any]) -> bool:
@@ -338,8 +332,11 @@ def _is_plan_key(value: Mapping[str, Any]) -> bool:
         stems[bool(inner)].add(re.sub(r"\d+", "", str(name)))
     if not stems.get(False, set()) <= stems[True]:
         return False
-    if len(lists) == 1 and _FORM_WORDS.intersection(words_of(next(iter(value)))):
-        return False
+    if len(lists) == 1:
+        words = words_of(str(next(iter(value))))
+        is_numbered = bool(words) and words[-1].isdecimal() and not _BOXES.intersection(words)
+        if _FORM_WORDS.intersection(words) and not is_numbered:
+            return False
     if len(lists) > 1 and all(rows_of_numbers(inner) is not None for inner in lists):
         named = set().union(*(words_of(str(name)) for name in value))
         return not named & (_FORM_WORDS | _BOXES) and len({len(inner[0]) for inner in lists}) == 1
@@ -357,9 +354,9 @@ def _box_list(path: str, members: Sequence[NestedBox]) -> BoxList | None:
     articles, sources = articles_around(members), list[str]()
     of_parts: dict[int, tuple[dict[str, Any], dict[str, ColumnMeaning]]] = {}
     for row, member in zip(flat, members, strict=True):
-        row.update(fields_of_part(member, of_parts))
-        fields, source = fields_of_article(member, articles)
-        row.update(fields)
+        of_part = fields_of_part(member, row, of_parts)
+        of_article, source = fields_of_article(member, row, articles)
+        row |= of_part | of_article
         sources.append(source)
     notes = [*filter(None, dict.fromkeys(sources)), *add_bottoms(members, flat)]
     for others_in in (_static_objects, _other_kinds, _floors):
@@ -379,23 +376,18 @@ def _box_list(path: str, members: Sequence[NestedBox]) -> BoxList | None:
     triples = sum(kind in ("sizes", "positions") for kind in kinds)
     if not (geometric >= 3 or triples or matrices or numbered):
         return None
-    box_members, left = [], 0
-    for number, row in enumerate(flat):
-        if flags_unplaced(row.items()):
-            left += 1
-        else:
-            box_members.append(number)
-    rows = [tuple(_cell(flat[number].get(name)) for name in header) for number in box_members]
-    places = [members[number].place or f"[{number}]" for number in box_members]
+    numbers = [number for number, row in enumerate(flat) if not flags_unplaced(row.items())]
+    rows = [tuple(_cell(flat[number].get(name)) for name in header) for number in numbers]
+    places = [members[number].place or f"[{number}]" for number in numbers]
+    boxes = [members[number] for number in numbers]
     table = RawTable(header, rows, places, decimal_of(rows) or "", title=path, has_header=not numbered)
-    parts = plan_names_of([members[number] for number in box_members], articles)
-    if ids := repeated_ids([members[number] for number in box_members], articles):
+    parts, ids = plan_names_of(boxes, articles)
+    if ids:
         notes.append(f"several plans have {first_names(ids)}: other fields or numbers name them")
-    containers: dict[str, Mapping[str, float]] = {}
-    for number, part in zip(box_members, parts, strict=True):
-        if part not in containers:
-            containers[part] = container_around(members[number], articles)
-    containers = {part: sizes for part, sizes in containers.items() if sizes}
+    first_boxes = dict(zip(reversed(parts), reversed(boxes), strict=True))
+    containers = {
+        part: sizes for part in dict.fromkeys(parts) if (sizes := container_around(first_boxes[part], articles))
+    }
     keyed: Mapping[str, Any] = next(
         (holder for _, holder in reversed(members[0].around) if len(holder) > 1 and _is_plan_key(holder)), {}
     )
@@ -404,7 +396,8 @@ def _box_list(path: str, members: Sequence[NestedBox]) -> BoxList | None:
     around: dict[str, Any] = {}
     for _, holder in members[0].around:
         around |= {name: inner for name, inner in holder.items() if not isinstance(inner, list)}
-    return BoxList(table, path, tuple(parts), containers, (*notes, *not_placed(left)), around)
+    left_out = not_placed(len(flat) - len(boxes))
+    return BoxList(table, path, tuple(parts), containers, (*notes, *left_out), around)
 
 
 def _fields_of(member: NestedBox) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from petmjx.plans.column_names import LENGTH_UNITS, limits_in, names_deck
 from petmjx.plans.nested_containers import FLAT
 from petmjx.plans.plan_fields import FARTHEST_MM, LARGEST_MM, SMALLEST_MM, coordinate_fault, positive_fault
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, shared_length
-from petmjx.plans.reading_candidates import Candidate, axes_along, axis_up, layout_of
+from petmjx.plans.reading_candidates import AXES_ALONG, Candidate, layout_of
 from petmjx.plans.reading_choice import container_of
 from petmjx.plans.readings import Reading, Wishes
 from petmjx.plans.size_and_place_columns import Geometry
@@ -262,7 +262,7 @@ def _end_fault(geometry: Geometry, row: int, axis: int) -> str:
 
 def height_fault(reading: Reading, candidate: Candidate, row: int) -> str:
     """The error text for a box below the deck, with the name of the column of heights."""
-    axis = axis_up(candidate.up)
+    axis = AXES_ALONG[candidate.up][2]
     height = candidate.geometry.place[row, axis]
     return f"{_place_names(reading.columns)[axis]} is below the deck, on which other boxes stand, got {height:g}"
 
@@ -302,7 +302,7 @@ def edge_faults(
         rows, low, size = plan_rows[is_good], layout.low[is_good], layout.size[is_good]
         small = _LEVEL * float(np.median(size[:, 2])) if len(size) else 0.0
         least = _ALONG_EDGE - bool(container_of(columns.source.boxes.containers, name))
-        for axis, named in enumerate(axes_along(candidate.up)):
+        for axis, named in enumerate(AXES_ALONG[candidate.up]):
             odd_boxes = dict.fromkeys(_far_boxes(low[:, axis], low[:, axis] + size[:, axis], far), "far from")
             beyond = np.flatnonzero(low[:, axis] < -small).tolist()
             at_edge = np.count_nonzero(np.abs(low[:, axis]) <= small)

@@ -150,7 +150,7 @@ class Plan:
                 already include the turn.
             corner_mm: (n, 3) front-left-bottom corners, mm, instead of x, y and z; z = 0 is the top of the carrier.
             mass_kg: (n,) masses, kg, instead of weights.
-            units: unit of all these lengths (mm, cm, m, in or ft) and unit of all masses (kg, g, lb or t), such as
+            units: unit of all these lengths (mm, cm, dm, m, in or ft) and unit of all masses (kg, g, lb or t), such as
                 "cm,g".
             anchor: the point of a box that the coordinates describe, as in ``load_plans``.
             columns: further fields as lists of n values.

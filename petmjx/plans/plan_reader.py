@@ -55,6 +55,7 @@ packers. The model of a plan with this number of boxes declares 132,000 pairs of
 MOST_LINES: Final = 100_000
 """Largest number of unusable entries of a file that are listed one by one. Further entries are only counted."""
 REPEATED: Final = "repeated plan id"
+NO_EFFECT: Final = "no effect on"
 FRAME: Final = "data frame"
 OBJECT: Final = "python"
 """Names in messages: ``FRAME`` stands for a data frame, ``OBJECT`` for any other Python object."""
@@ -101,8 +102,8 @@ def load_plans(
         max_boxes: largest number of boxes. Plans with more boxes are skipped.
         carrier_extent_mm: extent of the carrier along x and y. Boxes that reach beyond this extent are reported as
             outside. None: the extent of the plan's boxes.
-        units: unit of lengths (mm, cm, m, in or ft) and unit of masses (kg, g, lb or t) in the plans, such as "cm,g".
-            None: mm and kg; in files of other tools, the most plausible units.
+        units: unit of lengths (mm, cm, dm, m, in or ft) and unit of masses (kg, g, lb or t) in the plans, such as
+            "cm,g". None: mm and kg; in files of other tools, the most plausible units.
         anchor: the point of a box that the plans' coordinates describe: ``corner`` (front-left-bottom), ``centre``,
             ``base-centre``, ``far-corner`` (with the largest x, y and z), ``top-centre``, ``corner-x`` (with the
             largest x only) and the like. None: the corner; in files of other tools, the most plausible point.
@@ -165,11 +166,8 @@ def read_plans(
 
         read_reading(options.reading)  # read here, so that a wrong argument is reported once, not for each file
     loading = _PlanLoader(options, given, max_boxes, extent_mm, reading)
-    if is_box_object(paths):
+    if is_box_object(paths) or isinstance(paths, SupportsArrow):
         loading.read_object(paths)
-        return loading.done()
-    if isinstance(paths, SupportsArrow):
-        loading.read_frame(paths)
         return loading.done()
     several = [paths] if isinstance(paths, (str, PathLike)) else list_of(paths, "plans", object, "paths")
     for file in _list_files([path_of(path, "plans") for path in several]):
@@ -313,7 +311,7 @@ class _PlanLoader:
             verb = "has" if len(names) == 1 else "have"
             forms = "it is" if len(self.own_files) == 1 else "they are"
             yield (
-                f"{joined_names(names)} {verb} no effect on {first_names(list(self.own_files), 2)}, since {forms} in "
+                f"{joined_names(names)} {verb} {NO_EFFECT} {first_names(list(self.own_files), 2)}, since {forms} in "
                 "petmjx's own form, with z upwards"
             )
 
@@ -322,9 +320,15 @@ class _PlanLoader:
         self.unlisted, self.most_skipped = 0, len(self.found.skipped) + MOST_LINES
         try:
             if is_parquet(path):
-                from petmjx.plans.table_files import read_parquet
+                from petmjx.plans.table_files import parquet_frame, read_parquet
 
-                self._read_table(source, lambda: read_parquet(path), lambda: self._read_foreign_parquet(source, path))
+                def boxes() -> list[BoxSource]:
+                    from petmjx.plans.data_frames import sources_of_frame  # tables in petmjx's form do not need it
+
+                    return sources_of_frame(parquet_frame(path))
+
+                foreign = partial(self._read_foreign, source, boxes)
+                self._skip_file(source, self._table_fault(source, partial(read_parquet, path), foreign))
             else:
                 self._read_bytes(source, path)
         except (OSError, ValueError) as error:
@@ -339,39 +343,25 @@ class _PlanLoader:
         self._read_own_json(source, text, damaged=False)
         self._count_unlisted(source)
 
-    def read_frame(self, frame: SupportsArrow) -> None:
-        """Read a table of placements.
-
-        Raises:
-            InputError: the table lacks columns.
-        """
-        from petmjx.plans.data_frames import sources_of_frame
-        from petmjx.plans.table_files import frame_table
-
-        foreign = partial(self._read_foreign, FRAME, partial(sources_of_frame, frame))
-        if (fault := self._table_fault(FRAME, partial(frame_table, frame), foreign)) is not None:
-            raise InputError(f"{FRAME}: {fault}") from None
-        self._count_unlisted(FRAME)
-
     def read_object(self, value: Any) -> None:
-        """Read boxes from Python objects in another tool's form.
+        """Read a table of placements, or boxes from Python objects in another tool's form.
 
         Raises:
-            InputError: the object contains no plans.
+            InputError: the table lacks columns, or the object contains no plans.
         """
-        from petmjx.plans.python_objects_and_py3dbp import sources_of_object
+        if isinstance(value, SupportsArrow):
+            from petmjx.plans.data_frames import sources_of_frame
+            from petmjx.plans.table_files import frame_table
 
-        if (fault := self._read_foreign(OBJECT, partial(sources_of_object, value))) is not None:
-            raise InputError(f"{OBJECT}: {fault}") from None
-        self._count_unlisted(OBJECT)
+            source, foreign = FRAME, partial(self._read_foreign, FRAME, partial(sources_of_frame, value))
+            fault = self._table_fault(FRAME, partial(frame_table, value), foreign)
+        else:
+            from petmjx.plans.python_objects_and_py3dbp import sources_of_object
 
-    def _read_foreign_parquet(self, source: str, path: Path) -> InputError | None:
-        """Read a Parquet file with other column names than petmjx's. Returns an error if the file cannot be read, else
-        None."""
-        from petmjx.plans.data_frames import sources_of_frame
-        from petmjx.plans.table_files import parquet_frame
-
-        return self._read_foreign(source, lambda: sources_of_frame(parquet_frame(path)))
+            source, fault = OBJECT, self._read_foreign(OBJECT, partial(sources_of_object, value))
+        if fault is not None:
+            raise InputError(f"{source}: {fault}") from None
+        self._count_unlisted(source)
 
     def _read_foreign_file(self, source: str, path: Path, data: bytes | bytearray) -> InputError | None:
         """Read a file of another tool. Returns an error if the file cannot be read, else None."""
@@ -438,19 +428,10 @@ class _PlanLoader:
             from petmjx.plans.table_files import parse_csv
 
             read = partial(parse_csv, data, cut_off=fault is not None)
-            self._read_table(
-                source, read, partial(self._read_foreign_file, source, path, data) if fault is None else None
-            )
+            foreign = None if fault is not None else partial(self._read_foreign_file, source, path, data)
+            self._skip_file(source, self._table_fault(source, read, foreign))
         else:
             self._read_json(source, path, data, damaged=fault is not None)
-
-    def _read_table(
-        self, source: str, read: Callable[[], Table], otherwise: Callable[[], InputError | None] | None
-    ) -> None:
-        """Read a table of a file. If the table cannot be read, the file is skipped (see :meth:`_skip`). Arguments are
-        as in :meth:`_table_fault`."""
-        if (fault := self._table_fault(source, read, otherwise)) is not None:
-            self._skip(source, None, f"{source}: {fault}", fault)
 
     def _table_fault(
         self, source: str, read: Callable[[], Table], otherwise: Callable[[], InputError | None] | None
@@ -495,8 +476,13 @@ class _PlanLoader:
             damaged: whether the text is known to be damaged JSON. If ``damaged`` is True, the plans before the damage
                 are kept.
         """
-        if damaged or looks_like_own_json(data) or self._is_left_to_own(source, path, data):
-            self._read_own_json(source, data, damaged)
+        if not (damaged or looks_like_own_json(data)):
+            fault = self._read_foreign_file(source, path, data)
+            if not isinstance(fault, NoBoxes) or data.lstrip().startswith(b"["):
+                self._skip_file(source, fault)
+                return
+        # the reader of BED-BPP's JSON also reports the error about a text that is no list and has no list of boxes
+        self._read_own_json(source, data, damaged)
 
     def _read_own_json(self, source: str, data: bytearray, damaged: bool, *, is_plain: bool = False) -> None:
         """Read the plans of a text in BED-BPP's form. If the text turns out not to be JSON, its plans are removed
@@ -542,24 +528,12 @@ class _PlanLoader:
                 if not is_plain and (plain := plain_json(data)) is not None:
                     self._read_own_json(source, plain, damaged=False, is_plain=True)
                 else:
-                    self._skip(source, None, f"{source}: {error}", error)
+                    self._skip_file(source, error)
                 return
         if n_entries == 0 and not damaged:
             self._skip(source, None, f"{source}: holds no plan")
         if orders:
             self._skip(source, None, _orders_message(source, orders))
-
-    def _is_left_to_own(self, source: str, path: Path, data: bytearray) -> bool:
-        """Read a text that is not in BED-BPP's form as a file of another tool. Returns whether the reader of BED-BPP's
-        JSON must report the error: True if the text is not a list and contains no list of boxes.
-        """
-        fault = self._read_foreign_file(source, path, data)
-        if fault is None:
-            return False
-        if isinstance(fault, NoBoxes) and not data.lstrip().startswith(b"["):
-            return True
-        self._skip(source, None, f"{source}: {fault}")
-        return False
 
     def _count_unlisted(self, source: str) -> None:
         if self.unlisted:
@@ -580,6 +554,11 @@ class _PlanLoader:
         self.found.plans.append(plan)
         self.found.numbers[plan_id] = self.n_plans
         self.n_plans += 1
+
+    def _skip_file(self, source: str, fault: InputError | None) -> None:
+        """Skip a file that has a fault; do nothing if ``fault`` is None."""
+        if fault is not None:
+            self._skip(source, None, f"{source}: {fault}", fault)
 
     def _skip(self, source: str, plan_id: str | None, message: str, cause: Exception | None = None) -> None:
         if self.options.strict:

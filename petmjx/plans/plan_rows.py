@@ -17,7 +17,7 @@ from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.cell_numbers import cell_text
 from petmjx.plans.column_extraction import IGNORED
-from petmjx.plans.column_names import PALLET_WORDS, may_count, words_of
+from petmjx.plans.column_names import CONTAINER_WORDS, PALLET_WORDS, may_count, names_deck, words_of
 from petmjx.plans.placement_table import WIDE_STEP
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, gaps_mm
 from petmjx.plans.plausibility import n_before_support
@@ -32,6 +32,9 @@ _LEAST_OF_PALLETS: Final = 4
 """Smallest number of boxes in a file for which petmjx searches for a column that names the pallets."""
 _LARGEST_NUMBER: Final = 2**53
 """Largest number of a packing order. Larger whole numbers may have been rounded, since they are stored as float64."""
+_MOSTLY: Final = 0.75
+"""Numbers count boxes, with some gaps or repeated numbers, if at least this share of them are distinct, and if boxes
+have at least this share of the numbers from the smallest to the largest."""
 _OF_STACKS: Final = frozenset(("stack", "stacks", "stack id", "stack_id", "stack no", "stack_no", "stackid"))
 """Names of columns that may name pallets, or stacks of one pallet."""
 
@@ -160,11 +163,17 @@ def plan_names(columns: BoxColumns, source: str, notes: list[str]) -> list[str]:
     words = words_of(columns.columns.get("plan", ""))
     if "plan" in words or "order" in words:  # the names are names of plans, not numbers of containers
         return [name or stem for name in names]
-    if set(names) in ({"0"}, {"1"}):
-        return [stem] * len(names)  # there is only one container
+    if len(set(names)) == 1 and (names[0] in ("0", "1") or _is_kind_of_pallet(names[0])):
+        return [stem] * len(names)  # there is only one container, which has no name of its own
     numbers = sorted(int(name) for name in set(names) if name.isdecimal())
     is_counted = bool(words) or numbers in (list(range(len(numbers))), list(range(1, len(numbers) + 1)))
     return [f"{stem}/{name}" if is_counted and name.isdecimal() else name or stem for name in names]
+
+
+def _is_kind_of_pallet(name: str) -> bool:
+    """Whether a name is only a word for pallets, or a kind of pallets, such as "EUR". Several files may have it."""
+    is_word = CONTAINER_WORDS.issuperset(words_of(name)) or names_deck(name)
+    return is_word and not any(character.isdigit() for character in name)
 
 
 # The packing order.
@@ -181,6 +190,9 @@ def packing_order(
     possible = _can_be_placed(order, low, size)
     for name, values in columns.counters.items():
         counted = values[rows]
+        if may_count(name) and (flaw := _flaw_of_numbers(counted)):
+            shown = printable_name(name)
+            notes.append(f"{shown} {flaw}, so it is not read as the packing order (--columns sequence={shown})")
         if np.isnan(counted).any() or not _counts_all(counted) or not (np.diff(counted) < 0).any():
             continue  # some boxes have no number, or the numbers only repeat the order of the rows
         if not _can_be_placed(counted, low, size):
@@ -224,6 +236,16 @@ def _counts_all(values: FloatArray) -> bool:
     if values.min() == WIDE_STEP:
         values = values / WIDE_STEP
     return bool((np.sort(values) - np.arange(len(values)) == min(max(float(values.min()), 0.0), 1.0)).all())
+
+
+def _flaw_of_numbers(values: FloatArray) -> str:
+    """Why whole numbers are no running numbers although most of them are: some are repeated, or there are gaps. The
+    result is "" for running numbers, whatever the first number is, and for other numbers, such as ids."""
+    distinct = np.unique(values)  # NaN stays, so values with NaN have no flaw
+    steps = np.diff(distinct)
+    if len(distinct) < _MOSTLY * len(values) or not np.ptp(values) + 1 <= len(values) / _MOSTLY:
+        return ""
+    return "repeats numbers" if len(distinct) < len(values) else "has gaps" if (steps > 1).any() else ""
 
 
 def _can_be_placed(order: NDArray[Any], low: FloatArray, size: FloatArray) -> bool:

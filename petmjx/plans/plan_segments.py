@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 from petmjx.common.safe_read import open_regular
 from petmjx.common.text import printable
 from petmjx.options.run_options import RunOptions
-from petmjx.plans.convention_checks import find_conventions, odd_boxes
+from petmjx.plans.convention_checks import find_conventions
 from petmjx.plans.plan_fields import UnreadFields
 from petmjx.plans.plan_reader import MOST_LINES, read_json_plans
 from petmjx.plans.plan_set import PlanSet
@@ -134,5 +134,4 @@ def joined(contents: Sequence[SegmentContent], extent_mm: tuple[float, float] | 
     # the lines are made only if a segment has a warning about an odd plan, or a line about a convention.
     if any(chain.from_iterable((plan_set.warnings, plan_set.conventions) for plan_set, _ in contents)):
         whole.conventions.extend(find_conventions(whole.plans, whole.warnings, extent_mm))
-        whole.conventions.extend(odd_boxes(whole.plans))
     return whole

@@ -53,19 +53,8 @@ _FIRM_COST: Final = 3.0
 rotations."""
 
 
-_UP: Final = {"z": (0, 1, 2), "y": (0, 2, 1), "x": (1, 2, 0), "-z": (0, 1, 2), "-y": (0, 2, 1)}
+AXES_ALONG: Final = {"z": (0, 1, 2), "y": (0, 2, 1), "x": (1, 2, 0), "-z": (0, 1, 2), "-y": (0, 2, 1)}
 """The file's vertical axis → the file's axes (by their numbers) along the plan's x, y and z."""
-
-
-def axis_up(up: str) -> int:
-    """The number of the file's vertical axis: 0 for x, 1 for y, 2 for z."""
-    return _UP[up][2]
-
-
-def axes_along(up: str) -> tuple[int, int, int]:
-    """The numbers of the file's axes along the plan's x, y and z."""
-    return _UP[up]
-
 
 X_UP_COST: Final = 2.0
 """Cost of a reading with x upwards, before any numbers are considered."""
@@ -91,7 +80,7 @@ class Candidate:
         axes: the corner with the smallest coordinates is an upper one if heights are counted downwards."""
         point = np.array(ANCHORS[self.anchor])
         if self.anchor.startswith("corner-"):
-            point = point[list(_UP[self.up])]
+            point = point[list(AXES_ALONG[self.up])]
         if self.up.startswith("-") and "corner" in self.anchor:
             point[2] = 1 - point[2]
         return point
@@ -99,7 +88,7 @@ class Candidate:
     @property
     def along(self) -> tuple[str, str, str]:
         axes = [self.geometry.axes[index] for index in self.pair]
-        names = [role_of(axes[index]) for index in _UP[self.up]]
+        names = [role_of(axes[index]) for index in AXES_ALONG[self.up]]
         return names[0], names[1], names[2]
 
 
@@ -115,7 +104,7 @@ def turned_sizes(columns: BoxColumns, candidate: Candidate) -> FloatArray:
         return size
     if candidate.rule in ("swap", "swap back", "degrees"):
         codes = np.maximum(turns.codes, 0)
-        first, second, _ = _UP[candidate.up]
+        first, second, _ = AXES_ALONG[candidate.up]
         level = [{first: second, second: first}.get(axis, axis) for axis in range(3)]
         odd = codes % 2 == (candidate.rule != "swap back")
         return np.where(odd[:, None], size[:, level], size)
@@ -151,7 +140,7 @@ def tipping_cost(columns: BoxColumns, candidate: Candidate, rows: NDArray[np.int
     turns, sizes = columns.turns, candidate.geometry.size[rows]
     if turns is None or candidate.rule in ("none", "swap", "swap back", "degrees", *POSES):
         return 0.0
-    sides = _sides_along_axes(turns, candidate.rule)[rows, axis_up(candidate.up)]
+    sides = _sides_along_axes(turns, candidate.rule)[rows, AXES_ALONG[candidate.up][2]]
     is_cube = np.ptp(sizes, axis=1) == 0  # the rotation of a cube shows nothing
     if len(set(sides[~is_cube].tolist())) < 2:
         return 0.0
@@ -170,7 +159,7 @@ def layout_of(
     """
     size = turned_sizes(columns, candidate) * candidate.scale
     place = candidate.geometry.place
-    order = _UP[candidate.up]
+    order = AXES_ALONG[candidate.up]
     if candidate.rule == POSES[1] and (turn := candidate.geometry.turn) is not None:
         # Coordinates describe a point of the box before it is turned. Convert them to the coordinates of the same point
         # of the turned box.
@@ -335,7 +324,7 @@ def _pairs(
     if len(wishes.along) == 3:
         names = [role_of(axis) for axis in axes]
         if sorted(names) == sorted(wishes.along):
-            order = _UP[up]
+            order = AXES_ALONG[up]
             along = [names.index(wishes.along[order.index(axis)]) for axis in range(3)]
             return [((along[0], along[1], along[2]), 0.0)]
     if not set(axes) <= set(SIZE_WORDS):
@@ -344,7 +333,7 @@ def _pairs(
         return [((0, 1, 2), 0.0), ((1, 0, 2), 2.2), ((0, 2, 1), 2.4)]
     upright = "height" if "height" in axes else "depth"
     pairs = []
-    vertical, listed = axis_up(up), _order_in_file(columns, geometry)
+    vertical, listed = AXES_ALONG[up][2], _order_in_file(columns, geometry)
     for pair in permutations(range(3)):
         pair_axes = [axes[index] for index in pair]
         level = [name for name in pair_axes if name != upright]

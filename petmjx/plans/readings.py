@@ -46,9 +46,12 @@ POSES: Final = ("pose", "pose about point")
 """Rules of rotation in files with poses. With "pose", coordinates describe a point of the box as placed: the corner is
 that with the smallest x, y and z. With "pose about point", coordinates describe a point of the box before it is turned:
 the corner of a box that is turned by 180° becomes that with the largest x and y."""
-ORIGINS: Final = ("given", "middle", "floor")
-"""Possible origins of a file: a corner of the deck, the middle of the deck, or a point below the deck; see
-``Reading``."""
+ORIGINS: Final = {
+    "given": "",
+    "middle": "origin in the middle of the carrier",
+    "floor": "heights measured from below the deck",
+}
+"""Possible origin of a file (see ``Reading``) → its description."""
 
 
 @dataclass(frozen=True)
@@ -167,6 +170,21 @@ class Reading:
         return ",".join(f"{role}={self.columns[role]}" for role in roles)
 
     @property
+    def anchor_words(self) -> str:
+        """The point of a box that coordinates describe, in words."""
+        return f"coordinates of {_ANCHOR_WORDS[self.anchor]}"
+
+    @property
+    def along_words(self) -> str:
+        """Which sizes lie along the axes, in words."""
+        return f"{', '.join(self.along)} along x, y, z"
+
+    @property
+    def column_words(self) -> str:
+        """What each column was taken for."""
+        return ", ".join(f"{role}={name}" for role, name in self.columns.items())
+
+    @property
     def size_words(self) -> str:
         """Which sizes the columns of sizes hold, in words."""
         return "sizes as placed" if self.sizes == "placed" else f"sizes before turning ({ROTATION_RULES[self.rule]})"
@@ -188,20 +206,14 @@ class Reading:
         parts = [
             self.form,
             f"{lengths}, {self.masses}",
-            f"coordinates of {_ANCHOR_WORDS[self.anchor]}",
+            self.anchor_words,
             up_words(self.up),
-            f"{', '.join(self.along)} along x, y, z",
+            self.along_words,
             self.size_words,
+            self.pose_words if self.rule == POSES[1] else "",
+            ORIGINS[self.origin],
+            *(note for note in self.notes if note not in self.unread),
         ]
-        if self.rule == POSES[1]:
-            parts.append(self.pose_words)
-        if self.origin != "given":
-            parts.append(
-                {"middle": "origin in the middle of the carrier", "floor": "heights measured from below the deck"}[
-                    self.origin
-                ]
-            )
-        parts += [note for note in self.notes if note not in self.unread]
         return f"read as {'; '.join(filter(None, parts))}"
 
 
@@ -282,46 +294,43 @@ def _length_words(reading: Reading) -> str:
     return f"lengths in {sizes}" if sizes == places else f"sizes in {sizes}, coordinates in {places}"
 
 
-def _column_words(reading: Reading) -> str:
-    return ", ".join(f"{role}={name}" for role, name in reading.columns.items())
+def _columns_of(readings: Sequence[Reading]) -> str:
+    """The columns of readings; if readings have different columns, those of each reading."""
+    return ", or ".join(dict.fromkeys(reading.column_words for reading in readings))
 
 
-_DIFFERENCES: Final = (
-    (("size_columns",), "--columns", lambda reading: reading.size_columns),
-    (("units",), "--units", _length_words),
-    (("masses",), "--units", lambda reading: f"weights in {UNIT_WORDS.get(reading.masses, reading.masses)}"),
-    (("up",), "--up (x, y, z, -y or -z)", lambda reading: up_words(reading.up)),
-    (("anchor",), "--anchor", lambda reading: f"coordinates of {_ANCHOR_WORDS[reading.anchor]}"),
-    (("size_words",), "--sizes", lambda reading: reading.size_words),
-    (("pose_words",), "", lambda reading: reading.pose_words),
-    (("far_words",), '--columns ("last cells=NAME", or "last cells=-")', lambda reading: reading.far_words),
+_DIFFERENCES: Final[Sequence[tuple[str, Callable[[Reading], str]]]] = (
+    ("--columns", lambda reading: reading.size_columns),
+    ("--units", _length_words),
+    ("--units", lambda reading: f"weights in {UNIT_WORDS.get(reading.masses, reading.masses)}"),
+    ("--up (x, y, z, -y or -z)", lambda reading: up_words(reading.up)),
+    ("--anchor", lambda reading: reading.anchor_words),
+    ("--sizes", lambda reading: reading.size_words),
+    ("", lambda reading: reading.pose_words),
+    ('--columns ("last cells=NAME", or "last cells=-")', lambda reading: reading.far_words),
 )
-"""Fields of readings, with the option that decides between their values, and descriptions of the values."""
-_OF_COLUMNS: Final = (
-    (("along",), "--columns", lambda reading: f"{', '.join(reading.along)} along x, y, z"),
-    (("columns",), "--columns", _column_words),
+"""Descriptions of the choices that a reading makes, with the options that decide."""
+_OF_COLUMNS: Final[Sequence[tuple[str, Callable[[Reading], str]]]] = (
+    ("--columns", lambda reading: reading.along_words),
+    ("--columns", lambda reading: reading.column_words),
 )
-"""The fields about columns. If two readings also differ in other fields, a difference in the fields about columns is
-only a consequence, so it is not mentioned."""
+"""The choices of columns. If two readings also differ in other choices, a difference in columns is only a consequence,
+so it is not mentioned."""
 
 
 def differences(one: Reading, two: Reading) -> list[tuple[str, str, str]]:
     """The differences between two readings. Each difference has three texts: the option that decides between the two
     readings; what the first reading says, in words; and what the second reading says."""
-
-    def parts_of(fields: Sequence[Any]) -> list[tuple[str, str, str]]:
-        return [
-            (option, words(one), words(two))
-            for names, option, words in fields
-            if any(getattr(one, name) != getattr(two, name) for name in names)
-        ]
-
-    return parts_of(_DIFFERENCES) or parts_of(_OF_COLUMNS)
+    of_choices, of_columns = (
+        [(option, words(one), words(two)) for option, words in choices if words(one) != words(two)]
+        for choices in (_DIFFERENCES, _OF_COLUMNS)
+    )
+    return of_choices or of_columns
 
 
 def tie_text(readings: Sequence[Reading], weak: bool) -> str:
-    """The line about a tie: the two readings, how they differ, the vertical axes of other readings, and the options
-    that decide."""
+    """The line about a tie: the two readings, how they differ, the vertical axes of other readings, the options that
+    decide, and the columns that were used."""
     one, two = readings[0], readings[1]
     parts = differences(one, two)
     first, second = (", ".join(part[index] for part in parts) for index in (1, 2))
@@ -334,7 +343,8 @@ def tie_text(readings: Sequence[Reading], weak: bool) -> str:
     ways += "".join(f"; {up_words(up)} is possible, too" for up in further)
     is_piled = weak and one.evidence.is_piled
     advice = f"{options}, or with --as FILE.toml" if options else "--as FILE.toml"
-    return f"{reason} {ways}; {f'{SEVERAL}; ' if is_piled else ''}say which with {advice}"
+    columns = "" if one.column_words in first else f"; columns: {_columns_of(readings[:2])}"
+    return f"{reason} {ways}; {f'{SEVERAL}; ' if is_piled else ''}say which with {advice}{columns}"
 
 
 def implausible_text(reading: Reading) -> str:
@@ -344,8 +354,8 @@ def implausible_text(reading: Reading) -> str:
         turned = "" if "rotation" in reading.columns else "if boxes are turned, say --columns rotation=NAME; "
         options = f"{turned}{SEVERAL}; if boxes really overlap, say --anchor {reading.anchor}"
     return (
-        f"no reading is plausible; the best has coordinates of {_ANCHOR_WORDS[reading.anchor]}, {up_words(reading.up)} "
-        f"({reading.evidence}); {options}"
+        f"no reading is plausible; the best has {reading.anchor_words}, {up_words(reading.up)} "
+        f"({reading.evidence}); {options}; columns: {_columns_of([reading])}"
     )
 
 
@@ -367,7 +377,7 @@ _TEXTS: Final = {
     "up": ("z", "y", "x", "-z", "-y"),
     "sizes": ("placed", "item"),
     "rule": tuple(ROTATION_RULES),
-    "origin": ORIGINS,
+    "origin": tuple(ORIGINS),
     "masses": tuple(MASS_UNITS),
 }
 """Field of a written reading → its possible values."""

@@ -13,12 +13,12 @@ from petmjx.common.text import count_text, first_names, printable, printable_nam
 from petmjx.options.run_options import OF_ORDERS, RunOptions
 from petmjx.plans.bedbpp_orders import OF_PLAN
 from petmjx.plans.column_extraction import XYZ
-from petmjx.plans.convention_checks import find_conventions, odd_boxes
+from petmjx.plans.convention_checks import find_conventions
 from petmjx.plans.item_columns import TWO_WAYS
 from petmjx.plans.item_joins import has_named_places
 from petmjx.plans.item_units_and_quantities import OrderReading
 from petmjx.plans.order_reader import read_orders
-from petmjx.plans.plan_reader import REPEATED, load_plans
+from petmjx.plans.plan_reader import NO_EFFECT, REPEATED, load_plans
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.readings import NOT_READ, Reading
 
@@ -95,9 +95,7 @@ def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
     form = "petmjx's own form" if is_read else "cannot be read"
     odd = [layout for layout in plan_set.warnings if layout.source == source]
     lines = find_conventions(plans, odd if reading is None else (), None)
-    if reading is None:
-        of_boxes = odd_boxes(plan_set.plans)
-        lines = [*(line for line in plan_set.conventions if source in line and line not in of_boxes), *lines]
+    idle_options = [line for line in plan_set.conventions if reading is None and NO_EFFECT in line and source in line]
     record: dict[str, Any] = {
         "file": source,
         "form": form if reading is None else reading.form,
@@ -107,11 +105,7 @@ def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
         "mass_kg": round(sum(float(plan.mass_kg.sum()) for plan in plans), 6),
         "largest_mm": [max(sizes[axis::3]) for axis in range(3)] if plans else [],
         "skipped": skipped_lines,
-        "odd": [
-            *lines,
-            *(line.removeprefix(f"{source}: ") for line in odd_boxes(plans)),
-            *map(str, odd),
-        ],
+        "odd": [*idle_options, *(line.removeprefix(f"{source}: ") for line in lines), *map(str, odd)],
         "reading": None,
     }
     if reading is not None:
@@ -121,6 +115,7 @@ def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
             "along": list(reading.along),
             "columns": dict(reading.columns),
             "notes": list(reading.notes),
+            "unread": list(reading.unread),
             "evidence": str(reading.evidence),
             "line": reading.line(),
             "unused": list(reading.unused),
@@ -175,7 +170,7 @@ def _lines(record: Mapping[str, Any]) -> Iterator[str]:
     reading = record["reading"]
     if reading is not None:
         yield _line("read", reading["line"].removeprefix("read as "))
-        for line in [note for note in reading["notes"] if note.startswith(NOT_READ)][:_MOST_LINES]:
+        for line in reading["unread"][:_MOST_LINES]:
             yield _line("not read", line.removeprefix(NOT_READ))
         columns = ", ".join(f"{role} = {printable_name(name)}" for role, name in reading["columns"].items())
         yield _line("columns", columns)

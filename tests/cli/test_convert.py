@@ -189,6 +189,8 @@ def test_options_for_files_of_other_tools_are_named_where_they_have_no_effect(
     assert note == (
         f"note: --up and --density have no effect on plans{form}, since it is in petmjx's own form, with z upwards"
     )
+    assert run("info", f"plans{form}", "other.json", "--up", "z", "--density", "200") == 0
+    assert capsys.readouterr().out.count(note.removeprefix("note: ")) == 1
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         petmjx.load_plans(f"plans{form}", units="mm", anchor="corner")

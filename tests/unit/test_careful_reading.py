@@ -175,6 +175,28 @@ def test_a_column_that_counts_is_the_packing_order_where_rows_are_not(tmp_path: 
         assert any(note.startswith(f"{name} may be the packing order, too") for note in reading.notes)
 
 
+@pytest.mark.parametrize(
+    ("numbers", "flaw"),
+    [((1, 0, 3), "has gaps"), ((1, 1, 2, 3), "repeats numbers"), ((7, 5, 6), ""), ((1, 2, 3), ""), ((4711, 12, 7), "")],
+)
+def test_running_numbers_with_gaps_or_repeats_have_a_note(tmp_path: Path, numbers: tuple[int, ...], flaw: str) -> None:
+    rows = [[f"b{k}", 0, 0, 200 * k, 400, 300, 200, 5, number] for k, number in enumerate(numbers)]
+    (reading,) = load(tmp_path, "load.csv", table(rows, f"{NAMES},Nr.")).readings.values()
+    notes = [note for note in reading.notes if "not read as the packing order" in note]
+    assert notes == ([f"Nr. {flaw}, so it is not read as the packing order (--columns sequence=Nr.)"] if flaw else [])
+
+
+def test_columns_with_unknown_units_have_a_note(tmp_path: Path) -> None:
+    header = "name,x,y,z,length (outer),width [furlong],height in punkte,weight (stone)"
+    (reading,) = load(tmp_path, "load.csv", table(TOWER, header)).readings.values()
+    assert [note for note in reading.notes if "unknown unit" in note] == [
+        "width [furlong], height in punkte: unknown unit, read as mm (say which with --units)",
+        "weight (stone): unknown unit, read as kg (say which with --units)",
+    ]
+    (named,) = load(tmp_path, "load.csv", table(TOWER, header), units="mm,kg").readings.values()
+    assert not any("unknown unit" in note for note in named.notes)
+
+
 def test_an_order_with_a_box_before_its_support_is_odd(tmp_path: Path) -> None:
     rows = [[*row, number] for row, number in zip(TOWER, (3, 1, 2), strict=True)]
     plan_set = load(tmp_path, "load.csv", table(rows, f"{NAMES},step"))
@@ -303,7 +325,7 @@ def test_a_file_whose_boxes_mostly_overlap_is_refused(tmp_path: Path) -> None:
     message = refusal(load(tmp_path, "load.csv", content))
     reading = "coordinates of corners, z upwards (8 boxes overlap; 8 boxes in all)"
     assert f"no reading is plausible; the best has {reading}" in message
-    assert message.endswith("if boxes really overlap, say --anchor corner")
+    assert "; if boxes really overlap, say --anchor corner; columns: x size=dx [mm]" in message
     assert refusal(load(tmp_path, "load.csv", content, sizes="item")).endswith("say which with --columns rotation=NAME")
     assert len(load(tmp_path, "load.csv", content, anchor="corner").plans) == 1
 

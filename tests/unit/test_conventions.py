@@ -159,10 +159,11 @@ def test_the_option_that_is_named_reads_the_plan_rightly(name: str) -> None:
 
 def test_sound_plans_are_not_suspected(real_data: Path) -> None:
     files = [bundled_path(), *sorted(real_data.glob("*plan*.json")), *sorted(real_data.glob("third_party*.json.gz"))]
+    read = petmjx.load_plans(files)
     generated = [Plan.from_boxes(plan_id, _columns(boxes)) for plan_id, boxes in generate(60, 7, loose_share=0.8)]
     for carrier in Carrier:
         sim = Simulation(carrier=carrier)
-        assert gather_plans(files, sim, RunOptions()).conventions == []
+        assert gather_plans(read, sim, RunOptions()).conventions == []
         assert gather_plans(generated, sim, RunOptions()).conventions == []
 
 
@@ -199,12 +200,12 @@ def test_odd_plans_of_no_convention_are_not_explained() -> None:
     """Plans in which some boxes float, as in plans of real packers, are not taken for mistakes of convention."""
     rng = np.random.default_rng(0)
     odd = []
-    for k, (_, placed) in enumerate(80 * list(generate(5, 3))):
+    for k, (_, placed) in enumerate(40 * list(generate(5, 3))):
         plan = Plan.from_boxes(f"p{k}", _columns(placed))
         plan.corner_mm[rng.integers(0, plan.n_boxes, 4), 2] += rng.uniform(5, 80, 4)
         odd.append(plan)
     plan_set = gather_plans(odd, Simulation(), RunOptions())
-    assert len(plan_set.warnings) > 360
+    assert len(plan_set.warnings) > 180
     assert plan_set.conventions == []
 
 
@@ -243,6 +244,7 @@ def test_sizes_and_coordinates_may_have_units_of_their_own(tmp_path: Path) -> No
     assert plan.size_mm[0].tolist() == [400, 300, 200]
     assert plan.corner_mm[0].tolist() == [100, 0, 0]
     assert plan.mass_kg[0] == 6
+    assert Plan.from_boxes("a", [box], units="dm/mm,g").size_mm[0].tolist() == [4000, 3000, 2000]
     row = {"plan_id": "a", "sequence": 1, "article": "b", **box}
     file = tmp_path / "plans.csv"
     file.write_text("\n".join([",".join(row), ",".join(map(str, row.values()))]))

@@ -33,7 +33,7 @@ from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Check, Simulation
 from petmjx.packers.sample_plans import generate_one
 from petmjx.plans.plan import Plan
-from petmjx.plans.plan_validation import parse_plan
+from petmjx.plans.plan_decoder import DecoderOptions, parse_plan
 from petmjx.plans.plan_workload import MOST_LOOKED_AT, loose_and_ties, mean_sink_mm, statics_of, tipping_g
 from petmjx.results.recording import Recording
 from petmjx.results.resume import CompletedWorlds
@@ -234,7 +234,7 @@ def test_good_packers_are_not_taken_for_bad_ones() -> None:
     plans = []
     for index in range(20):
         plan_id, placements = generate_one(index, 21, packer="balanced")
-        plans.append(parse_plan(plan_id, "test", placements, len(placements), {}))
+        plans.append(parse_plan(plan_id, placements, DecoderOptions("test")))
     np.testing.assert_array_equal(statics_of(plans).placed_share, 1.0)
 
 

@@ -2226,6 +2226,11 @@ def test_numbers_that_name_plans_are_kept_as_texts(tmp_path: Path) -> None:
         ([{"pallet": 1, **box} for box in boxes], ["load"]),
         ({"1": boxes, "2": boxes}, ["load/1", "load/2"]),
         ({"²": boxes, "3": boxes}, ["²", "3"]),
+        ({"palete": boxes}, ["load"]),
+        ({"paleta 17": boxes}, ["paleta 17"]),
+        ({"palete": [boxes, boxes]}, ["load/1", "load/2"]),
+        ([{"pallet": "EUR", **box} for box in boxes], ["load"]),
+        ({"Paletten": [{"Palettennummer": f"X{k}", "Kartons": boxes} for k in (1, 2)]}, ["X1", "X2"]),
     ):
         plans = load(tmp_path, "load.json", json.dumps(value), units="mm,kg", up="z")
         assert [plan.plan_id for plan in plans] == names

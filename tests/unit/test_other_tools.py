@@ -134,7 +134,7 @@ def test_a_tie_names_both_readings_and_the_option_that_decides(tmp_path: Path) -
     (skipped,) = petmjx.load_plans(file, units="mm").skipped
     assert "can be read in two ways: z upwards" in skipped.message
     assert ", or y upwards" in skipped.message
-    assert "say which with --up (x, y, z, -y or -z), or with --as FILE.toml" in skipped.message
+    assert "say which with --up (x, y, z, -y or -z), or with --as FILE.toml; columns: width=WHD[0]" in skipped.message
     flat, wall = (petmjx.load_plans(file, units="mm", up=up).plans[0] for up in ("z", "y"))
     assert flat.corner_mm[:, 2].tolist() == [0, 0, 0, 0]
     assert sorted(wall.corner_mm[:, 2]) == [0, 0, 300, 300]

@@ -147,19 +147,19 @@ def damage_once(data: bytes, rng: random.Random) -> bytes:
 
 
 @pytest.mark.parametrize("which", [0, 1, 2])
-def test_200_randomly_damaged_copies_are_read_whole_or_refused(samples: list[Sample], which: int) -> None:
+def test_randomly_damaged_copies_are_read_whole_or_refused(samples: list[Sample], which: int) -> None:
     sample = samples[which]
     rng = random.Random(20_240 + which)
     n_json = 0
-    for _ in range(200):
+    for _ in range(100):
         damaged = sample.data
         for _ in range(rng.choice([1, 1, 1, 2, 3])):
             damaged = damage_once(damaged, rng) or b"{"
         n_json += check(sample, damaged)
-    assert 20 < n_json < 180
+    assert 10 < n_json < 90
 
 
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=150, deadline=None, derandomize=True)
 @given(which=st.integers(0, 2), at=st.floats(0, 1), cut=st.integers(0, 60), put=st.binary(max_size=12))
 def test_any_single_replacement_is_read_whole_or_refused(
     samples: list[Sample], which: int, at: float, cut: int, put: bytes
@@ -176,7 +176,7 @@ def test_any_single_replacement_is_read_whole_or_refused(
 STRUCTURE = st.lists(st.sampled_from(['"', "{", "}", "[", "]", ",", ":", "\\", " ", "\n", '"x": ', "7"]), max_size=6)
 
 
-@settings(max_examples=250, deadline=None, derandomize=True)
+@settings(max_examples=125, deadline=None, derandomize=True)
 @given(
     which=st.integers(0, 2),
     plan=st.integers(0, N_PLANS - 1),

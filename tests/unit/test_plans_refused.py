@@ -16,8 +16,9 @@ from support.command_line import write
 from support.plan_files import placement, tower
 
 from petmjx.common.errors import InputError
+from petmjx.plans.plan_decoder import DecoderOptions, PlanError, parse_plan
 from petmjx.plans.plan_reader import DEFAULT_MAX_BOXES, load_plans
-from petmjx.plans.plan_validation import PlanError, find_fault, parse_plan
+from petmjx.plans.plan_validation import find_fault
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
@@ -288,8 +289,8 @@ def test_the_fast_and_the_exact_check_agree(path: list[Any], value: Any) -> None
     holder[[0, *path][-1]] = copy.deepcopy(value)
     fault = find_fault(root[0])
     if fault is None:
-        assert parse_plan("P", "f", root, 4, {}).n_boxes == 1
+        assert parse_plan("P", root, DecoderOptions("f", 4)).n_boxes == 1
     else:
         with pytest.raises(PlanError) as raised:
-            parse_plan("P", "f", root, 4, {})
+            parse_plan("P", root, DecoderOptions("f", 4))
         assert str(raised.value) == f"f: plan P, placement 0: {fault}"

@@ -15,7 +15,7 @@ from support.plans import make_plan, stack
 from petmjx.options.simulation import Simulation
 from petmjx.packers.sample_plans import MOST_SAMPLES, generate
 from petmjx.plans.plan import Plan
-from petmjx.plans.plan_validation import parse_plan
+from petmjx.plans.plan_decoder import DecoderOptions, parse_plan
 from petmjx.repairs.balance import Balance, balances, balances_with_last
 from petmjx.repairs.changes import Exchange, Move, Place, applied
 from petmjx.repairs.draft_rules import Rules
@@ -42,7 +42,7 @@ SEED = 33412
 
 def plans(n: int, boxes: tuple[int, int]) -> list[Plan]:
     """The first generated plans of a seed with so many boxes."""
-    drawn = (parse_plan(name, "seed", placed, len(placed), {}) for name, placed in generate(MOST_SAMPLES, SEED))
+    drawn = (parse_plan(name, placed, DecoderOptions("seed")) for name, placed in generate(MOST_SAMPLES, SEED))
     return [*islice((plan for plan in drawn if boxes[0] <= plan.n_boxes <= boxes[1]), n)]
 
 

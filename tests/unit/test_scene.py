@@ -12,15 +12,14 @@ from support.plans import make_plan
 from petmjx.options.simulation import Simulation
 from petmjx.packers.sample_plans import generate_one
 from petmjx.plans.plan import Plan
-from petmjx.plans.plan_validation import parse_plan
+from petmjx.plans.plan_decoder import DecoderOptions, parse_plan
 from petmjx.world import scene as scenes
 from petmjx.world.body_shapes import Body
 from petmjx.world.scene import Scene, build_scene
 
 
 def _plans() -> list[Plan]:
-    names: dict[str, str] = {}
-    plans = [parse_plan(name, "f", boxes, 512, names) for name, boxes in (generate_one(k, 3) for k in range(5))]
+    plans = [parse_plan(name, boxes, DecoderOptions("f")) for name, boxes in (generate_one(k, 3) for k in range(5))]
     plain = plans[1]
     return [
         *plans[:2],
