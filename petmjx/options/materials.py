@@ -1,12 +1,12 @@
-"""Friction between pairs of materials, and bounces of one material on another: built-in values with their sources, and
-values that users give."""
+"""Values of contacts that depend on the two materials that touch, such as friction and bounces: built-in values with
+their sources, values that users give, and the list of all such values (``PAIR_TABLES``)."""
 
 from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Annotated, Final, Self, TypeVar
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated, Final, NamedTuple, Self, TypeVar
 
 from pydantic import Field, StrictFloat, model_validator
 
@@ -14,6 +14,9 @@ from petmjx.common.checked_records import CheckedRecord, complaint, within
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
 from petmjx.options.physics import HIGHEST_RESTITUTION, LONGEST_LANDING_S, RESTITUTION, SHORTEST_LANDING_S
+
+if TYPE_CHECKING:
+    from petmjx.options.simulation import Simulation
 
 WOOD: Final = "wood"
 STEEL: Final = "steel"
@@ -179,7 +182,10 @@ def kinetic_share_between(one: str, other: str, user_pairs: Sequence[FrictionPai
 
 
 def _last_of(user_pairs: Sequence[Pair], one: str, other: str) -> Pair | None:
-    """The last of the user's pairs that has these two materials; None if there is no such pair."""
+    """The last of the user's pairs that has these two materials; None if there is no such pair, or if one of the
+    materials is unknown (empty)."""
+    if not (one and other):
+        return None
     key = _key(one, other)
     return next((pair for pair in reversed(user_pairs) if pair.key == key), None)
 
@@ -214,3 +220,46 @@ def check_pairs(boxes: Sequence[str], boards: Iterable[str], user_pairs: Sequenc
         one, other = map(printable_name, missing[0])
         example = f'friction_pairs = [{{between = ["{one}", "{other}"], friction = 0.4}}]'
         raise InputError(f"no friction is known of {pair_names}{more_text}: give it, as in {example}")
+
+
+class PairTable(NamedTuple):
+    """A value of contacts that depends on the materials of the two shapes that touch. The scenes of plans with
+    materials have a table with an entry for each pair of surfaces (petmjx/world/surface_pairs.py).
+
+    Attributes:
+        name: key of the table in the ``pairs`` of scenes and of the tables of worlds on devices. In kernels, the array
+            is called ``pair_`` + ``name``.
+        noun: the value in messages.
+        between: the entry for two materials, given the materials ("" if unknown), the coefficient of friction of the
+            board that one of them belongs to (None if the board has none of its own), and the options. A None in the
+            entry stands for the value that contacts have without materials.
+        entry: shape of an entry; () is one number.
+    """
+
+    name: str
+    noun: str
+    between: Callable[[str, str, float | None, Simulation], float | tuple[float | None, ...] | None]
+    entry: tuple[int, ...] = ()
+
+
+def _friction(one: str, other: str, of_board: float | None, sim: Simulation) -> float | None:
+    return friction_between(one, other, sim.friction_pairs) if of_board is None else of_board
+
+
+def _landing(one: str, other: str, _: float | None, sim: Simulation) -> tuple[float | None, float | None]:
+    return landing_between(one, other, sim.landing_pairs)
+
+
+def _kinetic(one: str, other: str, of_board: float | None, sim: Simulation) -> float | None:
+    """The kinetic friction as a share of the static friction, which must be the friction of the two materials."""
+    return kinetic_share_between(one, other, sim.friction_pairs) if of_board is None else None
+
+
+PAIR_TABLES: Final = (
+    PairTable("friction", "friction", _friction),
+    PairTable("landing", "landing values", _landing, (2,)),
+    PairTable("kinetic", "kinetic friction", _kinetic),
+)
+"""All values of contacts that depend on a pair of materials. ``friction`` is the coefficient of static friction.
+``landing`` has the restitution, and the time in which a landing box is stopped, s. ``kinetic`` is the kinetic friction
+as a share of the static friction."""

@@ -98,7 +98,7 @@ def test_a_box_topples_about_its_own_centre_of_mass(aside: tuple[float, float, f
 def test_what_says_nothing_changes_nothing() -> None:
     plan = make_plan(boxes=flat(2))
     scene = build_scene(plan, SIM)
-    assert scene.pair_friction is None
+    assert not scene.pairs
     assert scene.surface is None
     assert scene.carrier.surface is None
     assert scene.mass_center is None

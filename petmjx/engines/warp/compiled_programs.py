@@ -175,7 +175,7 @@ class Programs:
             order = small_world_queues(self._few, order, table.placed, table.running)
         if self._last:
             order = tail_queues(self._last, order, table.steps_done, table.running, self.launcher.blocks)
-        flat_worlds = worlds._asdict() | {"profiles": profiles, "order": order}
+        flat_worlds = worlds.flat() | {"profiles": profiles, "order": order}
         after, workspace, frames, counts = self.launcher(flat_worlds, table.flat(), workspace, frames)
         table = of_flat(after)
         # The status is copied, since the next slice reuses the table's memory.
