@@ -410,9 +410,9 @@ class SweepRun:
         at the end of a placement, no drive is simulated. The table ``worlds`` then has one row per profile and
         direction, at the lowest level, with the outcome of the placement.
         """
-        items, tilt_deg = self.plan.search_items(), self.sim.thresholds.tilt_deg
+        items, thresholds = self.plan.search_items(), self.sim.thresholds
         searches = [(start, number) for start in settled for number in range(len(items))]
-        bisection = self._bisection([Probe.of(start.outcome, tilt_deg) for start, _ in searches])
+        bisection = self._bisection([Probe.of(start.outcome, thresholds) for start, _ in searches])
 
         def variant(which: int, level: int) -> Variant:
             start, number = searches[which]
@@ -448,7 +448,7 @@ class SweepRun:
         first = [drive for which in range(len(searches)) for drive in next_drives(which)]
         for test, world in self._drive(first, partial(_drained, ready_drives)):
             which, _ = test
-            tested[test] = Probe.of(world.outcome, tilt_deg, self.values_of(world))
+            tested[test] = Probe.of(world.outcome, thresholds, self.values_of(world))
             missing[which].remove(test)
             if not missing[which]:
                 ready_drives += next_drives(which)

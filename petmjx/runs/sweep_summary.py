@@ -79,7 +79,7 @@ class SweepColumns:
         """The values of one world in the columns that the sweep adds: column → value. Columns without a value become
         null."""
         values: dict[str, Any] = dict(world.variant.parameters)
-        values[MODE.name] = failure_mode(world.outcome, self._sim.thresholds.tilt_deg)
+        values[MODE.name] = failure_mode(world.outcome, self._sim.thresholds)
         if world.variant.legs:
             return values | self._of_leg(world)
         drive = world.variant.drive

@@ -162,13 +162,14 @@ def geom_surfaces(scene: Scene, bodies: NDArray[np.integer]) -> NDArray[np.intp]
 
 
 def contact_values(
+    physics: Physics,
     pairs: Pairs,
     friction: FloatArray,
     surface: NDArray[np.intp],
     one: NDArray[np.integer],
     two: NDArray[np.integer],
 ) -> dict[str, FloatArray]:
-    """The values of contacts that depend on the two geoms that touch: field of MuJoCo's pairs → a row per contact.
+    """The values of contacts of rigid bodies: field of MuJoCo's pairs → a row per contact.
 
     A contact has the larger friction coefficient of its two geoms, unless the tables have one for their surfaces.
 
@@ -181,7 +182,15 @@ def contact_values(
     larger = np.maximum(friction[one], friction[two])
     of_pair = filled_up(pairs, "friction")[surface[one], surface[two]]
     sliding = np.where(of_pair == NOT_GIVEN, larger[:, 0], of_pair)
-    return {"friction": np.column_stack([sliding, sliding, larger[:, 1], larger[:, 2], larger[:, 2]])}
+    of_all = {
+        "solref": physics.solref,
+        "solreffriction": physics.solreffriction,
+        "solimp": physics.solimp + _SOLIMP_TAIL,
+    }
+    return {
+        "friction": np.column_stack([sliding, sliding, larger[:, 1], larger[:, 2], larger[:, 2]]),
+        **{name: np.broadcast_to(values, (len(one), len(values))) for name, values in of_all.items()},
+    }
 
 
 @dataclass(frozen=True)
@@ -215,18 +224,13 @@ def _declare_pairs(
     friction = np.array([partner.friction for partner in partners])
     surface = np.array([partner.surface for partner in partners])
     first, second = np.indices((len(these), len(other_partners))).reshape(2, -1)
-    values = contact_values(pairs, friction, surface, first, len(these) + second)
-    for (one, two), *row in zip(itertools.product(these, other_partners), *values.values(), strict=True):
-        solref, solimp = physics.solref, physics.solimp
+    columns = contact_values(physics, pairs, friction, surface, first, len(these) + second)
+    for (one, two), *row in zip(itertools.product(these, other_partners), *columns.values(), strict=True):
+        values = dict(zip(columns, row, strict=True))
         if two.face is not None:
-            solref, solimp = law_between(physics, two.face, one.face)
-        general = {"solref": solref, "solreffriction": physics.solreffriction, "solimp": solimp + _SOLIMP_TAIL}
-        spec.add_pair(
-            geomname1=one.name,
-            geomname2=two.name,
-            margin=-(one.skin_m + two.skin_m),
-            **(general | dict(zip(values, row, strict=True))),
-        )
+            values["solref"], solimp = law_between(physics, two.face, one.face)
+            values["solimp"] = solimp + _SOLIMP_TAIL
+        spec.add_pair(geomname1=one.name, geomname2=two.name, margin=-(one.skin_m + two.skin_m), **values)
 
 
 @lru_cache(maxsize=256)

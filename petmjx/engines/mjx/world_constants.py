@@ -91,7 +91,7 @@ class Worlds(NamedTuple):
     floor_friction: Float[Array, "world 3"]
     shape_surface: Int[Array, "world shape"]
     shape_give: Float[Array, "world shape"]
-    pairs: dict[str, Float[Array, "world surface surface *entry"]]
+    pairs: dict[str, Float[Array, "world surface surface ..."]]
     floor_z: Float[Array, " world"]
     profile: Int[Array, " world"]
     drive_scale: Float[Array, " world"]

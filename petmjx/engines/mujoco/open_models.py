@@ -161,14 +161,13 @@ class _Template:
         self._fill_pairs(model, scene, order)
 
     def _fill_pairs(self, model: mujoco.MjModel, scene: Scene, order: NDArray[np.intp]) -> None:
-        """Write the values of contacts that depend on pairs of geoms, as ``petmjx.world.mujoco_model`` declares
-        them."""
+        """Write the values of contacts, as ``petmjx.world.mujoco_model`` declares them."""
         boards = len(scene.carrier.half_size)
         shapes = scene.shapes
         geoms = np.concatenate([np.arange(boards), boards + order])
         friction = np.vstack([scene.floor_friction, shapes.friction[geoms]])
         surface = np.concatenate([[0], shapes.surface[geoms]])
         model.geom_friction[:] = friction
-        values = contact_values(scene.pairs, friction, surface, model.pair_geom1, model.pair_geom2)
+        values = contact_values(self._physics, scene.pairs, friction, surface, model.pair_geom1, model.pair_geom2)
         for name, rows in values.items():
             getattr(model, f"pair_{name}")[:] = rows

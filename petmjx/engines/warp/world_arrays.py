@@ -25,6 +25,7 @@ from jaxtyping import Bool, Float, Int
 
 from petmjx.engines.mjx import running_metrics, scene_rows, world_constants, world_state
 from petmjx.options.materials import PAIR_TABLES
+from petmjx.options.thresholds import Thresholds
 
 PANEL = 16
 """Number of rows of a panel in the Cholesky factorisation. The Hessian is padded to a multiple of this number."""
@@ -69,10 +70,14 @@ def record(cls: type, tables: Sequence[type] = (), without: Sequence[str] = ()) 
         tables: records of JAX arrays. The struct also gets the fields of these records, except the fields named in
             ``without``.
     """
-    annotations, axes = inspect.get_annotations(cls, eval_str=True), {}
-    for name, kind in annotations.items():
+    annotations, axes = dict[str, Any](), dict[str, str]()
+    for name, kind in inspect.get_annotations(cls, eval_str=True).items():
         if hasattr(kind, "__metadata__"):
             annotations[name], axes[name] = get_args(kind)
+        elif kind is Thresholds:
+            annotations |= dict.fromkeys(Thresholds.model_fields, float)
+        else:
+            annotations[name] = kind
     for table in tables:
         for name, kind in get_type_hints(table).items():
             if name in without:
@@ -127,12 +132,7 @@ class Model:
     due_steps: int
     longest_steps: int
     static_end: int  # Last step of a static check's placement; NEVER if boxes are placed one by one.
-    shift: float
-    shift_floor: float
-    tilt: float  # Threshold of the tilt of boxes, degrees.
-    drop_z: float
-    linear_acceleration: float
-    angular_acceleration: float
+    thresholds: Thresholds  # The struct has a number for each threshold, with the threshold's name.
     quiet_speed: float
     slow_speed: float
     slowing: float
