@@ -203,7 +203,8 @@ def test_a_value_for_pairs_of_materials(copy: Copy) -> None:
         """
 from dataclasses import replace
 import petmjx
-plan = petmjx.Plan.from_boxes("p", size_mm=[(400, 300, 200)] * 2, corner_mm=[(0, 0, 0), (0, 0, 199.9)], mass_kg=[5.0] * 2)
+boxes = dict(size_mm=[(400, 300, 200)] * 2, corner_mm=[(0, 0, 0), (0, 0, 199.9)], mass_kg=[5.0] * 2)
+plan = petmjx.Plan.from_boxes("p", **boxes)
 plan = replace(plan, materials=("cardboard", "film"))
 options = dict(engine="mujoco", check="static", duration_s=0.1, sample_interval_s=0.02)
 pairs = [dict(between=("film", "cardboard"), friction=0.5)]
