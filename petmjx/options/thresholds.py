@@ -135,9 +135,10 @@ FAILURES: Final = (
 
 def largest_excess(boxes: Any, thresholds: Thresholds) -> Any:
     """(…, n) the largest excess of each box over its thresholds, of all ``FAILURES``; above 1 if the box has failed.
+    Metrics that are NaN, because they were not measured, do not count.
 
     Args:
         boxes: an object with the metrics of ``FAILURES`` for (…, n) boxes, as arrays of NumPy or JAX.
     """
     excesses = [failure.excess(boxes, thresholds) for failure in FAILURES]
-    return reduce(excesses[0].__array_namespace__().maximum, excesses)
+    return reduce(excesses[0].__array_namespace__().fmax, excesses)

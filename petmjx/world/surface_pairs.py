@@ -116,14 +116,14 @@ def find_surfaces(plan: Plan, sim: Simulation) -> Surfaces | None:
         )
     pairs = {}
     for table in PAIR_TABLES:
-        values = np.full((1 + len(surfaces), 1 + len(surfaces), *table.entry), NOT_GIVEN)
+        values = np.full((1 + len(surfaces), 1 + len(surfaces), *table.entry), np.nan)
         for row, one in enumerate(of_boxes, start=1):
             for column, (friction, other) in enumerate(surfaces, start=1):
-                # an unknown friction also stays NOT_GIVEN, since bodies of such pairs never touch (check_pairs)
-                entry = np.array(table.between(one, other, friction, sim), np.float64)  # None becomes NaN
-                values[row, column] = values[column, row] = np.where(np.isnan(entry), NOT_GIVEN, entry)
-        if (values != NOT_GIVEN).any():
-            pairs[table.name] = values
+                entry = table.between(one, other, friction, sim)
+                values[row, column] = values[column, row] = entry  # None becomes NaN
+        # a friction that is unknown is not given either: bodies of such pairs never touch (check_pairs)
+        if not np.isnan(values).all():
+            pairs[table.name] = np.nan_to_num(values, nan=NOT_GIVEN)
     number_of = {surface: number for number, surface in enumerate(surfaces, start=1)}
     return Surfaces(
         np.array([of_boxes.index(material) + 1 for material in materials]),
