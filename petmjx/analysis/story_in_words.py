@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from petmjx.analysis.story import Story, sinks_of, thresholds_of
-from petmjx.common.text import box_in_words, count_text, printable_name
+from petmjx.common.text import alternatives, box_in_words, count_text, printable_name
 from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.engines.knife_edges import is_same_edge, kept_edges, nearest_edge
 from petmjx.engines.mujoco import box_motion
@@ -131,8 +131,7 @@ def reason_in_words(story: Story) -> str:
     values = {name: _threshold(name, value) for name, value in thresholds_of(story).model_dump().items()}
     deeds = {failure.reason: failure.reason.words.format(**values) for failure in FAILURES}
     if outcome.reason is Reason.NONE:
-        *several, last = reversed(deeds.values())
-        words = f"no box {', '.join(several)} or {last}"
+        words = f"no box {alternatives(reversed(deeds.values()))}"
     elif outcome.reason is Reason.DROP:
         n_dropped = int(outcome.boxes.dropped[: outcome.n_placed].sum())
         words = f"{'a box' if n_dropped == 1 else f'{n_dropped} boxes'} {deeds[outcome.reason]}"

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from petmjx.common.text import alternatives
 from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict, failures
 from petmjx.options.thresholds import FAILURES, Thresholds
@@ -18,6 +19,9 @@ DEFAULT_THRESHOLDS = Thresholds()
 
 MODES: Mapping[Reason, str] = {failure.reason: failure.mode for failure in FAILURES}
 """Reason of an unstable world → its mode of failure, as in the column ``mode``."""
+
+MODES_TEXT = alternatives(failure.mode for failure in reversed(FAILURES))
+"""The modes of failure, in descriptions of columns."""
 
 
 def failure_mode(outcome: Outcome, thresholds: Thresholds = DEFAULT_THRESHOLDS) -> str:
