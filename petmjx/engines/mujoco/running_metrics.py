@@ -259,7 +259,7 @@ class OracleMetrics:
             quat=quat,
         )
 
-    def largest_excess(self, pos: FloatArray, quat: FloatArray) -> int:
+    def worst_box(self, pos: FloatArray, quat: FloatArray) -> int:
         """The number of the box with the largest excess in these poses."""
         dropped = np.isfinite(self.drop_s[: len(pos)])
         over, _ = self._excess(pos, tilt_deg(quat), dropped)
