@@ -6,7 +6,7 @@ from __future__ import annotations
 import itertools
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated, Final, NamedTuple, Self, TypeVar
+from typing import Annotated, Final, NamedTuple, Protocol, Self, TypeVar
 
 from pydantic import Field, StrictFloat, model_validator
 
@@ -14,9 +14,6 @@ from petmjx.common.checked_records import CheckedRecord, complaint, within
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
 from petmjx.options.physics import HIGHEST_RESTITUTION, LONGEST_LANDING_S, RESTITUTION, SHORTEST_LANDING_S
-
-if TYPE_CHECKING:
-    from petmjx.options.simulation import Simulation
 
 WOOD: Final = "wood"
 STEEL: Final = "steel"
@@ -222,6 +219,16 @@ def check_pairs(boxes: Sequence[str], boards: Iterable[str], user_pairs: Sequenc
         raise InputError(f"no friction is known of {pair_names}{more_text}: give it, as in {example}")
 
 
+class PairOptions(Protocol):
+    """The options for pairs of materials, of a ``petmjx.Simulation``."""
+
+    @property
+    def friction_pairs(self) -> Sequence[FrictionPair]: ...
+
+    @property
+    def landing_pairs(self) -> Sequence[LandingPair]: ...
+
+
 class PairTable(NamedTuple):
     """A value of contacts that depends on the materials of the two shapes that touch. The scenes of plans with
     materials have a table with an entry for each pair of surfaces (petmjx/world/surface_pairs.py).
@@ -238,21 +245,21 @@ class PairTable(NamedTuple):
 
     name: str
     noun: str
-    between: Callable[[str, str, float | None, Simulation], float | tuple[float | None, ...] | None]
+    between: Callable[[str, str, float | None, PairOptions], float | tuple[float | None, ...] | None]
     entry: tuple[int, ...] = ()
 
 
-def _friction(one: str, other: str, of_board: float | None, sim: Simulation) -> float | None:
-    return friction_between(one, other, sim.friction_pairs) if of_board is None else of_board
+def _friction(one: str, other: str, of_board: float | None, options: PairOptions) -> float | None:
+    return friction_between(one, other, options.friction_pairs) if of_board is None else of_board
 
 
-def _landing(one: str, other: str, _: float | None, sim: Simulation) -> tuple[float | None, float | None]:
-    return landing_between(one, other, sim.landing_pairs)
+def _landing(one: str, other: str, _: float | None, options: PairOptions) -> tuple[float | None, float | None]:
+    return landing_between(one, other, options.landing_pairs)
 
 
-def _kinetic(one: str, other: str, of_board: float | None, sim: Simulation) -> float | None:
+def _kinetic(one: str, other: str, of_board: float | None, options: PairOptions) -> float | None:
     """The kinetic friction as a share of the static friction, which must be the friction of the two materials."""
-    return kinetic_share_between(one, other, sim.friction_pairs) if of_board is None else None
+    return kinetic_share_between(one, other, options.friction_pairs) if of_board is None else None
 
 
 PAIR_TABLES: Final = (
