@@ -139,19 +139,6 @@ class LandingPair(_MaterialPair):
 Pair = TypeVar("Pair", bound=_MaterialPair)
 
 
-def landing_between(one: str, other: str, user_pairs: Sequence[LandingPair]) -> tuple[float | None, float | None]:
-    """The restitution of a pair of materials, and the time in which a landing box is stopped, s. If one of the two is
-    None, the value in ``petmjx.Physics`` is used instead.
-
-    Args:
-        user_pairs: pairs that the user gives. The pairs of the user take precedence over petmjx's values, and later
-            pairs take precedence over earlier pairs.
-    """
-    user_pair = _last_of(user_pairs, one, other)
-    restitution, landing_s = (user_pair.restitution, user_pair.landing_s) if user_pair is not None else (None, None)
-    return RESTITUTION_OF_PAIRS.get(_key(one, other)) if restitution is None else restitution, landing_s
-
-
 def friction_between(one: str, other: str, user_pairs: Sequence[FrictionPair]) -> float | None:
     """The coefficient of static friction of a pair of materials; None if it is unknown.
 
@@ -254,7 +241,9 @@ def _friction(one: str, other: str, of_board: float | None, options: PairOptions
 
 
 def _landing(one: str, other: str, _: float | None, options: PairOptions) -> tuple[float | None, float | None]:
-    return landing_between(one, other, options.landing_pairs)
+    user_pair = _last_of(options.landing_pairs, one, other)
+    restitution, landing_s = (None, None) if user_pair is None else (user_pair.restitution, user_pair.landing_s)
+    return RESTITUTION_OF_PAIRS.get(_key(one, other)) if restitution is None else restitution, landing_s
 
 
 def _kinetic(one: str, other: str, of_board: float | None, options: PairOptions) -> float | None:
