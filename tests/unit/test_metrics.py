@@ -18,7 +18,7 @@ from petmjx.common.units import FloatArray
 from petmjx.engines import metrics
 from petmjx.engines.metrics import BoxMetric, BoxMetrics, Reduction, SampleAt, WorldReduction, markdown, reduce_boxes
 from petmjx.engines.verdict import INVALID_FLAGS, Flag, Outcome, Reason, Verdict, judge
-from petmjx.options.thresholds import FAILURES, Thresholds
+from petmjx.options.thresholds import FAILURES, Thresholds, largest_excess
 from petmjx.results.run_reader import load_run
 from petmjx.results.run_writer import RunWriter
 
@@ -171,6 +171,7 @@ def test_what_was_not_measured_has_no_value() -> None:
     assert np.isnan(metrics.quat).all()
     assert metrics.quat.shape == (2, 4)
     assert np.isnan(metrics.drop_s).tolist() == [True, True]
+    assert largest_excess(metrics, Thresholds(tilt_deg=4.0)).tolist() == [0.25, 0.25]
     with pytest.raises(TypeError, match="max_tilt"):
         BoxMetrics.measured(2, max_tilt=np.ones(2))
 
