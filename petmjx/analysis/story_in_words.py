@@ -10,13 +10,14 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from petmjx.analysis.story import Story, sinks_of, thresholds_of
-from petmjx.common.text import box_in_words, count_text, printable_name
+from petmjx.common.text import alternatives, box_in_words, count_text, printable_name
 from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.engines.knife_edges import is_same_edge, kept_edges, nearest_edge
 from petmjx.engines.mujoco import box_motion
 from petmjx.engines.outcome_checks import contact_tilt_boxes, edges_again
 from petmjx.engines.verdict import Flag, Reason, Verdict
 from petmjx.options.simulation import Check
+from petmjx.options.thresholds import FAILURES
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, gaps_mm
 from petmjx.world.building_edges import steps_beyond
 from petmjx.world.job import FORCE
@@ -123,32 +124,26 @@ def _last_state(story: Story) -> str:
 MOST_LEANING: Final = 3
 """Largest number of boxes that a line about leaning boxes names."""
 
-REASONS: Final = {
-    Reason.NONE: "no box shifted by more than {shift}, tilted by more than {tilt:g}° or dropped",
-    Reason.NONFINITE: "the simulation gave numbers that are not finite",
-    Reason.OVERFLOW: "there were more contacts than the engine had room for",
-    Reason.EXPLOSION: "accelerations were impossibly large before any box had moved",
-    Reason.OUT_OF_MEMORY: "the device had too little memory",
-    Reason.SINKING: "boxes sank into the boxes or the carrier below them",
-    Reason.FAILED: "the simulation failed",
-    Reason.TIMEOUT: "the simulation took longer than its time limit",
-    Reason.ITERATION_LIMIT: "the simulation took more solver iterations than its limit",
-    Reason.DROP: "{boxes} dropped",
-    Reason.TILT: "a box tilted by more than {tilt:g}°",
-    Reason.SHIFT: "a box shifted by more than {shift}",
-}
-"""Reason of a verdict → a sentence about this reason, without full stop. The braces in the sentence are placeholders
-for thresholds and for the number of boxes that dropped."""
-
 
 def reason_in_words(story: Story) -> str:
     """A sentence with the reason of the verdict, without full stop."""
-    outcome, limits = story.outcome, thresholds_of(story)
-    dropped = int(outcome.boxes.dropped[: outcome.n_placed].sum())
-    boxes = "a box" if dropped == 1 else f"{dropped} boxes"
-    words = REASONS.get(outcome.reason, str(outcome.reason))
-    words = words.format(shift=_mm(limits.shift_m), tilt=limits.tilt_deg, boxes=boxes)
+    outcome = story.outcome
+    values = {name: _threshold(name, value) for name, value in thresholds_of(story).model_dump().items()}
+    deeds = {failure.reason: failure.reason.words.format(**values) for failure in FAILURES}
+    if outcome.reason is Reason.NONE:
+        words = f"no box {alternatives(reversed(deeds.values()))}"
+    elif outcome.reason is Reason.DROP:
+        n_dropped = int(outcome.boxes.dropped[: outcome.n_placed].sum())
+        words = f"{'a box' if n_dropped == 1 else f'{n_dropped} boxes'} {deeds[outcome.reason]}"
+    else:
+        words = f"a box {deeds[outcome.reason]}" if outcome.reason in deeds else outcome.reason.words
     return f"{words}: {printable_name(outcome.message)}" if outcome.message else words
+
+
+def _threshold(name: str, value: float) -> str:
+    """A threshold with its unit, which is the end of its name."""
+    unit = name.rpartition("_")[2]
+    return {"m": _mm(value), "deg": f"{value:g}°", "n": f"{value:,g} N"}.get(unit, f"{value:g} {unit}")
 
 
 def notes_in_words(story: Story) -> list[str]:

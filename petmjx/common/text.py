@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 _SHOWN_CHARACTERS: Final = 60
@@ -107,6 +107,12 @@ def count_text(number: int, noun: str, plural: str | None = None) -> str:
     """A count with its noun, such as "1 plan" or "2,000 plans". ``plural`` is needed if the plural is not the noun with
     an added s."""
     return f"{number:,} {noun if number == 1 else plural or noun + 's'}"
+
+
+def alternatives(texts: Iterable[str]) -> str:
+    """Several texts as alternatives: "a, b or c"."""
+    *most, last = texts
+    return f"{', '.join(most)} or {last}"
 
 
 def rounded_text(count: float) -> str:

@@ -242,7 +242,7 @@ class Engines:
         needs = {
             Capability.SOFT: soft,
             Capability.SHEETS: bool(job.scene.pieces),
-            Capability.KINETIC_PAIRS: job.scene.pair_kinetic is not None,
+            Capability.KINETIC_PAIRS: "kinetic" in job.scene.pairs,
             attempt.needs: True,
             Capability.CG: sim.solver is Solver.CG,
         }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from types import SimpleNamespace
 from typing import Final
 
 import numpy as np
@@ -11,16 +12,10 @@ from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
 from petmjx.engines.metrics import BoxMetrics
-from petmjx.engines.mujoco.box_motion import excess
 from petmjx.engines.verdict import Outcome, Verdict
-from petmjx.options.thresholds import Thresholds
+from petmjx.options.thresholds import FAILURES, Thresholds, largest_excess
 
 _EPSILON: Final = float(np.finfo(np.float64).eps)
-
-DROPPED_EXCESS: Final = 2.0
-"""Smallest excess of a dropped box. (The excess says how far a box is beyond its thresholds.) With this value, the
-margin of a world with a dropped box is at most -1. A dropped box may end near its planned place, but its world always
-counts as beyond the threshold."""
 
 
 def margin_of(verdict: Verdict, boxes: BoxMetrics, n_placed: int, thresholds: Thresholds) -> float:
@@ -46,23 +41,16 @@ def _margins(worlds: Sequence[tuple[Verdict, BoxMetrics, int]], thresholds: Thre
         return margins
     placed = [worlds[k][2] for k in valid]
     placed_boxes = [(worlds[k][1], slice(worlds[k][2])) for k in valid]
-    shift = np.concatenate([boxes.shift_m[rows] for boxes, rows in placed_boxes], dtype=np.float64)
-    tilt = np.concatenate([boxes.max_tilt_deg[rows] for boxes, rows in placed_boxes], dtype=np.float64)
-    dropped = np.concatenate([boxes.dropped[rows] for boxes, rows in placed_boxes], dtype=np.bool_)
+    columns = {
+        metric: np.concatenate([getattr(boxes, metric)[rows] for boxes, rows in placed_boxes], dtype=np.float64)
+        for metric in (failure.metric for failure in FAILURES)
+    }
     begins = np.cumsum(placed) - np.array(placed)
-    largest = np.maximum.reduceat(excess_for_margin(shift, tilt, dropped, thresholds), begins)
+    largest = np.maximum.reduceat(largest_excess(SimpleNamespace(**columns), thresholds), begins)
     stable = np.array([worlds[k][0] is Verdict.STABLE for k in valid])
     for k, margin in zip(valid, margin_of_excess(largest, stable).tolist(), strict=True):
         margins[k] = margin
     return margins
-
-
-def excess_for_margin(
-    shift_m: FloatArray, tilt_deg: FloatArray, dropped: NDArray[np.bool_], thresholds: Thresholds
-) -> FloatArray:
-    """(…, n) excess of each box as it counts in margins. ``results`` in petmjx/jax/device_pallets.py computes the same
-    in JAX."""
-    return np.asarray(np.maximum(excess(shift_m, tilt_deg, dropped, thresholds), DROPPED_EXCESS * dropped))
 
 
 def margin_of_excess(largest: FloatArray, stable: NDArray[np.bool_]) -> FloatArray:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Flag, Outcome
+from petmjx.options.materials import PAIR_TABLES
 from petmjx.options.simulation import Schedule, Simulation
 from petmjx.world.growing_scenes import EmptyCarrier, NextBoxes, OpenScenes
 from petmjx.world.job import Drive
@@ -168,7 +169,7 @@ def _check_grown(before: Scene, after: Scene) -> None:
 
     Raises:
         ValueError: ``after`` lacks a box of ``before``, has no further box, has a different carrier, or has different
-            friction or landing values for pairs of surfaces.
+            values for pairs of surfaces.
     """
     n = before.n_boxes
     if after.n_boxes <= n:
@@ -178,13 +179,9 @@ def _check_grown(before: Scene, after: Scene) -> None:
         raise ValueError(f"the first {n} boxes of the scene must be the boxes that the world already has")
     if any(not np.array_equal(value, getattr(after.carrier, name)) for name, value in vars(before.carrier).items()):
         raise ValueError("the scene must have the same carrier as the world")
-    for name, entry, noun in (
-        ("pair_friction", (), "friction"),
-        ("pair_kinetic", (), "kinetic friction"),
-        ("pair_landing", (2,), "landing values"),
-    ):
-        if not np.array_equal(filled_up(getattr(before, name), entry), filled_up(getattr(after, name), entry)):
-            raise ValueError(f"the scene must have the same {noun} for pairs of surfaces as the world")
+    for table in PAIR_TABLES:
+        if not np.array_equal(filled_up(before.pairs, table.name), filled_up(after.pairs, table.name)):
+            raise ValueError(f"the scene must have the same {table.noun} for pairs of surfaces as the world")
 
 
 class OpenWorlds(ABC):

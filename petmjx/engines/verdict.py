@@ -1,4 +1,5 @@
-"""The outcome of a world (verdict, reason, flags, metrics of its boxes), and ``judge``, which decides the verdict."""
+"""The outcome of a world (verdict, reason, flags, metrics of its boxes), and ``judge``, which decides the verdict.
+petmjx/options/thresholds.py lists the reasons."""
 
 from __future__ import annotations
 
@@ -6,14 +7,14 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntFlag, StrEnum
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.common.units import FloatArray
 from petmjx.engines.metrics import BoxMetrics
-from petmjx.options.thresholds import Thresholds
+from petmjx.options.thresholds import FAILURES, Thresholds
+from petmjx.options.thresholds import Reason as Reason
 from petmjx.world.history import History
 from petmjx.world.job import EngineState, KeptState
 
@@ -22,23 +23,6 @@ class Verdict(StrEnum):
     STABLE = "stable"
     UNSTABLE = "unstable"
     INVALID = "invalid"
-
-
-class Reason(StrEnum):
-    """Why a world is not stable. The reason of a stable world is empty."""
-
-    NONE = ""
-    NONFINITE = "nonfinite"
-    OVERFLOW = "overflow"
-    EXPLOSION = "explosion"
-    OUT_OF_MEMORY = "out-of-memory"
-    SINKING = "sinking"
-    FAILED = "failed"
-    TIMEOUT = "timeout"
-    ITERATION_LIMIT = "iteration-limit"
-    DROP = "drop"
-    TILT = "tilt"
-    SHIFT = "shift"
 
 
 class Flag(IntFlag):
@@ -142,25 +126,15 @@ decides."""
 _INVALID_BITS: Final = sum(int(bits) for bits, _ in INVALID_FLAGS)
 
 
-class Signs(NamedTuple):
-    """The metrics of (…, n) boxes that decide whether a box fails. Each field is defined as in ``BoxMetrics``."""
-
-    shift_m: FloatArray
-    max_tilt_deg: FloatArray
-    max_top_force_n: FloatArray
-    dropped: NDArray[np.bool_]
-
-
 def failures(boxes: Any, thresholds: Thresholds) -> Iterator[tuple[Reason, Any]]:
     """Yield, for each reason, the reason and an array (…, n) that tells whether each box fails for this reason. Reasons
     come in the order in which they are checked.
 
     Args:
-        boxes: an object with the fields of ``Signs`` for (…, n) boxes, as arrays of NumPy or JAX.
+        boxes: an object with the metrics of ``FAILURES`` for (…, n) boxes, as arrays of NumPy or JAX.
     """
-    yield Reason.DROP, boxes.dropped
-    yield Reason.TILT, boxes.max_tilt_deg > thresholds.tilt_deg
-    yield Reason.SHIFT, (abs(boxes.shift_m) > thresholds.shift_m).any(axis=-1)
+    for failure in FAILURES:
+        yield failure.reason, failure.has_happened(boxes, thresholds)
 
 
 def judge(
@@ -200,7 +174,7 @@ def judge(
 
 
 def judge_all(
-    flags: NDArray[np.int64], boxes: Signs | BoxMetrics, thresholds: Thresholds
+    flags: NDArray[np.int64], boxes: BoxMetrics, thresholds: Thresholds
 ) -> tuple[NDArray[np.str_], NDArray[np.str_]]:
     """The verdicts and reasons of many worlds, as ``judge`` returns them for each world.
 

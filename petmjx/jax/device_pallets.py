@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from types import SimpleNamespace
 from typing import Any, Final
 
 import jax
@@ -14,7 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from petmjx.common.errors import InputError
 from petmjx.common.units import MICROMETRES_PER_M, MM_PER_M
-from petmjx.engines.margin import DROPPED_EXCESS
+from petmjx.engines.metrics import BoxMetrics
 from petmjx.engines.mjx import box_motion as motion
 from petmjx.engines.mjx.world_state import Status, take_rows
 from petmjx.engines.protocol import Engine
@@ -24,6 +23,7 @@ from petmjx.engines.warp.open_world_functions import OpenState, Simulator
 from petmjx.engines.warp.open_worlds import WarpWorlds
 from petmjx.jax.placement_arrays import ENDED, REASONS, PlacementArrays
 from petmjx.options.simulation import Simulation
+from petmjx.options.thresholds import largest_excess
 from petmjx.world.bearings import TOUCH_M
 from petmjx.world.contact_laws import CONTACTS_PER_FACE, DEPTHS_M, cone_factor, pulls_m_s2
 from petmjx.world.growing_scenes import EmptyCarrier
@@ -133,11 +133,12 @@ class Device:
         shift = jnp.where(here[..., None], motion.shift(middle, worlds.target, limits.shift_floor_m), 0.0)
         tilt = jnp.where(here, jnp.fmax(state.metrics.max_tilt, motion.tilt_deg(quat)), 0.0)
         dropped = here & ((state.metrics.drop_step >= 0) | motion.has_dropped(middle, quat, worlds.half, limits))
-        over = jnp.maximum(motion.excess(shift, tilt, dropped, limits), DROPPED_EXCESS * dropped)
         full = state.status == Status.OVERFLOWED
         reason = jnp.zeros(len(full), jnp.int32)
         top_force = jnp.fmax(state.metrics.max_top_force, state.top_force)
-        boxes = SimpleNamespace(shift_m=shift, max_tilt_deg=tilt, dropped=dropped, max_top_force_n=top_force)
+        measured: Any = {"shift_m": shift, "max_tilt_deg": tilt, "dropped": dropped, "max_top_force_n": top_force}
+        boxes = BoxMetrics.measured(*here.shape, **measured)
+        over = largest_excess(boxes, limits)
         failed = (
             *((why, (here & failing).any(axis=1)) for why, failing in reversed(list(failures(boxes, limits)))),
             *((why, (state.flags & int(bits)) != 0) for bits, why in reversed(INVALID_FLAGS)),

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from petmjx.common.argument_checks import integer_of, number_of
 from petmjx.common.prefetch import prefetch
+from petmjx.common.text import alternatives
 from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.loop.candidate_places import Places
 from petmjx.loop.engine_setup import chooses_gpu
@@ -32,6 +33,7 @@ from petmjx.loop.episode_orders import Boxes, Orders
 from petmjx.loop.label_splits import split_of
 from petmjx.loop.pallets import Pallets
 from petmjx.options.run_options import AUTO
+from petmjx.options.thresholds import FAILURES
 from petmjx.plans.plan import Plan
 
 CAREFUL_SUPPORT: Final = 0.75
@@ -85,7 +87,11 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     ),
     "mass_kg": (pa.list_(pa.float64()), "masses of all boxes of the pallet; the new box is the last"),
     "stands": (pa.bool_(), "whether the pallet with the new box is stable in a score; null if it has no verdict"),
-    "reason": (pa.string(), "reason why the pallet is not stable (drop, tilt or shift), or why it has no verdict"),
+    "reason": (
+        pa.string(),
+        f"reason why the pallet is not stable ({alternatives(failure.reason for failure in FAILURES)}), or why it has "
+        "no verdict",
+    ),
     "culprit": (pa.int32(), "number (from 0) of the box that failed first; null if no box failed"),
     "margin": (
         pa.float32(),

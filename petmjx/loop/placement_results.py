@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import MM_PER_M, FloatArray
-from petmjx.engines.margin import excess_for_margin, margin_of_excess, margins_of
+from petmjx.engines.margin import margin_of_excess, margins_of
+from petmjx.engines.metrics import BoxMetrics
 from petmjx.engines.mujoco.box_motion import farthest, has_dropped, shift, tilt_deg
 from petmjx.engines.open_world_protocol import Snapshots, joined_records, widened_rows
-from petmjx.engines.verdict import Flag, Outcome, Signs, Verdict, judge_all
-from petmjx.options.thresholds import Thresholds
+from petmjx.engines.verdict import Flag, Outcome, Verdict, judge_all
+from petmjx.options.thresholds import Thresholds, largest_excess
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,10 +88,16 @@ class PlacementResults:
             )
             tilted = np.fmax(snapshots.max_tilt_deg, tilt_deg(quat).reshape(m, k))
             dropped = snapshots.dropped | has_dropped(middles, quat, halves, thresholds).reshape(m, k)
-            verdict, reason = judge_all(
-                snapshots.flags, Signs(shifted, tilted, snapshots.max_top_force_n, dropped), thresholds
+            boxes = BoxMetrics.measured(
+                m,
+                k,
+                shift_m=shifted,
+                max_tilt_deg=tilted,
+                max_top_force_n=snapshots.max_top_force_n,
+                dropped=dropped,
             )
-            over = np.nan_to_num(excess_for_margin(shifted, tilted, dropped, thresholds), nan=-np.inf)
+            verdict, reason = judge_all(snapshots.flags, boxes, thresholds)
+            over = np.nan_to_num(largest_excess(boxes, thresholds), nan=-np.inf)
         stable, invalid = verdict == str(Verdict.STABLE), verdict == str(Verdict.INVALID)
         worst = over.argmax(axis=1) if k else np.zeros(m, np.int64)
         culprit = np.where(snapshots.culprit >= 0, snapshots.culprit, np.where(invalid, -1, worst))

@@ -1,12 +1,12 @@
-"""Friction between pairs of materials, and bounces of one material on another: built-in values with their sources, and
-values that users give."""
+"""Values of contacts that depend on the two materials that touch, such as friction and bounces: built-in values with
+their sources, values that users give, and the list of all such values (``PAIR_TABLES``)."""
 
 from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Annotated, Final, Self, TypeVar
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Annotated, Final, NamedTuple, Protocol, Self, TypeVar
 
 from pydantic import Field, StrictFloat, model_validator
 
@@ -139,19 +139,6 @@ class LandingPair(_MaterialPair):
 Pair = TypeVar("Pair", bound=_MaterialPair)
 
 
-def landing_between(one: str, other: str, user_pairs: Sequence[LandingPair]) -> tuple[float | None, float | None]:
-    """The restitution of a pair of materials, and the time in which a landing box is stopped, s. If one of the two is
-    None, the value in ``petmjx.Physics`` is used instead.
-
-    Args:
-        user_pairs: pairs that the user gives. The pairs of the user take precedence over petmjx's values, and later
-            pairs take precedence over earlier pairs.
-    """
-    user_pair = _last_of(user_pairs, one, other)
-    restitution, landing_s = (user_pair.restitution, user_pair.landing_s) if user_pair is not None else (None, None)
-    return RESTITUTION_OF_PAIRS.get(_key(one, other)) if restitution is None else restitution, landing_s
-
-
 def friction_between(one: str, other: str, user_pairs: Sequence[FrictionPair]) -> float | None:
     """The coefficient of static friction of a pair of materials; None if it is unknown.
 
@@ -179,7 +166,10 @@ def kinetic_share_between(one: str, other: str, user_pairs: Sequence[FrictionPai
 
 
 def _last_of(user_pairs: Sequence[Pair], one: str, other: str) -> Pair | None:
-    """The last of the user's pairs that has these two materials; None if there is no such pair."""
+    """The last of the user's pairs that has these two materials; None if there is no such pair, or if one of the
+    materials is unknown (empty)."""
+    if not (one and other):
+        return None
     key = _key(one, other)
     return next((pair for pair in reversed(user_pairs) if pair.key == key), None)
 
@@ -214,3 +204,58 @@ def check_pairs(boxes: Sequence[str], boards: Iterable[str], user_pairs: Sequenc
         one, other = map(printable_name, missing[0])
         example = f'friction_pairs = [{{between = ["{one}", "{other}"], friction = 0.4}}]'
         raise InputError(f"no friction is known of {pair_names}{more_text}: give it, as in {example}")
+
+
+class PairOptions(Protocol):
+    """The options for pairs of materials, of a ``petmjx.Simulation``."""
+
+    @property
+    def friction_pairs(self) -> Sequence[FrictionPair]: ...
+
+    @property
+    def landing_pairs(self) -> Sequence[LandingPair]: ...
+
+
+class PairTable(NamedTuple):
+    """A value of contacts that depends on the materials of the two shapes that touch. The scenes of plans with
+    materials have a table with an entry for each pair of surfaces (petmjx/world/surface_pairs.py).
+
+    Attributes:
+        name: key of the table in the ``pairs`` of scenes and of the tables of worlds on devices. In kernels, the array
+            is called ``pair_`` + ``name``.
+        noun: the value in messages.
+        between: the entry for two materials, given the materials ("" if unknown), the coefficient of friction of the
+            board that one of them belongs to (None if the board has none of its own), and the options. A None in the
+            entry stands for the value that contacts have without materials.
+        entry: shape of an entry; () is one number.
+    """
+
+    name: str
+    noun: str
+    between: Callable[[str, str, float | None, PairOptions], float | tuple[float | None, ...] | None]
+    entry: tuple[int, ...] = ()
+
+
+def _friction(one: str, other: str, of_board: float | None, options: PairOptions) -> float | None:
+    return friction_between(one, other, options.friction_pairs) if of_board is None else of_board
+
+
+def _landing(one: str, other: str, _: float | None, options: PairOptions) -> tuple[float | None, float | None]:
+    user_pair = _last_of(options.landing_pairs, one, other)
+    restitution, landing_s = (None, None) if user_pair is None else (user_pair.restitution, user_pair.landing_s)
+    return RESTITUTION_OF_PAIRS.get(_key(one, other)) if restitution is None else restitution, landing_s
+
+
+def _kinetic(one: str, other: str, of_board: float | None, options: PairOptions) -> float | None:
+    """The kinetic friction as a share of the static friction, which must be the friction of the two materials."""
+    return kinetic_share_between(one, other, options.friction_pairs) if of_board is None else None
+
+
+PAIR_TABLES: Final = (
+    PairTable("friction", "friction", _friction),
+    PairTable("landing", "landing values", _landing, (2,)),
+    PairTable("kinetic", "kinetic friction", _kinetic),
+)
+"""All values of contacts that depend on a pair of materials. ``friction`` is the coefficient of static friction.
+``landing`` has the restitution, and the time in which a landing box is stopped, s. ``kinetic`` is the kinetic friction
+as a share of the static friction."""

@@ -107,7 +107,8 @@ class Simulation(CheckedRecord):
         (),
         max_length=100,
         description="values for pairs of materials, in addition to petmjx's own: how boxes bounce and stop when they "
-        "land; each entry has the key 'between', a list of two materials, and 'restitution', 'landing_s' or both",
+        "land; each entry has the key 'between', a list of two materials, and at least one of "
+        f"{', '.join(repr(name) for name in LandingPair.model_fields if name != 'between')}",
     )
     size_reduction_mm: Annotated[float, within(0, 1000), CliFlag("--size-reduction-mm", "MM")] = Field(
         0.1,

@@ -31,7 +31,7 @@ from petmjx.engines.margin import margins_of
 from petmjx.engines.metrics import BoxMetrics
 from petmjx.engines.outcome_checks import outcome_checks
 from petmjx.engines.protocol import Capability, Engine, Progress
-from petmjx.engines.verdict import Flag, Outcome, Reason, Signs, Verdict, failures
+from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict, failures
 from petmjx.options.confidence import Confidence
 from petmjx.options.run_options import AUTO, RunOptions
 from petmjx.options.simulation import Check, Schedule, Simulation
@@ -673,7 +673,7 @@ def _engines(run: RunOptions) -> tuple[Engine, Choice, RunOptions | None]:
     return engine, Choice(name, reason), second
 
 
-def _over_limits(boxes: Signs | BoxMetrics, limits: Thresholds) -> BoolArray:
+def _over_limits(boxes: BoxMetrics, limits: Thresholds) -> BoolArray:
     """(n,) whether boxes have crossed a limit."""
     over: BoolArray = np.logical_or.reduce([failed for _, failed in failures(boxes, limits)])
     return over
@@ -713,11 +713,12 @@ def _trial(world: Any, fallen: Sequence[int], order: tuple[int, ...]) -> Trial:
 def _fallen(run: RunResults, sim: Simulation) -> dict[str, list[int]]:
     """Plan id → rows of the boxes that have dropped, or are over a threshold of tilt or shift."""
     boxes = run.boxes
-    signs = Signs(
+    metrics = BoxMetrics.measured(
+        len(boxes),
         shift_m=boxes[["shift_x_m", "shift_y_m", "shift_z_m"]].to_numpy(),
         max_tilt_deg=boxes["max_tilt_deg"].to_numpy(),
         max_top_force_n=boxes["max_top_force_n"].to_numpy(),
         dropped=boxes["dropped"].to_numpy(bool),
     )
-    rows = boxes.loc[_over_limits(signs, sim.thresholds), ["plan_id", "box"]]
+    rows = boxes.loc[_over_limits(metrics, sim.thresholds), ["plan_id", "box"]]
     return {str(plan_id): numbers.tolist() for plan_id, numbers in rows.groupby("plan_id", observed=True)["box"]}

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, Final
 import pyarrow as pa
 
 from petmjx.common.errors import InputError
+from petmjx.common.text import alternatives
 from petmjx.engines import metrics
 from petmjx.engines.metrics import DIMENSIONLESS, TEXT
 from petmjx.engines.verdict import Flag, Verdict
@@ -70,11 +71,6 @@ def _counts(**columns: str) -> list[pa.Field]:
     return [_column(name, pa.int32(), DIMENSIONLESS, text) for name, text in columns.items()]
 
 
-def _one_of(names: Iterable[str]) -> str:
-    *most, last = names
-    return f"{', '.join(most)} or {last}"
-
-
 def _metrics(columns: Iterable[metrics.Column]) -> list[pa.Field]:
     return [_column(c.name, pa.from_numpy_dtype(c.dtype), c.unit, c.meaning) for c in columns]
 
@@ -105,9 +101,9 @@ _WORLD_COLUMNS = (
         solver="constraint solver of the attempt that gave the verdict",
     ),
     *_counts(attempt="number of the attempt that gave the verdict, from 1"),
-    *_texts(schedule=f"when the next box was placed: {_one_of(Schedule)}"),
+    *_texts(schedule=f"when the next box was placed: {alternatives(Schedule)}"),
     *_counts(n_boxes="number of boxes of the plan", n_placed="number of boxes placed before the world ended"),
-    *_texts(verdict=_one_of(Verdict), reason="reason why the world is not stable; empty if it is stable"),
+    *_texts(verdict=alternatives(Verdict), reason="reason why the world is not stable; empty if it is stable"),
     *_counts(
         culprit="number of the box that first crossed a threshold (in packing order, from 0); null if no box crossed "
         "one"

@@ -9,30 +9,31 @@ from typing import Any
 
 import numpy as np
 
-from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
-from petmjx.options.thresholds import Thresholds
+from petmjx.common.text import alternatives
+from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict, failures
+from petmjx.options.thresholds import FAILURES, Thresholds
 
-DEFAULT_TILT_DEG = float(Thresholds().tilt_deg)
+DEFAULT_THRESHOLDS = Thresholds()
 
-MODES: Mapping[Reason, str] = {Reason.SHIFT: "slide", Reason.TILT: "tilt", Reason.DROP: "drop"}
+MODES: Mapping[Reason, str] = {failure.reason: failure.mode for failure in FAILURES}
 """Reason of an unstable world → its mode of failure, as in the column ``mode``."""
 
+MODES_TEXT = alternatives(failure.mode for failure in reversed(FAILURES))
+"""The modes of failure, in descriptions of columns."""
 
-def failure_mode(outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG) -> str:
-    """How the first box failed, as one of the words "slide", "tilt" and "drop".
 
-    The mode is "drop" if the box dropped, else "tilt" if it tilted by more than ``tilt_deg``, else "slide". A search
-    reports the mode at the lowest level that fails. At a level just above the largest level that the pallet survives,
-    the mode usually shows how the failure began. At a much larger level, a box that slides also falls, so the mode is
-    usually "drop". For an invalid world, the mode is the reason why the world is invalid. For a stable world, the mode
-    is "".
+def failure_mode(outcome: Outcome, thresholds: Thresholds = DEFAULT_THRESHOLDS) -> str:
+    """How the first box failed: the mode of the first of ``FAILURES`` that has happened to the box, such as "drop".
+
+    If the box is within its thresholds again, the mode is "slide". A search reports the mode at the lowest level that
+    fails. At a level just above the largest level that the pallet survives, the mode usually shows how the failure
+    began. At a much larger level, a box that slides also falls, so the mode is usually "drop". For an invalid world,
+    the mode is the reason why the world is invalid. For a stable world, the mode is "".
     """
     if outcome.verdict is not Verdict.UNSTABLE or outcome.culprit < 0:
         return MODES.get(outcome.reason, str(outcome.reason))
-    boxes, box = outcome.boxes, outcome.culprit
-    if boxes.dropped[box]:
-        return MODES[Reason.DROP]
-    return MODES[Reason.TILT if boxes.max_tilt_deg[box] > tilt_deg else Reason.SHIFT]
+    happened = (reason for reason, failed in failures(outcome.boxes, thresholds) if failed[outcome.culprit])
+    return MODES[next(happened, Reason.SHIFT)]
 
 
 @dataclass(frozen=True)
@@ -55,11 +56,15 @@ class Probe:
     values: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG, values: Mapping[str, Any] | None = None) -> Probe:
-        """The result of a test, made from the outcome of its simulation. ``tilt_deg``: angle above which a tilted box
-        has the mode "tilt"."""
+    def of(
+        cls,
+        outcome: Outcome,
+        thresholds: Thresholds = DEFAULT_THRESHOLDS,
+        values: Mapping[str, Any] | None = None,
+    ) -> Probe:
+        """The result of a test, made from the outcome of its simulation."""
         moving = Flag.MOVING in outcome.flags
-        return cls(outcome.verdict, outcome.culprit, failure_mode(outcome, tilt_deg), moving, values or {})
+        return cls(outcome.verdict, outcome.culprit, failure_mode(outcome, thresholds), moving, values or {})
 
     @classmethod
     def from_row(cls, row: Mapping[str, Any]) -> Probe:

@@ -373,7 +373,7 @@ class SweepRun:
         row per profile and direction, at the lowest level, with the outcome of the placement.
         """
         group, ended, drives = start.group, [], []
-        at_rest = Probe.of(start.outcome, self.sim.thresholds.tilt_deg)
+        at_rest = Probe.of(start.outcome, self.sim.thresholds)
         for number in range(len(self.plan.search_items())):
             search = PlacementSearch(group, number, self._level_search(at_rest))
             if not search.levels.stands_at_rest and self._row(group, number, 0) is None:
@@ -387,7 +387,7 @@ class SweepRun:
         search = drive.search
         if search is None:
             return []
-        search.results[drive.level] = Probe.of(world.outcome, self.sim.thresholds.tilt_deg, self.values_of(world))
+        search.results[drive.level] = Probe.of(world.outcome, self.sim.thresholds, self.values_of(world))
         if len(search.results) < len(search.levels.next_levels()):
             return []
         return self._next_drives(search, drive.settled)

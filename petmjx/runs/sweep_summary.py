@@ -20,7 +20,7 @@ from petmjx.results.world_ranks import frame_in_order
 from petmjx.runs.chain_legs import PLACING
 from petmjx.runs.eumos_limits import EUMOS_COLUMNS, EUMOS_PROFILE, eumos_assessment
 from petmjx.runs.forked_worlds import PlacementSearch
-from petmjx.runs.level_search import failure_mode
+from petmjx.runs.level_search import MODES_TEXT, failure_mode
 from petmjx.runs.study import FinishedWorld
 from petmjx.runs.sweep_axes import AXIS_KINDS, Axis
 from petmjx.runs.sweep_design import REMEDY
@@ -30,7 +30,7 @@ from petmjx.world.profiles.accelerations import Tilt
 RANGE_BINS = 8
 """The summary divides an axis with a continuous range into this number of equal intervals."""
 
-MODE = Param("mode", TEXT, "how the first box failed: slide, tilt or drop; empty for a stable world", str)
+MODE = Param("mode", TEXT, f"how the first box failed: {MODES_TEXT}; empty for a stable world", str)
 SIGN = Param(
     "sign_in_profile_s",
     "s",
@@ -79,7 +79,7 @@ class SweepColumns:
         """The values of one world in the columns that the sweep adds: column → value. Columns without a value become
         null."""
         values: dict[str, Any] = dict(world.variant.parameters)
-        values[MODE.name] = failure_mode(world.outcome, self._sim.thresholds.tilt_deg)
+        values[MODE.name] = failure_mode(world.outcome, self._sim.thresholds)
         if world.variant.legs:
             return values | self._of_leg(world)
         drive = world.variant.drive
@@ -318,8 +318,8 @@ _DESCRIPTIONS = {
     "first_failed_scale": "smallest scale that failed; null if no scale failed",
     "box": "number of the box that failed first: at rest, if the pallet does not stand without a profile; otherwise at "
     "the smallest failed level",
-    "mode": "how the box in the column `box` failed: slide, tilt or drop; for an invalid world, the reason why the "
-    "world is invalid",
+    "mode": f"how the box in the column `box` failed: {MODES_TEXT}; for an invalid world, the reason why the world is "
+    "invalid",
     "monotone": "whether the pallet also failed at every tested level above the smallest failed level",
     "n_tests": "number of levels tested",
     "n_moving": "number of tested levels at which boxes still moved after the longest wait (longest_wait_s)",

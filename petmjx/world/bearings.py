@@ -130,9 +130,10 @@ def _wall_allowances(scene: Scene, target: FloatArray) -> FloatArray:
 def _least_friction(scene: Scene) -> FloatArray:
     """(n,) smallest coefficient of sliding friction between each box and any body on which it may stand."""
     friction = scene.friction[:, 0]
-    if scene.surface is None or scene.pair_friction is None:
+    table = scene.pairs.get("friction")
+    if scene.surface is None or table is None:
         return friction
-    of_pairs = np.where(scene.pair_friction == NOT_GIVEN, np.inf, scene.pair_friction).min(axis=1)[scene.surface]
+    of_pairs = np.where(table == NOT_GIVEN, np.inf, table).min(axis=1)[scene.surface]
     return np.where(np.isfinite(of_pairs), of_pairs, friction)
 
 

@@ -6,6 +6,7 @@ Boxes are rigid bodies, or flex bodies (soft bodies of MuJoCo).
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -20,7 +21,7 @@ from petmjx.world.compliance import Face, compliances, law_between
 from petmjx.world.history import CARRIER, FLOOR
 from petmjx.world.scene import IDENTITY_QUAT, Scene
 from petmjx.world.soft_boxes import add_soft_box, check_soft, set_for_soft, soft_friction
-from petmjx.world.surface_pairs import NOT_GIVEN, filled_up
+from petmjx.world.surface_pairs import NOT_GIVEN, Pairs, filled_up
 
 FLOOR_NAME = "floor"
 CARRIER_NAME = "carrier"
@@ -107,7 +108,7 @@ def build_spec(
     )
     if held_carrier is None:
         of_body = _partners(scene, physics)
-        _declare_pairs(spec, physics, filled_up(scene.pair_friction), of_body[FLOOR], of_body[CARRIER])
+        _declare_pairs(spec, physics, scene.pairs, of_body[FLOOR], of_body[CARRIER])
     add_boxes(spec, scene, physics, range(count), held=held_carrier is not None)
     return spec
 
@@ -126,13 +127,12 @@ def add_boxes(
     """
     frames, of_body = scene.frames(scene.start_pos, scene.start_quat), _partners(scene, physics, held)
     partner_shapes = [shape for body in (FLOOR, CARRIER, *before) for shape in of_body[body]]
-    table = filled_up(scene.pair_friction)
     for box in boxes:
         body = spec.worldbody.add_body(name=box_name(box), pos=frames[box], quat=scene.start_quat[box])
         body.add_freejoint(name=box_name(box))
         _add_shapes(body, scene, physics, box, BOX_COLOURS[box % len(BOX_COLOURS)])
         _set_inertia(body, scene, physics, box)
-        _declare_pairs(spec, physics, table, partner_shapes, of_body[box])
+        _declare_pairs(spec, physics, scene.pairs, partner_shapes, of_body[box])
         partner_shapes += of_body[box]
 
 
@@ -161,6 +161,38 @@ def geom_surfaces(scene: Scene, bodies: NDArray[np.integer]) -> NDArray[np.intp]
     return surface
 
 
+def contact_values(
+    physics: Physics,
+    pairs: Pairs,
+    friction: FloatArray,
+    surface: NDArray[np.intp],
+    one: NDArray[np.integer],
+    two: NDArray[np.integer],
+) -> dict[str, FloatArray]:
+    """The values of contacts of rigid bodies: field of MuJoCo's pairs → a row per contact.
+
+    A contact has the larger friction coefficient of its two geoms, unless the tables have one for their surfaces.
+
+    Args:
+        pairs: the tables of the scene.
+        friction: (g, 3) sliding, torsional and rolling coefficients of g geoms.
+        surface: (g,) surface number of each geom.
+        one, two: (c,) the two geoms of each contact.
+    """
+    larger = np.maximum(friction[one], friction[two])
+    of_pair = filled_up(pairs, "friction")[surface[one], surface[two]]
+    sliding = np.where(of_pair == NOT_GIVEN, larger[:, 0], of_pair)
+    of_all = {
+        "solref": physics.solref,
+        "solreffriction": physics.solreffriction,
+        "solimp": physics.solimp + _SOLIMP_TAIL,
+    }
+    return {
+        "friction": np.column_stack([sliding, sliding, larger[:, 1], larger[:, 2], larger[:, 2]]),
+        **{name: np.broadcast_to(values, (len(one), len(values))) for name, values in of_all.items()},
+    }
+
+
 @dataclass(frozen=True)
 class _Partner:
     """The properties of a geom that determine its contacts with other geoms."""
@@ -177,35 +209,28 @@ class _Partner:
 def _declare_pairs(
     spec: mujoco.MjSpec,
     physics: Physics,
-    table: FloatArray,
+    pairs: Pairs,
     these: Sequence[_Partner],
     other_partners: Sequence[_Partner],
 ) -> None:
     """Declare a contact pair between each geom of ``these`` and each geom of ``other_partners``.
 
     In MuJoCo, the friction of a contact can have another time constant than the contact's pressure only if the pair of
-    geoms is declared. If friction has no time constant of its own, no pairs are declared. A pair has the larger
-    friction coefficient of its two geoms, unless the table of surfaces has an entry for the pair.
+    geoms is declared. If friction has no time constant of its own, no pairs are declared.
     """
     if not physics.has_own_friction:
         return
-    for one in these:
-        for two in other_partners:
-            sliding, torsional, rolling = map(max, one.friction, two.friction)
-            table_friction = float(table[one.surface, two.surface])
-            sliding = sliding if table_friction == NOT_GIVEN else table_friction
-            solref, solimp = physics.solref, physics.solimp
-            if two.face is not None:
-                solref, solimp = law_between(physics, two.face, one.face)
-            spec.add_pair(
-                geomname1=one.name,
-                geomname2=two.name,
-                margin=-(one.skin_m + two.skin_m),
-                friction=[sliding, sliding, torsional, rolling, rolling],
-                solref=solref,
-                solreffriction=physics.solreffriction,
-                solimp=solimp + _SOLIMP_TAIL,
-            )
+    partners = [*these, *other_partners]
+    friction = np.array([partner.friction for partner in partners])
+    surface = np.array([partner.surface for partner in partners])
+    first, second = np.indices((len(these), len(other_partners))).reshape(2, -1)
+    columns = contact_values(physics, pairs, friction, surface, first, len(these) + second)
+    for (one, two), *row in zip(itertools.product(these, other_partners), *columns.values(), strict=True):
+        values = dict(zip(columns, row, strict=True))
+        if two.face is not None:
+            values["solref"], solimp = law_between(physics, two.face, one.face)
+            values["solimp"] = solimp + _SOLIMP_TAIL
+        spec.add_pair(geomname1=one.name, geomname2=two.name, margin=-(one.skin_m + two.skin_m), **values)
 
 
 @lru_cache(maxsize=256)

@@ -7,7 +7,7 @@ plans. Only scenes assign numbers to bodies and shapes; all other code uses thes
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import islice
 from typing import Any, Final
@@ -28,7 +28,7 @@ from petmjx.world.carrier_boards import body_of, floor_z_m, has_walls, pallet, w
 from petmjx.world.history import CARRIER
 from petmjx.world.rotation import rotated_vectors
 from petmjx.world.sheets_and_pallets import Pieces, pieces_of_sheets, with_pallets
-from petmjx.world.surface_pairs import find_surfaces
+from petmjx.world.surface_pairs import Pairs, find_surfaces
 
 IDENTITY_QUAT = (1.0, 0.0, 0.0, 0.0)
 
@@ -76,15 +76,8 @@ class Scene:
         inertia_box: (n, 3) half extents of solid boxes that have the same inertia as the scene's boxes (see ``Body``),
             m. If ``inertia_box`` is None, the boxes are solid.
         surface: (n,) surface number of each box. If ``surface`` is None, every box has the number 0.
-        pair_friction: (k, k) coefficient of sliding friction between two surfaces. The entry
-            ``petmjx.world.surface_pairs.NOT_GIVEN`` stands for the larger coefficient of the two shapes. If
-            ``pair_friction`` is None, the larger coefficient of the two shapes is used for every pair.
-        pair_landing: (k, k, 2) coefficient of restitution between two surfaces, and time in which a landing box is
-            stopped, s. The entry ``petmjx.world.surface_pairs.NOT_GIVEN`` stands for the value of ``Physics``. If
-            ``pair_landing`` is None, the values of ``Physics`` are used for every pair.
-        pair_kinetic: (k, k) kinetic friction between two surfaces as a share of their static friction. The entry
-            ``petmjx.world.surface_pairs.NOT_GIVEN`` stands for the value of ``Physics``. If ``pair_kinetic`` is
-            None, the value of ``Physics`` is used for every pair.
+        pairs: the tables with values of contacts for pairs of surfaces, by name (petmjx/world/surface_pairs.py). Values
+            without a table are the same for all pairs, as if no surface had a material.
         placing: how boxes are placed.
         approach: (n, 2) horizontal unit vectors along which carried boxes move to their places. If a row is 0, the
             box's direction follows from its neighbours. If ``approach`` is None, the directions of all boxes follow
@@ -110,9 +103,7 @@ class Scene:
     mass_center: NDArray[np.float64] | None = None
     inertia_box: NDArray[np.float64] | None = None
     surface: NDArray[np.intp] | None = None
-    pair_friction: NDArray[np.float64] | None = None
-    pair_landing: NDArray[np.float64] | None = None
-    pair_kinetic: NDArray[np.float64] | None = None
+    pairs: Pairs = field(default_factory=dict)
     placing: Placing = EXACT
     approach: NDArray[np.float64] | None = None
     stiffness: NDArray[np.float64] | None = None
@@ -230,9 +221,7 @@ def build_scene(plan: Plan, sim: Simulation) -> Scene:
         mass_center=mass_center,
         inertia_box=inertia_box,
         surface=None if surfaces is None else surfaces.of_boxes,
-        pair_friction=None if surfaces is None else surfaces.friction,
-        pair_landing=None if surfaces is None else surfaces.landing,
-        pair_kinetic=None if surfaces is None else surfaces.kinetic,
+        pairs={} if surfaces is None else surfaces.pairs,
         approach=_directions(plan),
         stiffness=stiffness,
         soft=np.isfinite(stiffness) & ~plan.sheets if sim.soft and stiffness is not None else None,

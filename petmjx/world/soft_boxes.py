@@ -314,9 +314,9 @@ def soft_friction(scene: Scene) -> SoftFriction:
             MuJoCo always uses the larger of the coefficients of the two surfaces.
     """
     box_friction = scene.friction[:, 0].copy()
-    if scene.pair_friction is None or scene.surface is None or scene.soft is None:
+    if "friction" not in scene.pairs or scene.surface is None or scene.soft is None:
         return SoftFriction(box_friction, None)
-    table, surface = filled_up(scene.pair_friction), scene.surface
+    table, surface = filled_up(scene.pairs, "friction"), scene.surface
     shapes = scene.shapes
     boards = np.flatnonzero(shapes.body == CARRIER)
     soft = np.flatnonzero(scene.soft)

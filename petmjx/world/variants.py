@@ -321,7 +321,7 @@ def _with_friction(scene: Scene, change: PlacementChange, factor: float) -> Scen
         scene,
         friction=scene.friction * of_boxes,
         carrier=replace(scene.carrier, friction=scene.carrier.friction * of_carrier),
-        pair_friction=scaled_pairs(scene.pair_friction, scene.carrier.surface, of_boxes, of_carrier),
+        pairs=scaled_pairs(scene.pairs, scene.carrier.surface, of_boxes, of_carrier),
     )
 
 

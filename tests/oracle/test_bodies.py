@@ -94,7 +94,7 @@ def by_pairs() -> Scene:
     for surface, friction in ((1, LOW), (2, LOWER)):
         table[surface, 3] = table[3, surface] = friction
     carrier = replace(boards(0.9), surface=np.array([3, 3]))
-    return replace(make_scene(boxes, SIM), carrier=carrier, surface=np.array([1, 2, 0]), pair_friction=table)
+    return replace(make_scene(boxes, SIM), carrier=carrier, surface=np.array([1, 2, 0]), pairs={"friction": table})
 
 
 def push() -> Drive:

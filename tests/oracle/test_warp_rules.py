@@ -231,7 +231,7 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
         flat = after.flat()
         flat["step"] = after.step - 1
         flat["iterations_done"] = after.iterations_done - iterations
-        flat_worlds = worlds._asdict() | {"profiles": np.zeros((1, 1, 3)), "order": np.zeros((1, 1))}
+        flat_worlds = worlds.flat() | {"profiles": np.zeros((1, 1, 3)), "order": np.zeros((1, 1))}
         state = device_record(world_arrays.State, flat)
         buffer = wp.zeros((world_arrays.buffer_rows(sizes), world_arrays.BUFFER_WORDS), dtype=float)
         work = filled_record(Workspace, world_arrays.in_buffer(buffer, sizes))

@@ -161,7 +161,7 @@ def test_mjx_changes_contacts_as_c_does() -> None:
     live.step(100)  # at rest
     live.data.qvel[-6:] = (0.0, 0.0, -0.4, 1.0, 0.5, 0.0)
     model, data, landings = live.model, live.data, Landings(live.scene, sim)
-    surface, table = jnp.array([0, 2, 1, 1]), jnp.asarray(filled_up(live.scene.pair_landing, (2,)))
+    surface, table = jnp.array([0, 2, 1, 1]), jnp.asarray(filled_up(live.scene.pairs, "landing"))
     device = mjx.put_model(model, impl="jax")
     links = Links(device)
     boxes = live.geom_bodies[links.geoms]

@@ -14,10 +14,12 @@ from petmjx.common.units import STANDARD_GRAVITY
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.options.materials import FrictionPair
+from petmjx.options.physics import RESTITUTION
 from petmjx.options.simulation import Check, Schedule, Simulation
 from petmjx.plans.plan import Plan
 from petmjx.world.job import Drive, Excitation, Job
 from petmjx.world.scene import build_scene
+from petmjx.world.surface_pairs import NOT_GIVEN
 
 MARGIN = 0.03
 """Required accuracy of thresholds: at 3 % below a threshold, boxes hold; at 3 % above, they fail."""
@@ -95,10 +97,21 @@ def test_a_box_topples_about_its_own_centre_of_mass(aside: tuple[float, float, f
     assert above.boxes.max_tilt_deg[0] > 45.0
 
 
+def test_the_materials_of_a_board_with_its_own_friction_count_only_for_landings() -> None:
+    pair = FrictionPair(between=("cardboard", "wood"), friction=0.4, kinetic=0.3)
+    plan = replace(make_plan(boxes=flat(1)), materials=("cardboard",))
+    scene = build_scene(plan, SIM.changed(carrier=SLIPPERY, friction_pairs=[pair]))
+    assert scene.surface is not None
+    of_boards = {name: table[scene.surface[0], scene.carrier.surface].tolist() for name, table in scene.pairs.items()}
+    assert of_boards["friction"] == [0.4, 0.2]
+    assert of_boards["kinetic"] == [pytest.approx(0.75), NOT_GIVEN]
+    assert of_boards["landing"] == [[RESTITUTION, NOT_GIVEN]] * 2
+
+
 def test_what_says_nothing_changes_nothing() -> None:
     plan = make_plan(boxes=flat(2))
     scene = build_scene(plan, SIM)
-    assert scene.pair_friction is None
+    assert not scene.pairs
     assert scene.surface is None
     assert scene.carrier.surface is None
     assert scene.mass_center is None

@@ -9,6 +9,7 @@ import numpy as np
 
 from petmjx.common.units import FloatArray, seconds_to_steps
 from petmjx.engines.mujoco import box_motion
+from petmjx.engines.mujoco.running_metrics import excess
 from petmjx.engines.verdict import Flag, Outcome, Reason
 from petmjx.options.simulation import Schedule, Simulation
 from petmjx.world.history import History, Record
@@ -137,7 +138,7 @@ class Seen:
         pos, quat = self.history.pos[frame, :k], self.history.quat[frame, :k]
         dropped = box_motion.has_dropped(pos, quat, scene.half_size[:k], limits)
         shift = box_motion.shift(pos, scene.target[:k], limits.shift_floor_m)
-        over: FloatArray = box_motion.excess(shift, box_motion.tilt_deg(quat), dropped, limits)
+        over: FloatArray = excess(shift, box_motion.tilt_deg(quat), dropped, limits)
         return over
 
     def first_sign(self) -> tuple[int, int]:

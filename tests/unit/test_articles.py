@@ -123,7 +123,7 @@ def test_a_run_with_articles() -> None:
     assert [pair["friction"] for pair in config["simulation"]["friction_pairs"]] == [0.25]
     scene = petmjx.tell("p", results).scene
     assert scene.mass_center is not None
-    assert scene.pair_friction is not None
+    assert "friction" in scene.pairs
     assert petmjx.loads("run", "articles.csv").boxes["strength_n"].tolist()[1:3] == [900, 900]
     write(Path("articles.csv"), TABLE.replace("50,10", "40,10"))
     with pytest.raises(InputError, match="plan p differs"):
@@ -144,7 +144,7 @@ def test_what_does_not_count_is_told() -> None:
     assert (
         "materials have no effect: with pyramidal cones, physics options set the friction of all contacts" in warnings
     )
-    assert build_scene(plan(), Simulation(physics=PHYSICS["reference"])).pair_friction is None
+    assert build_scene(plan(), Simulation(physics=PHYSICS["reference"])).pairs == {}
 
 
 def test_factors_of_sweeps_count_for_pairs_too() -> None:
@@ -152,12 +152,10 @@ def test_factors_of_sweeps_count_for_pairs_too() -> None:
     sim = Simulation(friction_pairs=[{"between": ["film", "cardboard"], "friction": 0.4}])
     scene = build_scene(with_articles(plan(), articles), sim)
     assert scene.surface is not None
-    assert scene.pair_friction is not None
     assert scene.carrier.surface is not None
     bread, crate, board = scene.surface[3], scene.surface[0], scene.carrier.surface[0]
     change = PlacementChange(box_friction_factor=0.5, carrier_friction_factor=0.8)
-    varied = apply(scene, "p", Variant(1, change), 0).pair_friction
-    assert varied is not None
+    varied = apply(scene, "p", Variant(1, change), 0).pairs["friction"]
     assert varied[bread, crate] == pytest.approx(0.4 * 0.5)
     assert varied[bread, board] == varied[board, bread] == pytest.approx(0.3 * 0.8)
     water = scene.surface[1]  # the table of articles does not contain this article

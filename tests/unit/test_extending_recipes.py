@@ -91,7 +91,8 @@ def copy(tmp_path: Path, repository: Path) -> Copy:
         ("A column of your own", 4),
         ("A property of boxes of your own", 3),
         ("A criterion of your own", 1),
-        ("A reason of your own", 3),
+        ("A reason of your own", 1),
+        ("A value for pairs of materials of your own", 4),
     ],
 )
 def test_recipes_touch_few_files(section: str, most: int, repository: Path) -> None:
@@ -195,6 +196,27 @@ print(model.geom_friction[-2:, 0].tolist(), plan_digest(plan) != plan_digest(pet
     assert "[0.3, 0.5] True" in printed
 
 
+def test_a_value_for_pairs_of_materials(copy: Copy) -> None:
+    """Contacts with a low damping ratio are stiff, and a box that overlaps another one a little is pushed out fast."""
+    copy.follow("A value for pairs of materials of your own")
+    printed = copy.printed_by(
+        """
+from dataclasses import replace
+import petmjx
+boxes = dict(size_mm=[(400, 300, 200)] * 2, corner_mm=[(0, 0, 0), (0, 0, 199.9)], mass_kg=[5.0] * 2)
+plan = petmjx.Plan.from_boxes("p", **boxes)
+plan = replace(plan, materials=("cardboard", "film"))
+options = dict(engine="mujoco", check="static", duration_s=0.1, sample_interval_s=0.02)
+pairs = [dict(between=("film", "cardboard"), friction=0.5)]
+def push(**options_of_pairs):
+    return petmjx.score(plan, **options, friction_pairs=pairs, **options_of_pairs).boxes.max_lin_acc[1]
+usual, none, low = (push(landing_pairs=[dict(between=("film", "cardboard"), damping=d)]) for d in (1.25, None, 0.1))
+print(usual == none == push(), usual < 0.01, low > 10)
+"""
+    )
+    assert "True True True" in printed
+
+
 def test_a_criterion(copy: Copy) -> None:
     copy.follow("A criterion of your own")
     printed = copy.printed_by(
@@ -213,20 +235,16 @@ def test_a_reason(copy: Copy) -> None:
 run = petmjx.score(plan, engine='mujoco', thresholds={{'load_n': 60}}, out='out', overwrite=True)
 petmjx.report('out', 'report.html', overwrite=True)
 from petmjx.analysis.story_in_words import reason_in_words
-print(run.worlds.reason[0], reason_in_words(petmjx.tell('stack', run)), petmjx.load_run('out').info['counts'])
+print(run.worlds.reason[0], reason_in_words(petmjx.tell('stack', run)), round(1 - run.worlds.margin[0], 1))
 """
     decided, known = copy.blocks("A reason of your own", "diff")
     tests = ("tests/unit/test_metrics.py", "tests/unit/test_docs.py", "-k", "reason or words or rules_name")
     copy.change(decided)
     printed, failing = copy.printed_and_failing(overloaded, *tests)
-    assert "load load" in printed
+    assert "load a box bore more than 60 N 1.6" in printed  # 98.1 N of two boxes, over 60 N
     assert set(failing) == {
-        "test_reasons_are_looked_at_in_their_order",
-        "test_every_reason_has_its_words",
         "test_the_documentation_has_all_flags_and_reasons_in_their_order",
         "test_the_rules_name_every_option_of_a_run",
     }
     copy.change(known)
-    printed, failing = copy.printed_and_failing(overloaded, *tests)
-    assert "load a box had to bear too much" in printed
-    assert failing == []
+    assert copy.run("-m", "pytest", "-q", "-p", "no:cacheprovider", *tests).returncode == 0

@@ -14,12 +14,11 @@ import pytest
 from support.outcomes import make_outcome, make_plan
 
 from petmjx.analysis.run_comparison import compare_runs
-from petmjx.analysis.story_in_words import REASONS
 from petmjx.common.units import FloatArray
 from petmjx.engines import metrics
 from petmjx.engines.metrics import BoxMetric, BoxMetrics, Reduction, SampleAt, WorldReduction, markdown, reduce_boxes
 from petmjx.engines.verdict import INVALID_FLAGS, Flag, Outcome, Reason, Verdict, judge
-from petmjx.options.thresholds import Thresholds
+from petmjx.options.thresholds import FAILURES, Thresholds, largest_excess
 from petmjx.results.run_reader import load_run
 from petmjx.results.run_writer import RunWriter
 
@@ -154,12 +153,15 @@ def test_reasons_are_looked_at_in_their_order() -> None:
     assert {reason for _, reason in steps} | {Reason.NONE, *LATER} == set(Reason)
 
 
-LATER = (Reason.SINKING, Reason.DROP, Reason.TILT, Reason.SHIFT)
+LATER = (Reason.SINKING, *(failure.reason for failure in FAILURES))
 """Reasons of verdicts that do not follow from a single flag, in the order in which they are checked."""
 
 
 def test_every_reason_has_its_words() -> None:
-    assert set(REASONS) == set(Reason)
+    assert all(reason.words for reason in Reason if reason is not Reason.NONE)
+    for failure in FAILURES:
+        assert failure.reason.words.format(**Thresholds().model_dump())
+        assert ("{" + failure.threshold + "}" in failure.reason.words) == bool(failure.threshold)
 
 
 def test_what_was_not_measured_has_no_value() -> None:
@@ -169,6 +171,7 @@ def test_what_was_not_measured_has_no_value() -> None:
     assert np.isnan(metrics.quat).all()
     assert metrics.quat.shape == (2, 4)
     assert np.isnan(metrics.drop_s).tolist() == [True, True]
+    assert largest_excess(metrics, Thresholds(tilt_deg=4.0)).tolist() == [0.25, 0.25]
     with pytest.raises(TypeError, match="max_tilt"):
         BoxMetrics.measured(2, max_tilt=np.ones(2))
 

@@ -11,11 +11,12 @@ from support.outcomes import make_plan
 from support.plans import make_scene
 
 from petmjx.engines.mjx import box_motion as motion
+from petmjx.engines.mjx import rules
 from petmjx.engines.mjx import top_forces as force
 from petmjx.engines.mjx.readback import reduce_metrics
 from petmjx.engines.mjx.world_constants import upload_worlds
 from petmjx.engines.mjx.world_state import fresh_state
-from petmjx.engines.mujoco import box_motion, top_forces
+from petmjx.engines.mujoco import box_motion, running_metrics, top_forces
 from petmjx.engines.mujoco.running_metrics import OracleMetrics
 from petmjx.options.simulation import Simulation
 from petmjx.options.thresholds import Thresholds
@@ -75,10 +76,10 @@ def test_drops_and_signs() -> None:
     dropped = motion.has_dropped(pos, upright, half, limits)
     assert dropped.tolist() == [[False, False, True, True]]
     shift = jnp.zeros((1, 4, 3)).at[0, :, 1].set(jnp.array([0.019, -0.021, 0.0, 0.1]))
-    excess = motion.excess(shift, jnp.array([[21.0, 0.0, 0.0, 0.0]]), dropped, limits)
+    excess = rules.excess(shift, jnp.array([[21.0, 0.0, 0.0, 0.0]]), dropped, limits)
     assert (np.asarray(excess) > 1).tolist() == [[True, True, True, True]]
     np.testing.assert_allclose(excess, [[1.05, 1.05, 1.0, 5.0]], rtol=1e-5)
-    none = motion.excess(shift[:, :1], jnp.array([[19.9]]), dropped[:, :1], limits)
+    none = rules.excess(shift[:, :1], jnp.array([[19.9]]), dropped[:, :1], limits)
     assert float(none[0, 0]) < 1
 
 
@@ -98,9 +99,9 @@ def test_drops_signs_and_shifts_are_the_oracles() -> None:
     shifts = motion.shift(single[0], single[3], limits.shift_floor_m)
     np.testing.assert_allclose(np.asarray(shifts).reshape(-1, 3), shift, atol=METRES)
     tilt = box_motion.tilt_deg(flat[1]) / 5
-    excess = box_motion.excess(shift, tilt, dropped, limits)
+    excess = running_metrics.excess(shift, tilt, dropped, limits)
     tilt_32, dropped_32 = (jnp.asarray(a).reshape(LANES, BOXES) for a in (tilt.astype(np.float32), dropped))
-    np.testing.assert_allclose(motion.excess(shifts, tilt_32, dropped_32, limits).ravel(), excess, rtol=1e-3)
+    np.testing.assert_allclose(rules.excess(shifts, tilt_32, dropped_32, limits).ravel(), excess, rtol=1e-3)
 
 
 @pytest.mark.parametrize("limit", [0.02, 0.03, 0.0007, 20.0])
@@ -109,7 +110,7 @@ def test_an_excess_above_one_is_a_shift_above_its_limit(limit: float) -> None:
     engine ``mujoco`` uses the excess, the verdict uses the shift."""
     shifts = np.array([np.nextafter(limit, 0), limit, np.nextafter(limit, 99)])
     shift_m = np.stack([shifts, np.zeros(3), np.zeros(3)], axis=1)
-    excess = box_motion.excess(shift_m, np.zeros(3), np.zeros(3, bool), Thresholds(shift_m=limit))
+    excess = running_metrics.excess(shift_m, np.zeros(3), np.zeros(3, bool), Thresholds(shift_m=limit))
     assert (excess > 1).tolist() == [False, False, True]
 
 
@@ -128,7 +129,7 @@ def test_a_displacement_under_the_floor_is_no_sign_on_any_engine() -> None:
         metrics.add_pose(1.0, pos, upright)
         assert metrics.culprit == culprit
         shift = motion.shift(jnp.asarray(pos)[None], jnp.asarray(scene.target, jnp.float32)[None], limits.shift_floor_m)
-        excess = motion.excess(shift, jnp.zeros((1, 2)), jnp.zeros((1, 2), bool), limits)
+        excess = rules.excess(shift, jnp.zeros((1, 2)), jnp.zeros((1, 2), bool), limits)
         assert (np.asarray(excess[0]) > 1).tolist() == [False, culprit == 1]
 
 

@@ -37,6 +37,8 @@ def _same(one: Any, other: Any) -> None:
             np.testing.assert_array_equal(its, value, strict=True)
         elif isinstance(value, Body):
             _same(value, its)
+        elif isinstance(value, dict):
+            np.testing.assert_equal(its, value)
         else:
             assert its == value, field.name
 

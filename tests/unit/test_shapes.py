@@ -7,7 +7,7 @@ import ast
 import importlib.util
 import re
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any, get_args, get_origin, get_type_hints
 
 import jax
 import jax.numpy as jnp
@@ -88,10 +88,15 @@ def axis_sizes(record: Any) -> dict[str, int]:
             value = getattr(part, name)
             if hasattr(kind, "_fields"):
                 visit(value)
-            elif isinstance(kind, type) and issubclass(kind, AbstractArray):
-                assert isinstance(value, kind), f"{type(part).__name__}.{name}: {value.dtype}{value.shape} is no {kind}"
-                axes = zip(kind.dim_str.split(), value.shape, strict=True)
-                sizes.update((axis, size) for axis, size in axes if not axis.isdigit())
+                continue
+            arrays = {name: value}
+            if get_origin(kind) is dict:
+                (_, kind), arrays = get_args(kind), value
+            if isinstance(kind, type) and issubclass(kind, AbstractArray):
+                for key, array in arrays.items():
+                    assert isinstance(array, kind), f"{type(part).__name__}.{key}: {array.dtype}{array.shape}: {kind}"
+                    axes = zip(kind.dim_str.split(), array.shape, strict="..." not in kind.dim_str)
+                    sizes.update((axis, size) for axis, size in axes if not axis.isdigit() and axis != "...")
 
     with jaxtyped("context"):
         visit(record)

@@ -14,6 +14,7 @@ from support.outcomes import make_boxes, make_outcome
 
 from petmjx.engines.metrics import BoxMetrics
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.options.thresholds import Thresholds
 from petmjx.results.share_statistics import ALL_PLANS, KEYS, ONE_PLAN, share_standing, wilson_interval
 from petmjx.runs.eumos_limits import eumos_assessment
 from petmjx.runs.level_search import LevelSearch, Probe, failure_mode
@@ -205,7 +206,8 @@ def test_a_search_counts_tests_that_still_moved() -> None:
 def test_the_mode_is_that_of_the_box_that_went_first() -> None:
     def mode(box: int, tilt_limit_deg: float = 20.0) -> str:
         boxes = {"dropped": np.array([False, False, True]), "max_tilt_deg": np.array([3.0, 25.0, 90.0])}
-        return failure_mode(make_outcome(3, Verdict.UNSTABLE, Reason.DROP, culprit=box, **boxes), tilt_limit_deg)
+        fallen = make_outcome(3, Verdict.UNSTABLE, Reason.DROP, culprit=box, **boxes)
+        return failure_mode(fallen, Thresholds(tilt_deg=tilt_limit_deg))
 
     assert [mode(0), mode(1), mode(2)] == ["slide", "tilt", "drop"]
     assert mode(1, tilt_limit_deg=30.0) == "slide"

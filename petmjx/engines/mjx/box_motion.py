@@ -1,4 +1,4 @@
-"""Shift, tilt, drop, excess and speed of boxes (JAX). This module does the same as petmjx/engines/mujoco/box_motion.py,
+"""Shift, tilt, drop and speed of boxes (JAX). This module does the same as petmjx/engines/mujoco/box_motion.py,
 but shares no arithmetic with it."""
 
 from __future__ import annotations
@@ -59,21 +59,6 @@ def has_dropped(
 ) -> Bool[Array, "world box"]:
     """Whether a box's centre is below the carrier's top, or its lowest point is below ``drop_hull_z_m``."""
     return (pos[..., 2] < 0) | (lowest_z(pos, quat, half) < thresholds.drop_hull_z_m)
-
-
-def excess(
-    shift_m: Float[Array, "world box 3"],
-    tilt: Float[Array, "world box"],
-    dropped: Bool[Array, "world box"],
-    thresholds: Thresholds,
-) -> Float[Array, "world box"]:
-    """Excess of each box: the larger of shift / its threshold and tilt / its threshold.
-
-    A value above 1 is a sign of failure. The excess of a dropped box is at least the smallest float32 above 1.
-    """
-    worst = jnp.maximum(jnp.abs(shift_m).max(-1) / thresholds.shift_m, tilt / thresholds.tilt_deg)
-    just_over = jnp.nextafter(jnp.float32(1), jnp.float32(2))
-    return jnp.where(dropped, jnp.maximum(worst, just_over), worst)
 
 
 def radius(half: Float[Array, "world box 3"]) -> Float[Array, "world box"]:

@@ -33,7 +33,7 @@ class Landing(NamedTuple):
     def of(cls, state: State, worlds: Worlds) -> Landing:
         """The landing boxes, surfaces and landing laws of all worlds. Geom 0 is the floor, which has surface 0."""
         surface = jnp.pad(worlds.shape_surface, ((0, 0), (1, 0)))
-        return cls(state.landing_left, state.landing_qvel, surface, worlds.pair_landing)
+        return cls(state.landing_left, state.landing_qvel, surface, worlds.pairs["landing"])
 
 
 def act(

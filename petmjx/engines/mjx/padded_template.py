@@ -167,9 +167,8 @@ def override_fields(
             fields["geom_friction"][:, model.pair_geom1], fields["geom_friction"][:, model.pair_geom2]
         )
         surface = jnp.concatenate([jnp.zeros((n_worlds, 1), jnp.int32), worlds.shape_surface], axis=1)
-        pair_friction = worlds.pair_friction[
-            jnp.arange(n_worlds)[:, None], surface[:, model.pair_geom1], surface[:, model.pair_geom2]
-        ]
+        pair = jnp.arange(n_worlds)[:, None], surface[:, model.pair_geom1], surface[:, model.pair_geom2]
+        pair_friction = worlds.pairs["friction"][pair]
         sliding = jnp.where(pair_friction == NOT_GIVEN, partners[..., 0], pair_friction)
         fields["pair_friction"] = partners[..., jnp.array([0, 0, 1, 2, 2])].at[..., :2].set(sliding[..., None])
         if gives:

@@ -21,6 +21,7 @@ from petmjx.engines.mjx.world_constants import NEVER, Worlds
 from petmjx.engines.mjx.world_state import State, Status
 from petmjx.engines.verdict import Flag
 from petmjx.options.simulation import Schedule, Simulation
+from petmjx.options.thresholds import Thresholds
 from petmjx.world.history import CARRIER
 from petmjx.world.release_places import NOTHING
 from petmjx.world.scene import IDENTITY_QUAT
@@ -33,6 +34,21 @@ def _drive_end(state: State, worlds: Worlds) -> Int[Array, " world"]:
     """The latest step at which the drive of each world (the motion of its carrier in a test) can end. A drive ends
     earlier if the world comes to rest."""
     return state.driven_from + worlds.drive_steps
+
+
+def excess(
+    shift_m: Float[Array, "world box 3"],
+    tilt: Float[Array, "world box"],
+    dropped: Bool[Array, "world box"],
+    thresholds: Thresholds,
+) -> Float[Array, "world box"]:
+    """Excess of each box: the larger of shift / its threshold and tilt / its threshold.
+
+    A value above 1 is a sign of failure. The excess of a dropped box is at least the smallest float32 above 1.
+    """
+    worst = jnp.maximum(jnp.abs(shift_m).max(-1) / thresholds.shift_m, tilt / thresholds.tilt_deg)
+    just_over = jnp.nextafter(jnp.float32(1), jnp.float32(2))
+    return jnp.where(dropped, jnp.maximum(worst, just_over), worst)
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,12 +181,21 @@ class Rules:
 
     def _is_over(self, state: State, worlds: Worlds) -> Bool[Array, " world"]:
         """(world,) whether any box of the world is now beyond the threshold of shift or of tilt, or has dropped."""
+        middles, tilt = motion.middles(state.qpos, worlds.middle), motion.tilt_deg(state.qpos[..., 3:])
+        over = self._excess(worlds, middles, tilt, state.metrics.drop_step >= 0) > 1
+        return (self._placed(state) & over).any(-1)
+
+    def _excess(
+        self,
+        worlds: Worlds,
+        pos: Float[Array, "world box 3"],
+        tilt: Float[Array, "world box"],
+        dropped: Bool[Array, "world box"],
+    ) -> Float[Array, "world box"]:
+        """Excess of each box at a place."""
         limits = self.sim.thresholds
-        middles = motion.middles(state.qpos, worlds.middle)
-        shift = motion.shift(middles, worlds.target, limits.shift_floor_m, worlds.sinks)
-        tilt = motion.tilt_deg(state.qpos[..., 3:])
-        excess = motion.excess(shift, tilt, state.metrics.drop_step >= 0, limits)
-        return (self._placed(state) & (excess > 1)).any(-1)
+        shift = motion.shift(pos, worlds.target, limits.shift_floor_m, worlds.sinks)
+        return excess(shift, tilt, dropped, limits)
 
     def _is_lost(self, state: State, worlds: Worlds) -> Bool[Array, " world"]:
         """(world,) whether any box of the world has dropped, or is now tilted beyond the threshold. In a drive, a
@@ -245,11 +270,9 @@ class Rules:
         pos, quat = motion.middles(qpos, worlds.middle), qpos[..., 3:]
         tilt = motion.tilt_deg(quat)
         dropped = looked & motion.has_dropped(pos, quat, worlds.half, limits)
-        shift = motion.shift(pos, worlds.target, limits.shift_floor_m, worlds.sinks)
-        excess = motion.excess(shift, tilt, dropped, limits)
-        excess = jnp.where(looked, excess, 0.0)
-        signs = (m.culprit < 0) & (excess.max(-1) > 1)
-        culprit = jnp.where(signs, excess.argmax(-1).astype(jnp.int32), m.culprit)
+        over = jnp.where(looked, self._excess(worlds, pos, tilt, dropped), 0.0)
+        signs = (m.culprit < 0) & (over.max(-1) > 1)
+        culprit = jnp.where(signs, over.argmax(-1).astype(jnp.int32), m.culprit)
         lin = jnp.sqrt((qacc[..., :3] ** 2).sum(-1))
         ang = jnp.sqrt((qacc[..., 3:] ** 2).sum(-1))
         at_corners = motion.corner_acceleration(qacc[..., 3:], worlds.half)
@@ -296,7 +319,7 @@ class Rules:
         if self.carries:
             complete &= ~hand.carried_worlds(state)
         confirms = (state.step - m.sign_step >= worlds.confirm_steps) & (complete | (state.placed > m.sign_placed + 1))
-        lost |= confirms[:, None] & sampled & is_culprit & (excess > 1)
+        lost |= confirms[:, None] & sampled & is_culprit & (over > 1)
         if looks:
             lost |= tilted & is_culprit & (m.sway(pos) >= worlds.allowed_sway[:, None])
         stopped = lost.any(-1) & self.sim.early_stop & ~last

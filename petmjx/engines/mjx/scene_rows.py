@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.processes import on_threads
+from petmjx.options.materials import PAIR_TABLES
 from petmjx.options.simulation import Simulation
 from petmjx.world.approach_paths import ApproachPath, approach_path_of, approach_paths_of
 from petmjx.world.compliance import compliances, sinks_m
@@ -28,7 +29,10 @@ it copies."""
 MOST_ROW_THREADS: Final = 8
 
 Rows = dict[str, NDArray[Any]]
-"""Name of a field of ``world_constants.Worlds`` → its rows, one per scene."""
+"""Name of a field of ``world_constants.Worlds`` → its rows, one per scene. A table of ``Worlds.pairs`` has the name
+``PAIR`` + its key."""
+
+PAIR: Final = "pair_"
 
 
 def rows_of(scenes: Sequence[Scene], width: int, sim: Simulation, boards: int = 1, padding: int = 0) -> Rows:
@@ -129,9 +133,10 @@ def _scene_values(scenes: Sequence[Scene]) -> Rows:
         "n_boxes": stacked_values(scenes, "n_boxes").astype(np.int32),
         "carrier_pos": stacked_values(scenes, "carrier.pos").astype(np.float32),
         "floor_friction": stacked_values(scenes, "floor_friction").astype(np.float32),
-        "pair_friction": np.array([filled_up(scene.pair_friction) for scene in scenes]).astype(np.float32),
-        "pair_landing": np.array([filled_up(scene.pair_landing, (2,)) for scene in scenes]).astype(np.float32),
-        "pair_kinetic": np.array([filled_up(scene.pair_kinetic) for scene in scenes]).astype(np.float32),
+        **{
+            PAIR + table.name: np.array([filled_up(scene.pairs, table.name) for scene in scenes]).astype(np.float32)
+            for table in PAIR_TABLES
+        },
         "floor_z": stacked_values(scenes, "floor_z").astype(np.float32),
         "hand_force": stacked_values(scenes, "placing.force_n").astype(np.float32),
         "hand_speed": stacked_values(scenes, "placing.speed_m_s").astype(np.float32),

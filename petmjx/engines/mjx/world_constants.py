@@ -21,7 +21,8 @@ from petmjx.common.units import seconds_to_steps
 from petmjx.engines.contact_penetration import stiffened
 from petmjx.engines.metrics import CONFIRM_S
 from petmjx.engines.mjx.padded_sizes import padded_rows
-from petmjx.engines.mjx.scene_rows import Rows, gather_rows, more_shapes, rows_of, with_padding_rows
+from petmjx.engines.mjx.scene_rows import PAIR, Rows, gather_rows, more_shapes, rows_of, with_padding_rows
+from petmjx.options.materials import PAIR_TABLES
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import ACCELERATION, FORCE, Drive, Excitation, Job
 
@@ -40,8 +41,9 @@ class Worlds(NamedTuple):
     ``petmjx.world.body_shapes.Body``.
 
     Contacts: ``floor_friction`` and ``friction`` are sliding, torsional and rolling coefficients. For
-    ``shape_surface``, ``pair_friction``, ``pair_landing`` and ``pair_kinetic``, see petmjx/world/surface_pairs.py.
-    petmjx/world/compliance.py explains ``shape_give`` (m³/N) and ``sinks``, the expected descent of boxes (m).
+    ``shape_surface`` and ``pairs``, see petmjx/world/surface_pairs.py; the axes of a table in ``pairs`` are "world
+    surface surface", and the axes of an entry. petmjx/world/compliance.py explains ``shape_give`` (m³/N) and ``sinks``,
+    the expected descent of boxes (m).
 
     Drives: ``driven`` states whether a drive follows the placement, and ``held`` whether the drive holds the carrier
     fixed. ``drive_yaw`` is (cos, sin) of the angle by which the drive is rotated about the vertical. ``profile_steps``
@@ -89,9 +91,7 @@ class Worlds(NamedTuple):
     floor_friction: Float[Array, "world 3"]
     shape_surface: Int[Array, "world shape"]
     shape_give: Float[Array, "world shape"]
-    pair_friction: Float[Array, "world surface surface"]
-    pair_landing: Float[Array, "world surface surface 2"]
-    pair_kinetic: Float[Array, "world surface surface"]
+    pairs: dict[str, Float[Array, "world surface surface ..."]]
     floor_z: Float[Array, " world"]
     profile: Int[Array, " world"]
     drive_scale: Float[Array, " world"]
@@ -117,6 +117,13 @@ class Worlds(NamedTuple):
     hand_speed: Float[Array, " world"]
     wrap_press: Float[Array, "world box 3"]
     wrap_hold: Float[Array, "world box"]
+
+    def flat(self) -> dict[str, Array]:
+        """All arrays by name, as the kernels of mjx-warp take them. A table of ``pairs`` has the name ``PAIR`` + its
+        key."""
+        arrays: dict[str, Any] = self._asdict()
+        pairs: dict[str, Array] = arrays.pop("pairs")
+        return arrays | {PAIR + name: table for name, table in pairs.items()}
 
 
 def device_array(values: NDArray[Any]) -> jax.Array:
@@ -163,7 +170,9 @@ def upload_worlds(
     of_jobs = _rows_of_jobs(jobs, profiles, sim)
     of_jobs = {name: with_padding_rows(values, padding) for name, values in of_jobs.items()}
     columns = of_scenes | of_jobs | {"ends_when_gone": np.zeros(on_host, np.bool_)}
-    worlds = Worlds(**dict(zip(columns, device_arrays(columns.values()), strict=True)))
+    on_device: dict[str, Any] = dict(zip(columns, device_arrays(columns.values()), strict=True))
+    pairs = {table.name: on_device.pop(PAIR + table.name) for table in PAIR_TABLES}
+    worlds = Worlds(**on_device, pairs=pairs)
     return worlds if on_host == rows else _with_padding_rows(worlds, rows)
 
 

@@ -1,4 +1,4 @@
-"""Shift, tilt, drop, excess and speed of boxes, in NumPy. petmjx/engines/mjx/box_motion.py computes the same in JAX."""
+"""Shift, tilt, drop and speed of boxes, in NumPy. petmjx/engines/mjx/box_motion.py computes the same in JAX."""
 
 from __future__ import annotations
 
@@ -50,17 +50,6 @@ def farthest(shift_m: FloatArray) -> FloatArray:
     ``max(axis=-1)`` would take twenty times as long."""
     x, y, z = (np.abs(shift_m[..., axis]) for axis in range(3))
     return np.asarray(np.maximum(np.maximum(x, y), z))
-
-
-def excess(shift_m: FloatArray, tilt: FloatArray, dropped: NDArray[np.bool_], thresholds: Thresholds) -> FloatArray:
-    """(…, n) excess of each box: shift divided by its threshold, or tilt divided by its threshold, whichever is larger.
-    The excess of a dropped box is at least 1.
-
-    A box has failed if its excess is above 1 or if it has dropped. The twins of this function are ``excess`` in
-    petmjx/engines/mjx/box_motion.py and ``excess_of`` in petmjx/engines/warp/kernels/box_motion.py.
-    """
-    worst = np.maximum(farthest(shift_m) / thresholds.shift_m, tilt / thresholds.tilt_deg)
-    return np.asarray(np.maximum(worst, dropped))
 
 
 def speed(vel: FloatArray, radius_m: FloatArray) -> FloatArray:

@@ -51,7 +51,7 @@ class Landings:
         n_boxes = scene.n_boxes
         self._scene, self._sim = scene, sim
         self._physics, self._lasts = sim.physics, lasts_steps(sim)
-        self._table = filled_up(scene.pair_landing, (2,))
+        self._table = filled_up(scene.pairs, "landing")
         self.left: NDArray[np.intp] = np.zeros(n_boxes, np.intp)
         self.before: FloatArray = np.zeros((n_boxes, 6))
         self._placed = 0

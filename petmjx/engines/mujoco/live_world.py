@@ -136,9 +136,9 @@ class LiveWorld:
         self.geom_bodies = geom_bodies(self.model, self.order)
         gives = self.scene.stiffness is not None and bool(np.isfinite(self.scene.stiffness).any())
         self._beds = Beds(self.scene, self._sim.physics, self.model, self.geom_bodies) if gives else None
-        if self.scene.pair_kinetic is not None:
+        if "kinetic" in self.scene.pairs:
             surfaces = geom_surfaces(self.scene, self.geom_bodies)
-            self._slip = SlipLaw(self._sim.physics, self.scene.pair_kinetic, surfaces)
+            self._slip = SlipLaw(self._sim.physics, self.scene.pairs["kinetic"], surfaces)
         self._look_into_data()
 
     def _look_into_data(self) -> None:

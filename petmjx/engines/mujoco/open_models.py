@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 from petmjx.options.physics import Cone, Physics
 from petmjx.options.simulation import Simulation, Solver
-from petmjx.world.mujoco_model import build_spec
+from petmjx.world.mujoco_model import build_spec, contact_values
 from petmjx.world.scene import Scene
-from petmjx.world.surface_pairs import NOT_GIVEN, filled_up
 
 _SOLVER = {Solver.NEWTON: mujoco.mjtSolver.mjSOL_NEWTON, Solver.CG: mujoco.mjtSolver.mjSOL_CG}
 
@@ -162,16 +161,13 @@ class _Template:
         self._fill_pairs(model, scene, order)
 
     def _fill_pairs(self, model: mujoco.MjModel, scene: Scene, order: NDArray[np.intp]) -> None:
-        """Write the friction of pairs of geoms as ``petmjx.world.mujoco_model`` declares it: the larger friction of the
-        two geoms, or the friction given for the pair of their surfaces."""
+        """Write the values of contacts, as ``petmjx.world.mujoco_model`` declares them."""
         boards = len(scene.carrier.half_size)
         shapes = scene.shapes
         geoms = np.concatenate([np.arange(boards), boards + order])
         friction = np.vstack([scene.floor_friction, shapes.friction[geoms]])
         surface = np.concatenate([[0], shapes.surface[geoms]])
         model.geom_friction[:] = friction
-        one, two = model.pair_geom1, model.pair_geom2
-        larger = np.maximum(friction[one], friction[two])
-        pair_friction = filled_up(scene.pair_friction)[surface[one], surface[two]]
-        sliding = np.where(pair_friction == NOT_GIVEN, larger[:, 0], pair_friction)
-        model.pair_friction[:] = np.column_stack([sliding, sliding, larger[:, 1], larger[:, 2], larger[:, 2]])
+        values = contact_values(self._physics, scene.pairs, friction, surface, model.pair_geom1, model.pair_geom2)
+        for name, rows in values.items():
+            getattr(model, f"pair_{name}")[:] = rows

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from petmjx.common.units import STANDARD_GRAVITY, FloatArray
 from petmjx.engines.metrics import GONE_DESCENT, GONE_TILT, BoxMetrics
-from petmjx.engines.mujoco.box_motion import corner_acceleration, excess, has_dropped, shift, tilt_deg
+from petmjx.engines.mujoco.box_motion import corner_acceleration, farthest, has_dropped, shift, tilt_deg
 from petmjx.engines.mujoco.top_forces import TopForceInputs, largest_top_forces
 from petmjx.options.thresholds import Thresholds
 from petmjx.world.compliance import sinks_m
@@ -22,6 +22,17 @@ from petmjx.world.scene import Scene
 
 _STEPS_TOGETHER = 64
 """Number of steps whose forces are computed together. Larger numbers are not faster."""
+
+
+def excess(shift_m: FloatArray, tilt: FloatArray, dropped: NDArray[np.bool_], thresholds: Thresholds) -> FloatArray:
+    """(n,) excess of each box: shift divided by its threshold, or tilt divided by its threshold, whichever is larger.
+    The excess of a dropped box is at least 1.
+
+    A box has failed if its excess is above 1 or if it has dropped. The twins of this function are ``excess`` in
+    petmjx/engines/mjx/rules.py and ``excess_of`` in petmjx/engines/warp/kernels/box_motion.py.
+    """
+    worst = np.maximum(farthest(shift_m) / thresholds.shift_m, tilt / thresholds.tilt_deg)
+    return np.asarray(np.maximum(worst, dropped))
 
 
 class OracleMetrics:
@@ -248,7 +259,7 @@ class OracleMetrics:
             quat=quat,
         )
 
-    def largest_excess(self, pos: FloatArray, quat: FloatArray) -> int:
+    def worst_box(self, pos: FloatArray, quat: FloatArray) -> int:
         """The number of the box with the largest excess in these poses."""
         dropped = np.isfinite(self.drop_s[: len(pos)])
         over, _ = self._excess(pos, tilt_deg(quat), dropped)

@@ -440,7 +440,7 @@ class WorldRun:
         if verdict is Verdict.STABLE:
             culprit, first_sign_s, n_at_sign = -1, float("nan"), 0
         elif verdict is Verdict.UNSTABLE and culprit < 0:
-            culprit = metrics.largest_excess(pos[:k], quat[:k])
+            culprit = metrics.worst_box(pos[:k], quat[:k])
         outcome = Outcome(
             job=self._stream_number,
             verdict=verdict,

@@ -69,7 +69,7 @@ def contact_constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
 
 def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
     """The constants of a run for the kernels: the fields of ``world_arrays.Model``, except those of a block pool."""
-    physics, limits, quiet = sim.physics, sim.thresholds, sim.quiet
+    physics, quiet = sim.physics, sim.quiet
     device = launch_device()
     return {
         **contact_constants(sim, timetable),
@@ -94,12 +94,7 @@ def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
         "still_steps": timetable.still_steps,
         "longest_steps": timetable.longest_steps,
         "static_end": timetable.static_end if sim.check is Check.STATIC else NEVER,
-        "shift": limits.shift_m,
-        "shift_floor": limits.shift_floor_m,
-        "tilt": limits.tilt_deg,
-        "drop_z": limits.drop_hull_z_m,
-        "linear_acceleration": limits.lin_acc_m_s2,
-        "angular_acceleration": limits.ang_acc_rad_s2,
+        **sim.thresholds.model_dump(),
         "quiet_speed": quiet.quiet_m_s,
         "slow_speed": quiet.slow_m_s,
         "slowing": quiet.slowing,
@@ -175,7 +170,7 @@ class Programs:
             order = small_world_queues(self._few, order, table.placed, table.running)
         if self._last:
             order = tail_queues(self._last, order, table.steps_done, table.running, self.launcher.blocks)
-        flat_worlds = worlds._asdict() | {"profiles": profiles, "order": order}
+        flat_worlds = worlds.flat() | {"profiles": profiles, "order": order}
         after, workspace, frames, counts = self.launcher(flat_worlds, table.flat(), workspace, frames)
         table = of_flat(after)
         # The status is copied, since the next slice reuses the table's memory.

@@ -33,14 +33,16 @@ def beginnings(scenes: Sequence[Scene], sim: Simulation) -> list[list[bytes]]:
     width = round_up(max(scene.n_boxes for scene in scenes))
     rows = rows_of(scenes, width, sim)
     first = rows["first_shape"]
-    of_shapes = [rows[name] for name in _axis("shape") if name in rows]
-    of_boxes = [rows[name] for name in _axis("box") if name in rows]
-    of_boxes += [rows[name][:, 1:] for name in _axis("body") if name in rows]
+    along: dict[str, list[NDArray[Any]]] = {"": [], "box": [], "body": [], "shape": []}
+    for name, values in rows.items():
+        if name not in _NOT_COMPARED:
+            along[_axis_of(name)].append(values)
+    of_shapes = along["shape"]
+    of_boxes = along["box"] + [values[:, 1:] for values in along["body"]]
     row_numbers, box_shapes = np.arange(len(scenes))[:, None], first[:, 1 : width + 1]
     of_boxes += [values[row_numbers, box_shapes] for values in of_shapes]
     boxes = np.concatenate([_bytes_of(values) for values in of_boxes], axis=2)
-    of_worlds = [rows[name] for name in _axis("") if name in rows]
-    of_worlds += [rows[name][:, 0] for name in _axis("body") if name in rows]
+    of_worlds = along[""] + [values[:, 0] for values in along["body"]]
     keys = []
     for row, scene in enumerate(scenes):
         begins = [values[row] for values in of_worlds] + [values[row, : first[row, 1]] for values in of_shapes]
@@ -63,12 +65,8 @@ def _bytes_of(values: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 @cache
-def _axis(axis: str) -> tuple[str, ...]:
-    """Names of the compared fields of ``Worlds`` whose second axis is ``axis``. If ``axis`` is "", the names of the
-    fields with one value per world."""
-    axis_of = {
-        name: second if second in ("box", "body", "shape") else ""
-        for name, second in second_axes(Worlds).items()
-        if name not in _NOT_COMPARED
-    }
-    return tuple(name for name, second in axis_of.items() if second == axis)
+def _axis_of(name: str) -> str:
+    """The second axis of a row of ``Worlds``, if it is "box", "body" or "shape"; "" for rows of a whole world, such as
+    tables of pairs."""
+    second = second_axes(Worlds).get(name, "")
+    return second if second in ("box", "body", "shape") else ""

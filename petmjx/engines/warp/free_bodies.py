@@ -110,7 +110,7 @@ class _Program:
         order: Int[Array, "queue world"],
         frames: dict[str, jax.Array],
     ) -> tuple[State, jax.Array, dict[str, jax.Array]]:
-        flat = worlds._asdict() | {"profiles": jnp.zeros((1, 1, 3)), "order": order}
+        flat = worlds.flat() | {"profiles": jnp.zeros((1, 1, 3)), "order": order}
         after, workspace, frames, _ = self.launcher(flat, state.flat(), workspace, frames)
         return of_flat(after), workspace, frames
 

@@ -125,7 +125,7 @@ class Simulator:
     def time_slice(self, open_: OpenState, profiles: Float[Array, "profile step 3"]) -> OpenState:
         """Simulate the worlds for a time slice (one call of the kernels)."""
         worlds, n = open_.worlds, len(open_.worlds.n_boxes)
-        flat_worlds = worlds._asdict() | {"profiles": profiles, "order": jnp.arange(n, dtype=jnp.int32)[None]}
+        flat_worlds = worlds.flat() | {"profiles": profiles, "order": jnp.arange(n, dtype=jnp.int32)[None]}
         flat = self._driving.begin_drives(open_.state, worlds).flat()
         after, *_ = self._launcher(flat_worlds, flat, self._launcher.workspace(), _no_frames(n, worlds.half.shape[1]))
         return OpenState(worlds, of_flat(after))

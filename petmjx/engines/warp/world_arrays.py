@@ -23,7 +23,9 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args, get_type_hi
 import warp as wp
 from jaxtyping import Bool, Float, Int
 
-from petmjx.engines.mjx import running_metrics, world_constants, world_state
+from petmjx.engines.mjx import running_metrics, scene_rows, world_constants, world_state
+from petmjx.options.materials import PAIR_TABLES
+from petmjx.options.thresholds import Thresholds
 
 PANEL = 16
 """Number of rows of a panel in the Cholesky factorisation. The Hessian is padded to a multiple of this number."""
@@ -54,6 +56,12 @@ else:
 TYPES: Mapping[Any, Any] = {Float: wp.float32, Int: wp.int32, Bool: wp.bool}
 """Element type in JAX's annotations → element type on the device."""
 
+_PAIRS: Mapping[str, tuple[Any, str]] = {
+    scene_rows.PAIR + table.name: (wp.float32, " ".join(("world surface surface", *map(str, table.entry))))
+    for table in PAIR_TABLES
+}
+"""Name of the array of each table of ``world_constants.Worlds.pairs`` → element type and axes."""
+
 
 def record(cls: type, tables: Sequence[type] = (), without: Sequence[str] = ()) -> Any:
     """A Warp struct whose arrays declare their axes: ``Annotated[type, "axis axis"]``. An axis is a name or a number.
@@ -62,15 +70,23 @@ def record(cls: type, tables: Sequence[type] = (), without: Sequence[str] = ()) 
         tables: records of JAX arrays. The struct also gets the fields of these records, except the fields named in
             ``without``.
     """
-    annotations, axes = inspect.get_annotations(cls, eval_str=True), {}
-    for name, kind in annotations.items():
+    annotations, axes = dict[str, Any](), dict[str, str]()
+    for name, kind in inspect.get_annotations(cls, eval_str=True).items():
         if hasattr(kind, "__metadata__"):
             annotations[name], axes[name] = get_args(kind)
+        elif kind is Thresholds:
+            annotations |= dict.fromkeys(Thresholds.model_fields, float)
+        else:
+            annotations[name] = kind
     for table in tables:
         for name, kind in get_type_hints(table).items():
-            if name not in without:
-                annotations[name] = wp.array(dtype=TYPES[kind.dtype], ndim=len(kind.dims))
-                axes[name] = kind.dim_str
+            if name in without:
+                continue
+            # a dictionary of tables of pairs has an array for each table
+            arrays = _PAIRS if name == "pairs" else {name: (TYPES[kind.dtype], kind.dim_str)}
+            for array, (dtype, of) in arrays.items():
+                annotations[array] = wp.array(dtype=dtype, ndim=len(of.split()))
+                axes[array] = of
     cls.__annotations__ = annotations
     struct: Any = wp.struct(cls)
     struct.shapes = {
@@ -116,12 +132,7 @@ class Model:
     due_steps: int
     longest_steps: int
     static_end: int  # Last step of a static check's placement; NEVER if boxes are placed one by one.
-    shift: float
-    shift_floor: float
-    tilt: float  # Threshold of the tilt of boxes, degrees.
-    drop_z: float
-    linear_acceleration: float
-    angular_acceleration: float
+    thresholds: Thresholds  # The struct has a number for each threshold, with the threshold's name.
     quiet_speed: float
     slow_speed: float
     slowing: float

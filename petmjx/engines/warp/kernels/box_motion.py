@@ -69,9 +69,9 @@ def excess_of(
         moved = wp.abs(place[i] - worlds.target[world, box, i])
         if i == 2 and place[i] < worlds.target[world, box, i]:
             moved = wp.max(moved - worlds.sinks[world, box], 0.0)
-        if moved >= model.shift_floor:
+        if moved >= model.shift_floor_m:
             shift = wp.max(shift, moved)
-    excess = wp.max(shift / model.shift, tilt / model.tilt)
+    excess = wp.max(shift / model.shift_m, tilt / model.tilt_deg)
     return wp.where(dropped, wp.max(excess, JUST_OVER), excess)
 
 
@@ -82,7 +82,7 @@ def is_gone(model: Ref[Model], worlds: Ref[Worlds], state: Ref[State], world: in
     q = orientation(state, world, box + 1)
     place = middle_of(worlds, world, box, center(state, world, box + 1), q)
     descent = worlds.target[world, box, 2] - worlds.sinks[world, box] - place[2]
-    return tilt_of(q) > TILT_OF_GONE * model.tilt or descent > DESCENT_OF_GONE * model.shift
+    return tilt_of(q) > TILT_OF_GONE * model.tilt_deg or descent > DESCENT_OF_GONE * model.shift_m
 
 
 @wp.func
@@ -126,7 +126,7 @@ def measure(
     place = middle_of(worlds, world, box, place, q)
     tilt = tilt_of(q)
     lowest = place[2] - wp.dot(wp.abs(rotation(q)[2]), box_half(worlds, world, box))
-    dropped = place[2] < 0.0 or lowest < model.drop_z
+    dropped = place[2] < 0.0 or lowest < model.drop_hull_z_m
     if dropped and state.drop_step[world, box] < 0:
         state.drop_step[world, box] = step
     excess = excess_of(model, worlds, world, box, place, tilt, dropped)
@@ -139,7 +139,7 @@ def measure(
     if sample:
         state.max_lin_acc[world, box] = wp.max(state.max_lin_acc[world, box], length_of(state.qacc, world, box, 0))
         state.max_ang_acc[world, box] = wp.max(state.max_ang_acc[world, box], length_of(state.qacc, world, box, 3))
-    tilts = tilt > model.tilt
+    tilts = tilt > model.tilt_deg
     lost = tilts and worlds.ends_when_lost[world]
     if driven:
         sway = sway_of(state, world, box, place)

@@ -28,7 +28,7 @@ def has_failed(
     world = at.world
     failed = bool(False)
     for box in range(at.thread, at.placed, at.threads):
-        failed = failed or state.drop_step[world, box] >= 0 or state.max_tilt[world, box] > model.tilt
+        failed = failed or state.drop_step[world, box] >= 0 or state.max_tilt[world, box] > model.tilt_deg
     return any_of_all(failed)
 
 

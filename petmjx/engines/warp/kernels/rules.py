@@ -138,7 +138,7 @@ def _look_at_the_end(
         most = wp.where(is_trembling(model, state, looks, world, box), model.slow_speed, model.still_speed)
         waits = waits or turns or (moved > most * seconds and not stays)
         q = orientation(state, world, box + 1)
-        tilted = tilt_of(q) > model.tilt
+        tilted = tilt_of(q) > model.tilt_deg
         if driven:
             place = middle_of(worlds, world, box, center(state, world, box + 1), q)
             tilted = tilted and sway_of(state, world, box, place) >= worlds.allowed_sway[world]
@@ -260,8 +260,8 @@ def after_step(
                     lost = True
             if sample:
                 at_corners = corner_acceleration(worlds, state, world, box)
-                turns = length_of(state.qacc, world, box, 3) > model.angular_acceleration and at_corners > model.gravity
-                if length_of(state.qacc, world, box, 0) > model.linear_acceleration or turns:
+                turns = length_of(state.qacc, world, box, 3) > model.ang_acc_rad_s2 and at_corners > model.gravity
+                if length_of(state.qacc, world, box, 0) > model.lin_acc_m_s2 or turns:
                     violent = True
             if presses and counted:
                 press(world, at.block, box, state, work)
