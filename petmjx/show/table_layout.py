@@ -9,7 +9,7 @@ from typing import Any, Final, Literal
 
 import pandas as pd
 from rich.cells import cell_len
-from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
+from rich.console import Console, ConsoleOptions, RenderResult
 from rich.table import Table
 from rich.text import Text
 
@@ -147,12 +147,6 @@ def _fits(text: Iterable[str], width: int) -> int:
 def line(text: str, style: str = "") -> Text:
     """A line of text, or a text for a cell. A text that is wider than the terminal or the cell is wrapped."""
     return Text(printable(text), style=style, overflow="fold")
-
-
-def print_renderables(renderables: Iterable[RenderableType], console: Console) -> None:
-    """Print tables and lines. The terminal itself wraps long lines, so that a path can be copied as a whole."""
-    for renderable in renderables:
-        console.print(renderable, soft_wrap=isinstance(renderable, Text))
 
 
 def number(value: Any, form: str | None = None, unit: str = "", factor: float = 1.0, sign: bool = False) -> str:
