@@ -11,7 +11,7 @@ from rich.console import RenderableType
 from petmjx.analysis.run_comparison import BOX_KEY, FORCE_FLOOR_N, Comparison
 from petmjx.common.text import count_text, three_digits
 from petmjx.engines.verdict import Verdict
-from petmjx.show.table_layout import Cell, FittedTable, Row, TableColumn, count_of, line, number, text_of
+from petmjx.show.table_layout import Cell, FittedTable, Row, TableColumn, count_of, line, note_lines, number, text_of
 
 
 def comparison_tables(comparison: Comparison, max_rows: int = 40) -> Iterator[RenderableType]:
@@ -19,8 +19,7 @@ def comparison_tables(comparison: Comparison, max_rows: int = 40) -> Iterator[Re
     verdicts are listed, and at most ``max_rows`` worlds that only one run has."""
     yield line(f"a  {comparison.a}")
     yield line(f"b  {comparison.b}")
-    for note in comparison.notes:
-        yield line(f"note: {note}", style="yellow")
+    yield from note_lines(comparison.notes)
     for name, frame in (("a", comparison.only_a), ("b", comparison.only_b)):
         if len(frame):
             shown = ", ".join(f"{row.plan_id}/{row.variant}" for row in frame.head(max_rows).itertuples())

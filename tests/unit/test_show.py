@@ -27,10 +27,10 @@ from petmjx.results.run_reader import load_run
 from petmjx.results.run_writer import RunWriter
 from petmjx.show.compare_tables import comparison_tables
 from petmjx.show.progress import ProgressLines, progress
-from petmjx.show.run_tables import SHOWN_SKIPPED, notes, run_tables, search_table, summary_table, worlds_table
+from petmjx.show.run_tables import notes, run_tables, search_table, summary_table, worlds_table
 from petmjx.show.story_tables import story_tables
 from petmjx.show.sweep_tables import MAX_VALUES, sweep_tables
-from petmjx.show.table_layout import FEW_ROWS, FittedTable, TableColumn, number, percent
+from petmjx.show.table_layout import FEW_ROWS, SHOWN_SKIPPED, FittedTable, TableColumn, number, percent
 
 LONG = "x" * 80 + "end"
 CHINESE = "纸箱托盘计划" * 8
