@@ -15,11 +15,12 @@ from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
 from petmjx.show.pages.contact_forces import pushes
 from petmjx.show.pages.palette import Rgb, look
-from petmjx.show.pictures.box_colours import CARRIER, FIRST, GHOST, Colouring, round_up
+from petmjx.show.pictures.box_colours import CARRIER, FIRST, GHOST, Colouring
 from petmjx.show.pictures.camera import Camera
 from petmjx.show.pictures.offscreen import Canvas
 from petmjx.show.pictures.picture_options import Colour
 from petmjx.show.pictures.story_poses import Poses, poses_of_frame, shaking_g, shift_mm, tilts_deg
+from petmjx.show.report.chart_frame import round_up
 from petmjx.world.history import Contacts
 from petmjx.world.rotation import corners, rotations
 from petmjx.world.scene import IDENTITY_QUAT

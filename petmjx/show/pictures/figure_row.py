@@ -29,8 +29,6 @@ _HEAD_IN: Final = 0.36
 _TITLE_IN: Final = 0.3
 _FOOT_IN: Final = 0.42
 
-_NAMES: Final = {"start": "start", "before": "before", "first-sign": "first sign", "end": "end"}
-
 
 def write_figure(story: Story, look: PictureStyle, moments: list[Moment], path: Path, kind: str) -> None:
     """Write a row with one picture for each moment, all from the same camera.
@@ -76,7 +74,7 @@ def _panel(axes: Any, pixels: Any, story: Story, moment: Moment, camera: Camera,
     poses = poses_of_frame(story.history, moment.frame)
     axes.imshow(pixels, interpolation="none", extent=(0, camera.width, camera.height, 0))
     axes.set_axis_off()
-    name = f"{_NAMES[moment.name]}, " if moment.name else ""
+    name = f"{moment.name.replace('-', ' ')}, " if moment.name else ""
     placed = f"{poses.n_placed} of {count_text(story.plan.n_boxes, 'box', 'boxes')}"
     shaken = shaking_in_words(story, poses)
     axes.set_title(

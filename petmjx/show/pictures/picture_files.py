@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import importlib.util
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from petmjx.analysis.story import Story
 from petmjx.common.argument_checks import path_of
@@ -18,6 +18,9 @@ from petmjx.show.pictures.box_colours import colouring
 from petmjx.show.pictures.camera import view_of
 from petmjx.show.pictures.picture_options import GIF_SIZE, MP4_SIZE, PANEL_SIZE, STILL_SIZE, PictureOptions, size_of
 from petmjx.show.pictures.story_poses import moments
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
 Progress = Callable[[int, int], None]
 """A function that is called with the number of finished frames of a film, and the number of all its frames."""
@@ -143,18 +146,19 @@ def _write_film(story: Story, path: Path, options: PictureOptions, progress: Pro
     speed = options.speed or animation.usual_speed(story)
     times = animation.film_times(story, speed, options.fps)
 
-    def count(done: int) -> None:
-        if progress is not None:
-            progress(done, len(times))
+    def frames() -> Iterator[Image]:
+        for done, frame in enumerate(animation.film_frames(story, look, speed, times), start=1):
+            yield frame
+            if progress is not None:
+                progress(done, len(times))
 
     if kind == "gif":
         palette = animation.palette_of(animation.film_frames(story, look, speed, animation.spread_times(story)))
-        animation.write_gif(animation.film_frames(story, look, speed, times), path, palette, options.fps, count)
+        animation.write_gif(frames(), len(times), path, palette, options.fps)
     else:
         width, height = look.size
         look = replace(look, size=(width - width % 2, height - height % 2))  # H.264 needs even sides
-        frames = animation.film_frames(story, look, speed, times)
-        animation.write_mp4(frames, path, look.size, options.fps, count)
+        animation.write_mp4(frames(), path, look.size, options.fps)
 
 
 def _look(story: Story, options: PictureOptions, usual_size: tuple[int, int]) -> Any:
