@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from petmjx.show.pages.markup import element
 from petmjx.show.report.chart_frame import Frame, Scale, path
 from petmjx.show.report.charts import bars, equal_groups, histogram
 from petmjx.show.report.distributions import SHIFT
-from petmjx.show.report.markup import element
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from petmjx.common.units import FloatArray
-from petmjx.show.report.markup import Content, Markup, element
+from petmjx.show.pages.markup import Content, Markup, element
 
 WIDTH: Final = 300
 HEIGHT: Final = 190

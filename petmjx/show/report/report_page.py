@@ -17,11 +17,11 @@ from petmjx.results.input_files import input_files
 from petmjx.results.run_reader import RunResults
 from petmjx.runs.sweep_axes import AXIS_KINDS
 from petmjx.show.pages.html_page import page
+from petmjx.show.pages.markup import NOTHING, Content, Markup, element, joined_markup
 from petmjx.show.pages.page_arrays import block, integer_column
 from petmjx.show.pages.palette import category, ramp
 from petmjx.show.report.comparison_section import comparison_section
 from petmjx.show.report.distributions import distributions, first_boxes
-from petmjx.show.report.markup import NOTHING, Content, Markup, element, joined_markup
 from petmjx.show.report.report_plan_table import table_rows
 from petmjx.show.report.report_runs import Kind, ReportRun, open_runs
 from petmjx.show.report.run_settings import about

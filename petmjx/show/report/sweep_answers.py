@@ -14,6 +14,7 @@ from petmjx.engines.verdict import Verdict
 from petmjx.results.share_statistics import ALL_PLANS, share_standing
 from petmjx.runs.chain_legs import AS_IS
 from petmjx.runs.chain_summary import WHOLE_WAY, arrivals, shares_by_leg
+from petmjx.show.pages.markup import NOTHING, Markup, element, joined_markup, table
 from petmjx.show.report.chart_frame import MOST_TICKS, Frame, Scale, figure, round_up
 from petmjx.show.report.charts import (
     ROSE_RINGS,
@@ -26,7 +27,6 @@ from petmjx.show.report.charts import (
     rose,
     share_curve,
 )
-from petmjx.show.report.markup import NOTHING, Markup, element, joined_markup, table
 from petmjx.show.report.report_runs import Kind, ReportRun
 from petmjx.show.report.verdict_shares import ORDER, link, plan_link
 from petmjx.show.table_layout import count_of
