@@ -70,7 +70,7 @@ def test_groups_are_about_equal_and_tear_no_ties_apart() -> None:
 
 def test_marks_are_drawn_as_they_are_meant() -> None:
     assert path(np.array([1.0, math.nan, 2.0, 3.0]), np.array([1.0, 1.0, 2.0, 3.0])) == "M1.0 1.0M2.0 2.0L3.0 3.0"
-    assert element("a", "<b>", None, href='"x"', class_="y", hidden=False, open=True) == (
-        '<a href="&quot;x&quot;" class="y" open>&lt;b&gt;</a>'
+    assert element("a", "<b>", None, href='"x"', class_="y", title=None) == (
+        '<a href="&quot;x&quot;" class="y">&lt;b&gt;</a>'
     )
     assert ElementTree.fromstring(bars("none", [])).tag == "svg"
