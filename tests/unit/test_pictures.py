@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import repeat
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -92,8 +93,9 @@ def test_arrows_are_drawn_in_transparent_boxes(tmp_path: Path) -> None:
 
 
 @needs_pictures()
-@pytest.mark.parametrize("lost", [np.nan, np.inf, 1e30], ids=str)
-@pytest.mark.parametrize("colour", list(Colour))
+@pytest.mark.parametrize(
+    ("colour", "lost"), [*((colour, np.nan) for colour in Colour), (Colour.SHIFT, np.inf), (Colour.SHIFT, 1e30)]
+)
 def test_boxes_that_are_nowhere_are_left_out(colour: Colour, lost: float, tmp_path: Path) -> None:
     """Worlds of which some boxes have no finite position can be drawn: the picture shows the other boxes."""
     pos, quat = STORY.history.pos.copy(), STORY.history.quat.copy()
@@ -190,9 +192,10 @@ def test_figures_have_their_labels_as_text(tmp_path: Path) -> None:
 
 @needs_pictures()
 def test_the_same_story_gives_the_same_files(tmp_path: Path) -> None:
+    options: dict[str, Any] = {"size": (100, 100), "at": "end", "fps": 4}
     for name in ("x.svg", "x.pdf", "x.gif"):
-        first = petmjx.draw(STORY, tmp_path / name, size=(100, 100))[0].read_bytes()
-        assert petmjx.draw(STORY, tmp_path / name, size=(100, 100))[0].read_bytes() == first
+        first = petmjx.draw(STORY, tmp_path / name, **options)[0].read_bytes()
+        assert petmjx.draw(STORY, tmp_path / name, **options)[0].read_bytes() == first
 
 
 @needs_pictures()
