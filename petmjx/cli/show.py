@@ -136,10 +136,12 @@ def _cli_story(plan_id: str, source: list[Path], variant: int | None, forces: bo
 
 
 def _show(story: Story, files: list[Path], look: dict[str, Any], viewer: bool) -> None:
-    from petmjx.show.story_tables import how_to_draw, story_tables
+    from petmjx.show.story_tables import story_tables
+    from petmjx.show.table_layout import line
 
     if not files and not viewer:
-        print_tables([*story_tables(story), "", how_to_draw()])
+        how_to_draw = "to see it: --html, --png, --pdf, --svg, --gif, --mp4 or --rrd FILE, or --viewer"
+        print_tables([*story_tables(story), "", line(how_to_draw, style="dim")])
         return
     if files:
         _draw(story, files, look)

@@ -71,8 +71,3 @@ def _boxes_table(story: Story) -> FittedTable:
         TableColumn("at rest\nN", lambda box: number(boxes.rest_top_force_n[box], "z.1f")),
         TableColumn("dropped\nat s", lambda box: number(boxes.drop_s[box], ".2f"), spare=1),
     )
-
-
-def how_to_draw() -> Text:
-    """A line for the user: the options of ``petmjx show`` that draw or play the simulation."""
-    return line("to see it: --html, --png, --pdf, --svg, --gif, --mp4 or --rrd FILE, or --viewer", style="dim")

@@ -23,7 +23,7 @@ from petmjx.common.errors import InputError
 from petmjx.show.pictures.animation import h264_encoder
 from petmjx.show.pictures.box_colours import FIRST, colouring
 from petmjx.show.pictures.camera import VIEWS, framing, view_of
-from petmjx.show.pictures.draw_story import framed_points
+from petmjx.show.pictures.draw_story import PictureStyle, framed_points
 from petmjx.show.pictures.overlay import Overlay
 from petmjx.show.pictures.picture_options import Colour
 from petmjx.show.pictures.story_poses import poses_of_frame
@@ -54,10 +54,10 @@ def test_boxes_are_seen_where_the_camera_projects_them(view: str, tmp_path: Path
     petmjx.draw(story, tmp_path / "x.png", view=view, size=(400, 300), at="end")
     pixels = pixels_of(tmp_path / "x.png")
     assert pixels.shape == (300, 400, 3)
-    margins = Overlay(colouring(story, Colour.ARTICLE), (400, 300)).margins
-    camera = framing(framed_points(story, [20]), view_of(view), (400, 300), margins)
+    look = PictureStyle(colouring(story, Colour.ARTICLE), view_of(view), (400, 300))
+    camera = framing(framed_points(story, [20]), look.view, look.size, Overlay(look).margins)
     poses = poses_of_frame(story.history, 20)
-    colours = colouring(story, Colour.ARTICLE).of(poses)
+    colours = look.colours.of(poses)
     face = np.zeros(3)
     axis = int(np.abs(camera.forward).argmax())
     face[axis] = -np.sign(camera.forward[axis])
@@ -74,8 +74,8 @@ def test_the_first_box_is_outlined_and_ghosts_stand_where_boxes_were_planned(tmp
     pixels = pixels_of(tmp_path / "planned.png")
     red = np.abs(pixels - 255 * np.array(FIRST)).max(axis=2) < 40
     assert 150 < red.sum() < 4000
-    margins = Overlay(colouring(STORY, Colour.PLANNED), (400, 400)).margins
-    camera = framing(framed_points(STORY, [20]), VIEWS["front"], (400, 400), margins)
+    look = PictureStyle(colouring(STORY, Colour.PLANNED), VIEWS["front"], (400, 400))
+    camera = framing(framed_points(STORY, [20]), look.view, look.size, Overlay(look).margins)
     x, y = camera.project(np.array([[0.0, 0.0, 0.3]]))[0]
     beside = pixels[round(y), round(x) - 3 : round(x) + 4]
     assert (beside[:, 2] - beside[:, 0]).max() > 60, "a blue edge on the left of the planned place"

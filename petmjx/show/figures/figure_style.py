@@ -55,6 +55,13 @@ def paper_style() -> Iterator[None]:
         yield
 
 
+def new_figure(width_in: float, height_in: float, layout: Any = "constrained") -> Any:
+    """An empty figure of matplotlib, which belongs to no window."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width_in, height_in), facecolor="white", layout=layout)
+
+
 def write(figure: Any, path: Path, kind: str, dots_per_inch: float = DOTS_PER_INCH) -> None:
     """Write a figure as ``png``, ``pdf`` or ``svg``. The same figure always gives the same bytes."""
     figure.savefig(path, format=kind, dpi=dots_per_inch, metadata=_UNDATED.get(kind))

@@ -20,9 +20,8 @@ from petmjx.analysis.story import Story
 from petmjx.common.errors import InputError
 from petmjx.common.text import one_line
 from petmjx.show.pictures.camera import framing
-from petmjx.show.pictures.draw_story import Painter, framed_points
+from petmjx.show.pictures.draw_story import Painter, PictureStyle, framed_points
 from petmjx.show.pictures.overlay import Overlay
-from petmjx.show.pictures.still_pictures import PictureStyle
 from petmjx.show.pictures.story_poses import poses_at
 
 if TYPE_CHECKING:
@@ -65,15 +64,15 @@ def spread_times(story: Story) -> list[float]:
     return sorted([first + share * (last - first) for share in (0.25, 0.5, 0.75, 1.0)] + signs)
 
 
-def film_frames(story: Story, look: PictureStyle, speed: float, times: list[float]) -> Iterator[Image]:
+def film_frames(look: PictureStyle, speed: float, times: list[float]) -> Iterator[Image]:
     """The pictures of a film at the given times, s. The camera does not move, and shows the whole story."""
-    count = len(story.history.time_s)
+    count = len(look.story.history.time_s)
     framed_numbers = {*range(0, count, math.ceil(count / MOST_FRAMED)), count - 1}
-    overlay = Overlay(look.colours, look.size, speed, look.arrows)
-    camera = framing(framed_points(story, sorted(framed_numbers)), look.view, look.size, overlay.margins)
-    with Painter(look.colours, look.size, look.line_px(), look.newtons_per_m) as painter:
+    overlay = Overlay(look, speed)
+    camera = framing(framed_points(look.story, sorted(framed_numbers)), look.view, look.size, overlay.margins)
+    with Painter(look) as painter:
         for time_s in times:
-            poses = poses_at(story.history, time_s)
+            poses = poses_at(look.story.history, time_s)
             yield overlay.on(painter.picture(poses, camera), poses, camera)
 
 

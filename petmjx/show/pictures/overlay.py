@@ -15,9 +15,9 @@ from petmjx.common.convex_hull import convex_hull
 from petmjx.common.text import count_text, printable, three_digits
 from petmjx.common.units import FloatArray
 from petmjx.show.pages.palette import Rgb
-from petmjx.show.pictures.box_colours import FIRST, Colouring, Scale, ramp_colours
+from petmjx.show.pictures.box_colours import FIRST, Scale, ramp_colours
 from petmjx.show.pictures.camera import Camera, Margins
-from petmjx.show.pictures.draw_story import LEAST_LEVEL_G
+from petmjx.show.pictures.draw_story import LEAST_LEVEL_G, PictureStyle
 from petmjx.show.pictures.story_poses import Poses, shaking_g
 from petmjx.world.rotation import corners, rotations
 
@@ -38,15 +38,12 @@ class Overlay:
     """Draws texts, and an outline around the first box to fail, onto pictures of one size.
 
     Args:
-        colours: colours of the boxes, which the legend explains.
-        size: width and height of a picture, px.
         speed: speed of a film, as a multiple of real time; None for a single picture.
-        arrows: the line of text that explains the arrows; "" if there are no arrows.
     """
 
-    def __init__(self, colours: Colouring, size: tuple[int, int], speed: float | None = None, arrows: str = "") -> None:
-        self.story, self.colours, self.arrows = colours.story, colours, arrows
-        self.width, self.height = size
+    def __init__(self, look: PictureStyle, speed: float | None = None) -> None:
+        self.story, self.colours, self.arrows = look.story, look.colours, look.arrows
+        self.width, self.height = look.size
         self.pace = "" if speed in (None, 1.0) else f"  ×{speed:g}"
         self.text_px = max(_LEAST_FONT_PX, round(min(self.height, 1.2 * self.width) / 38))
 

@@ -133,9 +133,9 @@ def _write_pictures(story: Story, path: Path, options: PictureOptions, progress:
 
     kind, chosen_moments = kind_of(path), moments(story, options.at)
     if kind == "png" and len(chosen_moments) == 1:
-        write_still(story, _look(story, options, STILL_SIZE), chosen_moments[0].frame, path)
+        write_still(_look(story, options, STILL_SIZE), chosen_moments[0].frame, path)
     else:
-        write_figure(story, _look(story, options, PANEL_SIZE), chosen_moments, path, kind)
+        write_figure(_look(story, options, PANEL_SIZE), chosen_moments, path, kind)
 
 
 def _write_film(story: Story, path: Path, options: PictureOptions, progress: Progress | None) -> None:
@@ -147,13 +147,13 @@ def _write_film(story: Story, path: Path, options: PictureOptions, progress: Pro
     times = animation.film_times(story, speed, options.fps)
 
     def frames() -> Iterator[Image]:
-        for done, frame in enumerate(animation.film_frames(story, look, speed, times), start=1):
+        for done, frame in enumerate(animation.film_frames(look, speed, times), start=1):
             yield frame
             if progress is not None:
                 progress(done, len(times))
 
     if kind == "gif":
-        palette = animation.palette_of(animation.film_frames(story, look, speed, animation.spread_times(story)))
+        palette = animation.palette_of(animation.film_frames(look, speed, animation.spread_times(story)))
         animation.write_gif(frames(), len(times), path, palette, options.fps)
     else:
         width, height = look.size
@@ -162,8 +162,7 @@ def _write_film(story: Story, path: Path, options: PictureOptions, progress: Pro
 
 
 def _look(story: Story, options: PictureOptions, usual_size: tuple[int, int]) -> Any:
-    from petmjx.show.pictures.draw_story import newtons_per_m
-    from petmjx.show.pictures.still_pictures import PictureStyle
+    from petmjx.show.pictures.draw_story import PictureStyle, newtons_per_m
 
     size = usual_size if options.size is None else size_of(options.size)
     scale = newtons_per_m(story) if options.arrows else None

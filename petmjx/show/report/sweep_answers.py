@@ -96,14 +96,13 @@ def _grid(run: ReportRun, summary: pd.DataFrame) -> Markup:
 def _has_numeric_values(summary: pd.DataFrame, axis: str) -> bool:
     """Whether the values of an axis are numbers in a summary. If an axis has random values, the summary divides the
     range of the axis into parts with names, so the values in the summary are texts."""
-    values = summary.loc[(summary["scope"] == ALL_PLANS) & (summary["axis"] == axis), "value"]
-    return bool(pd.to_numeric(values, errors="coerce").notna().all())
+    return bool(pd.to_numeric(_rows(summary, axis)["value"], errors="coerce").notna().all())
 
 
 def _curve(axis: str, summary: pd.DataFrame, over_plans: pd.DataFrame, run: ReportRun) -> Markup:
     """A chart of the share that stands along an axis with numbers. Intervals are computed from the random draws of the
     run or, if nothing is random, from the plans."""
-    draws, plans = (_rows(frame, axis) for frame in (summary, over_plans))
+    draws, plans = (_rows(frame, axis).head(MOST_VALUES) for frame in (summary, over_plans))
     drawn = bool(draws["low"].notna().all())
     rows = draws if drawn else plans
     x = rows["value"].astype("float64").to_numpy()
@@ -121,11 +120,10 @@ def _curve(axis: str, summary: pd.DataFrame, over_plans: pd.DataFrame, run: Repo
 
 
 def _rows(summary: pd.DataFrame, axis: str) -> pd.DataFrame:
-    return summary[(summary["scope"] == ALL_PLANS) & (summary["axis"] == axis)].head(MOST_VALUES)
+    return summary[(summary["scope"] == ALL_PLANS) & (summary["axis"] == axis)]
 
 
 def _named_values(axis: str, summary: pd.DataFrame, run: ReportRun) -> Markup:
-    rows = _rows(summary, axis)
     drawn = [
         Bar(
             str(row["value"]),
@@ -133,7 +131,7 @@ def _named_values(axis: str, summary: pd.DataFrame, run: ReportRun) -> Markup:
             f"{percent(row['share'])} of {row['n_worlds'] - row['n_invalid']:,}",
             "stable",
         )
-        for row in rows.to_dict("records")
+        for row in _rows(summary, axis).head(MOST_VALUES).to_dict("records")
     ]
     note = "Share of worlds that stand, among the worlds with a valid verdict."
     return figure(_title(axis), bars(f"Share that stands by {axis}", drawn), note)
@@ -169,7 +167,7 @@ def importance(worlds: pd.DataFrame, axes: Sequence[str], summary: pd.DataFrame)
         groups = stands.groupby(keys).agg(["mean", "size"])
         spread = groups["mean"].max() - groups["mean"].min()
         if axis != "plan":
-            shares = summary.loc[(summary["scope"] == ALL_PLANS) & (summary["axis"] == axis), "share"]
+            shares = _rows(summary, axis)["share"]
             spread = shares.max() - shares.min()
         rows.append({"axis": axis, "spread": spread, "explained": correlation_ratio(stands, keys)})
     table = pd.DataFrame(rows, columns=["axis", "spread", "explained"])
