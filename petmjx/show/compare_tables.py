@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import pandas as pd
 from rich.console import RenderableType
@@ -53,15 +52,11 @@ def comparison_tables(comparison: Comparison, max_rows: int = 40) -> Iterator[Re
 def _confusion_table(comparison: Comparison) -> FittedTable:
     share = number(comparison.agreement, ".2f", " %", 100.0)
     return FittedTable(
-        comparison.confusion.to_dict("index").items(),
-        TableColumn("a ↓   b →", lambda row: str(row[0]), "left"),
-        *(TableColumn(str(name), _count_of_second(name)) for name in comparison.confusion.columns),
+        comparison.confusion.reset_index(names="a").to_dict("records"),
+        TableColumn("a ↓   b →", text_of("a"), "left"),
+        *(TableColumn(str(name), count_of(name)) for name in comparison.confusion.columns),
         title=f"verdicts: {comparison.n_agree:,} of {count_text(comparison.n_common, 'world')} agree ({share})",
     )
-
-
-def _count_of_second(name: Any) -> Cell:
-    return lambda row: f"{row[1][name]:,}"
 
 
 def _flips_table(flips: pd.DataFrame, max_rows: int) -> FittedTable:

@@ -13,6 +13,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from petmjx.common.errors import InputError
+from petmjx.common.text import printable
 from petmjx.show.pages.palette import OKABE_ITO
 
 WIDTH_IN: Final = 6.3
@@ -43,6 +45,18 @@ SETTINGS: Final[Any] = {
 }
 
 _UNDATED: Final[dict[str, dict[str, Any]]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
+
+
+def kind_of(path: Path, kinds: Sequence[str]) -> str:
+    """The kind of a file, which its suffix determines.
+
+    Raises:
+        InputError: the suffix is not one of ``kinds``.
+    """
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in kinds:
+        raise InputError(f"{printable(str(path))}: unknown ending; there are {', '.join(f'.{one}' for one in kinds)}")
+    return kind
 
 
 @contextmanager

@@ -11,12 +11,12 @@ import numpy as np
 
 from petmjx.analysis.story import Story
 from petmjx.analysis.story_in_words import headline
-from petmjx.common.text import count_text, printable, printable_name
+from petmjx.common.text import printable, printable_name
 from petmjx.show.figures.figure_style import new_figure, paper_style, write
 from petmjx.show.pictures.box_colours import FIRST, Colouring, Scale, ramp_colours
 from petmjx.show.pictures.camera import Camera, Margins
 from petmjx.show.pictures.draw_story import PictureStyle
-from petmjx.show.pictures.overlay import first_outline, scale_ends, shaking_in_words
+from petmjx.show.pictures.overlay import first_outline, scale_ends, state_in_words
 from petmjx.show.pictures.still_pictures import draw_frames, frame_camera
 from petmjx.show.pictures.story_poses import Moment, poses_of_frame
 
@@ -74,11 +74,8 @@ def _panel(axes: Any, pixels: Any, story: Story, moment: Moment, camera: Camera,
     axes.imshow(pixels, interpolation="none", extent=(0, camera.width, camera.height, 0))
     axes.set_axis_off()
     name = f"{moment.name.replace('-', ' ')}, " if moment.name else ""
-    placed = f"{poses.n_placed} of {count_text(story.plan.n_boxes, 'box', 'boxes')}"
-    shaken = shaking_in_words(story, poses)
-    axes.set_title(
-        f"{letter}{name}{poses.time_s:.2f} s\n{placed}{shaken}", size=_POINTS, loc="center", pad=2, linespacing=1.1
-    )
+    title = f"{letter}{name}{poses.time_s:.2f} s\n{state_in_words(story, poses)}"
+    axes.set_title(title, size=_POINTS, loc="center", pad=2, linespacing=1.1)
     outline = first_outline(story, poses, camera)
     if outline is not None:
         axes.add_patch(_polygon(outline))

@@ -68,13 +68,12 @@ class Overlay:
     def _head(self, pen: ImageDraw, poses: Poses) -> None:
         em = self.text_px
         room = self.width - 2 * em
-        placed = f"{poses.n_placed} of {count_text(self.story.plan.n_boxes, 'box', 'boxes')}"
         bold, plain = font(round(1.15 * em), bold=True), font(em)
         pen.text((em, 0.7 * em), fitted_text(self.story.name, bold, room), fill=INK, font=bold)
         failed = self.story.outcome.culprit >= 0
         line = fitted_text(printable(headline(self.story)), plain, room)
         pen.text((em, 2.2 * em), line, fill=_rgb_bytes(FIRST) if failed else FAINT, font=plain)
-        now = f"{poses.time_s:.2f} s{self.pace}   {placed}{shaking_in_words(self.story, poses)}"
+        now = f"{poses.time_s:.2f} s{self.pace}   {state_in_words(self.story, poses)}"
         pen.text((em, 3.6 * em), now, fill=INK, font=plain)
 
     def _outline(self, image: Image, poses: Poses, camera: Camera) -> None:
@@ -152,10 +151,11 @@ class Overlay:
         return lines
 
 
-def shaking_in_words(story: Story, poses: Poses) -> str:
-    """Text such as ", shaken by 0.50 g"; "" while nothing shakes the carrier."""
+def state_in_words(story: Story, poses: Poses) -> str:
+    """Text such as "3 of 8 boxes", or "8 of 8 boxes, shaken by 0.50 g" while something shakes the carrier."""
     level = float(np.linalg.norm(shaking_g(story, poses)))
-    return f", shaken by {level:.2f} g" if level > LEAST_LEVEL_G else ""
+    shaken = f", shaken by {level:.2f} g" if level > LEAST_LEVEL_G else ""
+    return f"{poses.n_placed} of {count_text(story.plan.n_boxes, 'box', 'boxes')}{shaken}"
 
 
 def scale_ends(scale: Scale) -> tuple[str, str]:

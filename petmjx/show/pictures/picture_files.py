@@ -14,6 +14,7 @@ from petmjx.common.argument_checks import path_of
 from petmjx.common.atomic_write import atomic_write, check_writable
 from petmjx.common.errors import InputError
 from petmjx.common.text import one_line, printable
+from petmjx.show.figures.figure_style import kind_of
 from petmjx.show.pictures.box_colours import colouring
 from petmjx.show.pictures.camera import view_of
 from petmjx.show.pictures.picture_options import GIF_SIZE, MP4_SIZE, PANEL_SIZE, STILL_SIZE, PictureOptions, size_of
@@ -63,22 +64,8 @@ def draw(story: Story, *files: str | os.PathLike[str], progress: Progress | None
     check_files(paths)
     for path in paths:
         with atomic_write(path) as temporary:
-            _WRITERS[kind_of(path)](story, temporary, look, progress)
+            _WRITERS[kind_of(path, KINDS)](story, temporary, look, progress)
     return paths
-
-
-def kind_of(path: Path) -> str:
-    """The kind of a file, which its suffix determines.
-
-    Raises:
-        InputError: the suffix is not one of ``KINDS``.
-    """
-    kind = path.suffix.lower().removeprefix(".")
-    if kind not in KINDS:
-        raise InputError(
-            f"{printable(str(path))}: unknown ending; there are {', '.join(f'.{ending}' for ending in KINDS)}"
-        )
-    return kind
 
 
 def check_files(paths: Sequence[Path]) -> None:
@@ -88,7 +75,7 @@ def check_files(paths: Sequence[Path]) -> None:
         InputError: a path cannot be written, or libraries for a kind of file are missing.
     """
     for path in paths:
-        if missing := _missing(kind_of(path)):
+        if missing := _missing(kind_of(path, KINDS)):
             raise InputError(f"{printable(str(path))}: {missing}")
         check_writable(path)
     if len({path.absolute() for path in paths}) < len(paths):
@@ -121,7 +108,7 @@ def check_drawing(paths: Sequence[Path]) -> None:
         InputError: a check of ``check_files`` fails, or there is no OpenGL that can draw without a display.
     """
     check_files(paths)
-    drawn = [path for path in paths if "OpenGL" in _NEEDS[kind_of(path)][1]]
+    drawn = [path for path in paths if "OpenGL" in _NEEDS[kind_of(path, KINDS)][1]]
     if drawn and (reason := why_nothing_is_drawn()):
         raise InputError(f"{printable(str(drawn[0]))}: {reason}")
 
@@ -131,7 +118,7 @@ def _write_pictures(story: Story, path: Path, options: PictureOptions, progress:
     from petmjx.show.pictures.figure_row import write_figure
     from petmjx.show.pictures.still_pictures import write_still
 
-    kind, chosen_moments = kind_of(path), moments(story, options.at)
+    kind, chosen_moments = kind_of(path, KINDS), moments(story, options.at)
     if kind == "png" and len(chosen_moments) == 1:
         write_still(_look(story, options, STILL_SIZE), chosen_moments[0].frame, path)
     else:
@@ -141,7 +128,7 @@ def _write_pictures(story: Story, path: Path, options: PictureOptions, progress:
 def _write_film(story: Story, path: Path, options: PictureOptions, progress: Progress | None) -> None:
     from petmjx.show.pictures import animation
 
-    kind = kind_of(path)
+    kind = kind_of(path, KINDS)
     look = _look(story, options, GIF_SIZE if kind == "gif" else MP4_SIZE)
     speed = options.speed or animation.usual_speed(story)
     times = animation.film_times(story, speed, options.fps)
