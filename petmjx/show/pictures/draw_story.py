@@ -15,8 +15,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
 from petmjx.show.pages.contact_forces import pushes
-from petmjx.show.pages.palette import Rgb
-from petmjx.show.pages.palette import look as page_look
+from petmjx.show.pages.palette import Rgb, look
 from petmjx.show.pictures.box_colours import CARRIER, FIRST, GHOST, Colouring
 from petmjx.show.pictures.camera import Camera, View
 from petmjx.show.pictures.offscreen import Canvas
@@ -142,7 +141,7 @@ class Painter:
             self.canvas.box(half_size[box], poses.pos[box], turned[box], (red, green, blue), alpha)
             self._edges(half_size[box], poses.pos[box], turned[box], EDGE, camera)
         for wall in walls:
-            self.canvas.box(*wall, CARRIER, page_look()["wall"])
+            self.canvas.box(*wall, CARRIER, look()["wall"])
             self._edges(*wall, EDGE, camera)
         if self.colours.colour is Colour.PLANNED:
             for box in _away(self.story, poses):
