@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from petmjx.cli import command_options as opt
-from petmjx.cli.console import results_console
+from petmjx.cli.console import print_tables
 from petmjx.cli.figure import Pdf, Png, Svg, figure_files
 from petmjx.common.errors import InputError
 
@@ -59,7 +59,6 @@ def compare(
     of packers, it prints the difference of the shares with an interval, McNemar's exact test, and the orders for which
     only one packer's plan stands.
     """
-    from petmjx.show.table_layout import print_renderables
 
     files = figure_files(pdf, svg, png, overwrite, runs, orders)
     if packers:
@@ -80,7 +79,7 @@ def compare(
     if as_json:
         print(json.dumps(comparison.to_dict(), indent=2, allow_nan=False))
         return
-    print_renderables(comparison_tables(comparison, max_rows=rows), results_console())
+    print_tables(comparison_tables(comparison, max_rows=rows))
 
 
 def _compare_packers(
@@ -95,7 +94,7 @@ def _compare_packers(
     from petmjx.analysis.packer_comparison import check_comparison_free, compare_packers, write_comparison
     from petmjx.results.input_files import input_files
     from petmjx.show.packer_tables import packer_tables
-    from petmjx.show.table_layout import line, print_renderables
+    from petmjx.show.table_layout import line
 
     paths = opt.named_paths(runs, "compare --packers") or runs
     if out is not None:
@@ -112,4 +111,4 @@ def _compare_packers(
         return
     written = [] if out is None else [line(f"tables in {out}")]
     written += [line(f"figure in {file}") for file in files]
-    print_renderables([*packer_tables(comparison, max_rows=rows), *written], results_console())
+    print_tables([*packer_tables(comparison, max_rows=rows), *written])

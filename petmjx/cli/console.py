@@ -8,7 +8,7 @@ import io
 import os
 import sys
 import warnings
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, Final
@@ -17,7 +17,7 @@ from petmjx.common.errors import PlanWarning
 from petmjx.common.text import printable
 
 if TYPE_CHECKING:
-    from rich.console import Console
+    from rich.console import Console, RenderableType
 
     from petmjx.plans.readings import AmbiguousFile, Reading
 
@@ -38,6 +38,16 @@ def results_console() -> Console:
 
     piped = "COLUMNS" not in os.environ and not sys.stdout.isatty()
     return Console(width=PIPED_WIDTH if piped else None)
+
+
+def print_tables(tables: Iterable[RenderableType], console: Console | None = None) -> None:
+    """Print tables and lines, by default on standard output. The terminal itself wraps long lines, so that a path can
+    be copied as a whole."""
+    from rich.text import Text
+
+    console = console or results_console()
+    for table in tables:
+        console.print(table, soft_wrap=isinstance(table, Text))
 
 
 _LEAST_COLUMNS: Final = 20

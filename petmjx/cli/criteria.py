@@ -10,7 +10,7 @@ import typer
 
 from petmjx.analysis.criteria import CriteriaOptions
 from petmjx.cli import command_options as opt
-from petmjx.cli.console import results_console
+from petmjx.cli.console import print_tables
 from petmjx.cli.figure import Pdf, Png, Svg, figure_files
 from petmjx.common.errors import InputError
 from petmjx.common.machine import cpu_threads
@@ -77,7 +77,7 @@ def criteria(
     from petmjx.results.to_json import to_json
     from petmjx.show.criteria_tables import criteria_tables
     from petmjx.show.progress import progress_when_called
-    from petmjx.show.table_layout import line, print_renderables
+    from petmjx.show.table_layout import line
 
     files = figure_files(pdf, svg, png, overwrite, plans, run)
     if files and run is None:
@@ -102,4 +102,4 @@ def criteria(
         print(json.dumps(to_json(results.info | tables), indent=2, allow_nan=False))
         return
     written = [line(f"figure in {file}") for file in files]
-    print_renderables([*criteria_tables(results, out), *written], results_console())
+    print_tables([*criteria_tables(results, out), *written])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 from petmjx.cli import command_options as opt
-from petmjx.cli.console import results_console
+from petmjx.cli.console import print_tables
 
 
 def doctor(as_json: opt.JsonOption = False) -> None:
@@ -20,4 +20,4 @@ def doctor(as_json: opt.JsonOption = False) -> None:
     if as_json:
         print(json.dumps(asdict(report) | {"pictures": {"works": not why_not, "detail": why_not}}, indent=2))
         return
-    results_console().print(doctor_table(report, why_not))
+    print_tables([doctor_table(report, why_not)])

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from petmjx.cli import command_options as opt
-from petmjx.cli.console import SHOWN_SKIPPED, print_skipped, results_console
+from petmjx.cli.console import SHOWN_SKIPPED, print_skipped, print_tables
 from petmjx.common.overwrite_guard import check_outputs
 from petmjx.common.text import printable
 
@@ -71,7 +71,6 @@ def kpis(
     from petmjx.common.errors import InputError
     from petmjx.results.input_files import input_files
     from petmjx.show.kpi_tables import kpi_tables
-    from petmjx.show.table_layout import print_renderables
 
     if xlsx and out is None:
         raise InputError("--xlsx needs --out DIR")
@@ -87,7 +86,7 @@ def kpis(
         print(json.dumps({**rating.summary, "notes": rating.notes, "skipped": rating.skipped}, indent=2))
     else:
         print_skipped(rating.skipped, SHOWN_SKIPPED)
-        print_renderables(kpi_tables(rating, out), results_console())
+        print_tables(kpi_tables(rating, out))
     if leaderboard is not None:
         file = write_submission(leaderboard, out or Path(), rating.plans_by_id, rating.orders, len(rating.skipped))
         if not as_json:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from petmjx.cli import command_options as opt
-from petmjx.common.text import printable_name
+from petmjx.common.text import printable, printable_name
 
 if TYPE_CHECKING:
     from petmjx.runs.simulate import Watcher
@@ -72,7 +72,6 @@ def leaderboard(
     scores. If an entry is the folder of a run, the command uses the verdicts of the run, and simulates some of the
     plans again. If the new simulations contradict the run, the entry is not rated.
     """
-    from petmjx.show.leaderboard.leaderboard import board_line
     from petmjx.show.leaderboard.leaderboard import leaderboard as make
 
     paths = opt.named_paths(packers, "leaderboard") or packers
@@ -88,7 +87,7 @@ def leaderboard(
         overwrite=overwrite,
         **options,
     )
-    print(board_line(page))
+    print(f"leaderboard in {printable(str(page.parent))}: open {printable_name(page.name)}")
 
 
 @contextmanager

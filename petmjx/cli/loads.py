@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from petmjx.cli import command_options as opt
-from petmjx.cli.console import results_console
+from petmjx.cli.console import print_tables
 from petmjx.options.strength_losses import Stacking
 
 
@@ -49,7 +49,6 @@ def loads(
     from petmjx.results.input_files import input_files
     from petmjx.results.to_json import to_json
     from petmjx.show.load_tables import load_tables
-    from petmjx.show.table_layout import print_renderables
 
     if out is not None:
         check_loads_free(out, overwrite, input_files(run, plans, articles))
@@ -60,4 +59,4 @@ def loads(
         ways = {} if comparison.ways is None else {"ways": to_json(comparison.ways)}
         print(json.dumps({"plans": to_json(comparison.plans), **ways, "notes": comparison.notes}, indent=2))
         return
-    print_renderables(load_tables(comparison, out), results_console())
+    print_tables(load_tables(comparison, out))

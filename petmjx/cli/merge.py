@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from petmjx.cli import command_options as opt
-from petmjx.cli.console import results_console
+from petmjx.cli.console import print_tables
 
 
 def merge(
@@ -26,10 +26,9 @@ def merge(
     from petmjx.cli.run_command import brief
     from petmjx.runs.merge import merge_runs
     from petmjx.show.run_tables import run_tables
-    from petmjx.show.table_layout import print_renderables
 
     results = merge_runs(shards, out, overwrite=overwrite)
     if as_json:
         print(json.dumps(brief(results), indent=2))
         return
-    print_renderables(run_tables(results), results_console())
+    print_tables(run_tables(results))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from petmjx.cli import command_options as opt
-from petmjx.cli.console import print_skipped, results_console
+from petmjx.cli.console import print_skipped, print_tables
 from petmjx.cli.run_command import RunInterrupted
 from petmjx.common.atomic_write import check_writable
 from petmjx.common.errors import InputError
@@ -66,7 +66,6 @@ def repair(
     from petmjx.results.to_json import to_json
     from petmjx.show.progress import BarWatcher
     from petmjx.show.repair_tables import repair_tables
-    from petmjx.show.table_layout import print_renderables
 
     if out is not None:
         check_plan_file(out)
@@ -90,13 +89,13 @@ def repair(
     if as_json:
         print(json.dumps({"plans": to_json(result.table), "changes": to_json(result.changes)}, indent=2))
     else:
-        print_renderables(repair_tables(result), results_console())
+        print_tables(repair_tables(result))
     if html is not None:
         from petmjx.show.pages.repair_page import write_repair_page
 
         write_repair_page(result, html)
     if not as_json:
-        print_renderables(_written(result, out, html), results_console())
+        print_tables(_written(result, out, html))
     if interrupted:
         how_far = (
             f"repairs were searched to the end for {len(result.each):,} of {count_text(watcher.total or 0, 'plan')}"

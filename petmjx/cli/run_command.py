@@ -17,7 +17,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, Final
 
-from petmjx.cli.console import PRINTED_NOTES, results_console
+from petmjx.cli.console import PRINTED_NOTES, print_tables
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text
 from petmjx.options.run_options import RunOptions
@@ -107,9 +107,8 @@ def run_and_show(run: Callable[..., RunResults], options: Mapping[str, Any], as_
         print(json.dumps(brief(results), indent=2))
         return
     from petmjx.show.run_tables import run_tables
-    from petmjx.show.table_layout import print_renderables
 
-    print_renderables(run_tables(results, PRINTED_NOTES.get()), results_console())
+    print_tables(run_tables(results, PRINTED_NOTES.get()))
 
 
 def run_watched(run: Callable[..., RunResults], options: Mapping[str, Any]) -> RunResults:

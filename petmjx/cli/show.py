@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from petmjx.cli import command_options as opt
-from petmjx.cli.console import results_console
+from petmjx.cli.console import print_tables
 from petmjx.cli.run_command import RunInterrupted
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable
@@ -106,7 +106,6 @@ def _show_repair(
     from petmjx.results.plan_lookup import plans_in_place
     from petmjx.show.pages.repair_page import write_repair_page
     from petmjx.show.repair_tables import repair_tables
-    from petmjx.show.table_layout import print_renderables
 
     if "html" not in files:
         raise InputError("--repair needs --html FILE: it writes a page")
@@ -121,7 +120,7 @@ def _show_repair(
     except KeyboardInterrupt:
         raise RunInterrupted("unfinished files were not written") from None
     write_repair_page(result, files["html"])
-    print_renderables([*repair_tables(result), f"page {printable(str(files['html']))}"], results_console())
+    print_tables([*repair_tables(result), f"page {printable(str(files['html']))}"])
 
 
 def _cli_story(plan_id: str, source: list[Path], variant: int | None, forces: bool, options: dict[str, Any]) -> Story:
@@ -137,11 +136,12 @@ def _cli_story(plan_id: str, source: list[Path], variant: int | None, forces: bo
 
 
 def _show(story: Story, files: list[Path], look: dict[str, Any], viewer: bool) -> None:
-    from petmjx.show.story_tables import how_to_draw, story_tables
-    from petmjx.show.table_layout import print_renderables
+    from petmjx.show.story_tables import story_tables
+    from petmjx.show.table_layout import line
 
     if not files and not viewer:
-        print_renderables([*story_tables(story), "", how_to_draw()], results_console())
+        how_to_draw = "to see it: --html, --png, --pdf, --svg, --gif, --mp4 or --rrd FILE, or --viewer"
+        print_tables([*story_tables(story), "", line(how_to_draw, style="dim")])
         return
     if files:
         _draw(story, files, look)

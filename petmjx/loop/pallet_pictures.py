@@ -18,7 +18,7 @@ from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.show.pictures.box_colours import colouring
 from petmjx.show.pictures.camera import Margins, framing, view_of
-from petmjx.show.pictures.draw_story import Painter
+from petmjx.show.pictures.draw_story import Painter, PictureStyle
 from petmjx.show.pictures.picture_files import why_nothing_is_drawn
 from petmjx.show.pictures.picture_options import Colour
 from petmjx.show.pictures.story_poses import poses_of_frame
@@ -44,8 +44,9 @@ def picture(scene: Scene, snapshot: Snapshot, sim: Simulation, size: tuple[int, 
     if not scene.n_boxes:
         scene = EmptyCarrier(sim).with_box(scene, NextBoxes(np.full((1, 3), 0.1), np.zeros((1, 3)), np.ones(1)), 0)
     story = _story(scene, snapshot, sim)
-    camera = framing(_scene_corners(scene, snapshot), view_of(view), size, Margins(0, 0, 0, 0))
-    with Painter(colouring(story, Colour.ORDER), size, max(1.0, min(size) / 600)) as painter:
+    look = PictureStyle(colouring(story, Colour.ORDER), view_of(view), size)
+    camera = framing(_scene_corners(scene, snapshot), look.view, size, Margins(0, 0, 0, 0))
+    with Painter(look) as painter:
         poses = poses_of_frame(story.history, 0)
         assert poses.n_placed == k
         return painter.picture(poses, camera)

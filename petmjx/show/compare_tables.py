@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import pandas as pd
 from rich.console import RenderableType
@@ -11,7 +10,7 @@ from rich.console import RenderableType
 from petmjx.analysis.run_comparison import BOX_KEY, FORCE_FLOOR_N, Comparison
 from petmjx.common.text import count_text, three_digits
 from petmjx.engines.verdict import Verdict
-from petmjx.show.table_layout import Cell, FittedTable, Row, TableColumn, count_of, line, number, text_of
+from petmjx.show.table_layout import Cell, FittedTable, Row, TableColumn, count_of, line, note_lines, number, text_of
 
 
 def comparison_tables(comparison: Comparison, max_rows: int = 40) -> Iterator[RenderableType]:
@@ -19,8 +18,7 @@ def comparison_tables(comparison: Comparison, max_rows: int = 40) -> Iterator[Re
     verdicts are listed, and at most ``max_rows`` worlds that only one run has."""
     yield line(f"a  {comparison.a}")
     yield line(f"b  {comparison.b}")
-    for note in comparison.notes:
-        yield line(f"note: {note}", style="yellow")
+    yield from note_lines(comparison.notes)
     for name, frame in (("a", comparison.only_a), ("b", comparison.only_b)):
         if len(frame):
             shown = ", ".join(f"{row.plan_id}/{row.variant}" for row in frame.head(max_rows).itertuples())
@@ -54,15 +52,11 @@ def comparison_tables(comparison: Comparison, max_rows: int = 40) -> Iterator[Re
 def _confusion_table(comparison: Comparison) -> FittedTable:
     share = number(comparison.agreement, ".2f", " %", 100.0)
     return FittedTable(
-        comparison.confusion.to_dict("index").items(),
-        TableColumn("a ↓   b →", lambda row: str(row[0]), "left"),
-        *(TableColumn(str(name), _count_of_second(name)) for name in comparison.confusion.columns),
+        comparison.confusion.reset_index(names="a").to_dict("records"),
+        TableColumn("a ↓   b →", text_of("a"), "left"),
+        *(TableColumn(str(name), count_of(name)) for name in comparison.confusion.columns),
         title=f"verdicts: {comparison.n_agree:,} of {count_text(comparison.n_common, 'world')} agree ({share})",
     )
-
-
-def _count_of_second(name: Any) -> Cell:
-    return lambda row: f"{row[1][name]:,}"
 
 
 def _flips_table(flips: pd.DataFrame, max_rows: int) -> FittedTable:

@@ -20,14 +20,13 @@ from petmjx.show.table_layout import (
     TableColumn,
     count_of,
     line,
+    note_lines,
     number,
     number_of,
     percent,
+    skipped_lines,
     text_of,
 )
-
-SHOWN_SKIPPED = 10
-"""Largest number of skipped plans that are shown. ``criteria.json`` lists all skipped plans."""
 
 
 def criteria_tables(results: CriteriaResults, out: Path | None = None) -> Iterator[RenderableType]:
@@ -38,15 +37,11 @@ def criteria_tables(results: CriteriaResults, out: Path | None = None) -> Iterat
         out: folder of the written files; None if no files were written.
     """
     skipped = results.info["skipped"]
-    for message in skipped[:SHOWN_SKIPPED]:
-        yield line(f"skipped: {message}", style="yellow")
-    if len(skipped) > SHOWN_SKIPPED:
-        yield line(f"skipped: {len(skipped) - SHOWN_SKIPPED:,} more", style="yellow")
+    yield from skipped_lines(skipped, len(skipped))
     yield _says_table(results)
     if results.judged is not None:
         yield ""
-        for doubt in results.info["doubts"]:
-            yield line(f"note: {doubt}", style="yellow")
+        yield from note_lines(results.info["doubts"])
         yield _criteria_vs_physics_table(results.judged)
     if results.thresholds is not None and len(results.thresholds):
         yield ""

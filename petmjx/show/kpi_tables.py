@@ -10,7 +10,17 @@ import pandas as pd
 from rich.console import RenderableType
 
 from petmjx.analysis.kpis import Kpis
-from petmjx.show.table_layout import FEW_ROWS, FittedTable, TableColumn, line, name_column, number, number_of, percent
+from petmjx.show.table_layout import (
+    FEW_ROWS,
+    FittedTable,
+    TableColumn,
+    line,
+    name_column,
+    note_lines,
+    number,
+    number_of,
+    percent,
+)
 
 
 def kpi_tables(kpis: Kpis, out: Path | None = None) -> Iterator[RenderableType]:
@@ -22,8 +32,7 @@ def kpi_tables(kpis: Kpis, out: Path | None = None) -> Iterator[RenderableType]:
     if len(kpis.plans) <= FEW_ROWS:
         yield _plans_table(kpis)
         yield ""
-    for note in kpis.notes:
-        yield line(f"note: {note}", style="yellow")
+    yield from note_lines(kpis.notes)
     yield _summary_table(kpis)
     if out is not None:
         yield line(f"KPIs in {out}")

@@ -19,6 +19,7 @@ from petmjx.show.table_layout import (
     count_of,
     line,
     name_column,
+    note_lines,
     number_of,
     percent_of,
     text_of,
@@ -33,8 +34,7 @@ def load_tables(loads: Loads, out: Path | None = None) -> Iterator[RenderableTyp
     """
     yield _table(loads)
     yield ""
-    for note in loads.notes:
-        yield line(f"note: {note}", style="yellow")
+    yield from note_lines(loads.notes)
     over, unknown = loads.plans["overloaded"].sum(), loads.plans["overloaded"].isna().sum()
     boxes = count_text(int(loads.plans["n_overloaded"].sum()), "box", "boxes")
     world_count = count_text(len(loads.plans), "world" if (loads.plans["variant"] > 0).any() else "plan")

@@ -21,6 +21,7 @@ from petmjx.show.table_layout import (
     count_of,
     line,
     name_column,
+    note_lines,
     number,
     number_of,
     percent,
@@ -34,8 +35,7 @@ def packer_tables(comparison: PackerComparison, max_rows: int = 40) -> Iterator[
     packer's plan stands are named, but at most ``max_rows`` of them."""
     for name, folder in comparison.runs.items():
         yield line(f"{printable_name(name)}  {folder}")
-    for note in comparison.notes:
-        yield line(f"note: {note}", style="yellow")
+    yield from note_lines(comparison.notes)
     yield from _not_compared(comparison)
     if not comparison.packers["n"].any():
         return  # no plan is compared, and one of the notes says why

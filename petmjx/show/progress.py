@@ -162,16 +162,13 @@ class BarWatcher(AbstractContextManager["BarWatcher"]):
 
     def begin(self, start: RunStart) -> None:
         self.what, self.total = start.what, start.total
-        for text in (start.size, f"engine {start.choice.name} ({start.choice.reason})"):
-            with suppress(OSError):
-                print(_wrapped_line(text), file=sys.stderr)
+        lines = [_wrapped_line(start.size), _wrapped_line(f"engine {start.choice.name} ({start.choice.reason})")]
         if start.recorded:
+            are = "is" if start.recorded == 1 else "are"
+            lines.append(f"{count_text(start.recorded, start.what)} of an earlier run {are} already in the folder")
+        for line in lines:
             with suppress(OSError):
-                are = "is" if start.recorded == 1 else "are"
-                print(
-                    f"{count_text(start.recorded, start.what)} of an earlier run {are} already in the folder",
-                    file=sys.stderr,
-                )
+                print(line, file=sys.stderr)
         left = None if start.total is None else start.total - start.recorded
         shown = self._until_exit.enter_context(progress(left, start.what))
         stop = threading.Event()

@@ -11,7 +11,7 @@ from rich.console import RenderableType
 from petmjx.common.text import count_text
 from petmjx.repairs.repair import Repaired, Repairs
 from petmjx.repairs.trials import Share
-from petmjx.show.table_layout import line
+from petmjx.show.table_layout import line, note_lines
 
 MOST_STANDING: Final = 20
 """Largest number of lines about plans that stand without repair."""
@@ -38,8 +38,7 @@ def repair_tables(repairs: Repairs) -> Iterator[RenderableType]:
         yield line("boxes have the numbers of the original plan, from 0", style="dim")
     if repairs.frame:
         yield line(repairs.frame, style="dim")
-    for note in repairs.notes:
-        yield line(f"note: {note}", style="yellow")
+    yield from note_lines(repairs.notes)
 
 
 def _plan_lines(repaired: Repaired) -> Iterator[RenderableType]:

@@ -18,24 +18,22 @@ from petmjx.results.run_reader import RunResults, is_chain, split_warnings
 from petmjx.runs.level_search import MODES
 from petmjx.show.table_layout import (
     FEW_ROWS,
+    VERDICT_STYLES,
     FittedTable,
     Row,
     TableColumn,
     line,
     name_column,
+    note_lines,
     number,
     number_of,
     percent,
+    skipped_lines,
     text_of,
 )
 
 SHOWN_PLANS: Final = 10
 """Largest number of plans that a line names."""
-
-SHOWN_SKIPPED: Final = 10
-"""Largest number of skipped plans that are shown. ``run.json`` lists all skipped plans."""
-
-_STYLES: Final = {Verdict.STABLE.value: "green", Verdict.UNSTABLE.value: "red", Verdict.INVALID.value: "yellow"}
 
 
 def run_tables(results: RunResults, printed: Collection[str] = ()) -> Iterator[RenderableType]:
@@ -142,16 +140,11 @@ def notes(info: Mapping[str, Any], printed: Collection[str] = ()) -> Iterator[Re
     """
     skipped = info["skipped"]
     warnings, odd = split_warnings(info)
-    for entry in skipped[:SHOWN_SKIPPED]:
-        yield line(f"skipped: {entry['error']}", style="yellow")
-    if len(skipped) > SHOWN_SKIPPED:
-        yield line(f"skipped: {len(skipped) - SHOWN_SKIPPED:,} more, in run.json", style="yellow")
+    yield from skipped_lines([entry["error"] for entry in skipped], len(skipped), ", in run.json")
     if odd:
         plans = count_text(len(odd), "plan")
         yield line(f"{plans} with overlapping, floating or outside boxes, listed in run.json", style="yellow")
-    for warning in warnings:
-        if warning not in printed:
-            yield line(f"note: {warning}", style="yellow")
+    yield from note_lines(warning for warning in warnings if warning not in printed)
     if info.get("orders"):
         yield from order_lines(info)
 
@@ -164,10 +157,9 @@ def order_lines(info: Mapping[str, Any]) -> Iterator[RenderableType]:
         info: content of ``run.json`` of a run that was compared with orders.
     """
     counts = info["counts"]["orders"]
-    for error in info["orders"]["unusable"][:SHOWN_SKIPPED]:
-        yield line(f"not compared: {error}", style="yellow")
-    if counts["unusable_orders"] > SHOWN_SKIPPED:
-        yield line(f"not compared: {counts['unusable_orders'] - SHOWN_SKIPPED:,} more, in run.json", style="yellow")
+    yield from skipped_lines(
+        info["orders"]["unusable"], counts["unusable_orders"], ", in run.json", kind="not compared"
+    )
     ordered = count_text(counts["ordered_boxes"], "ordered box", "ordered boxes")
     odd = []
     if counts["left_out"]:
@@ -214,7 +206,7 @@ def summary_table(info: Mapping[str, Any], what: str = "plans") -> Table:
     table = _counts_table()
     table.add_row(what, f"{worlds:,}", "")
     for verdict in Verdict:
-        _add(table, verdict.value, int(counts.get(verdict.value, 0)), worlds, _STYLES[verdict.value])
+        _add(table, verdict.value, int(counts.get(verdict.value, 0)), worlds, VERDICT_STYLES[verdict])
         for reason, count in counts.get("by_reason", {}).get(verdict.value, {}).items():
             _add(table, f"  {reason}", int(count), worlds)
             if reason == Reason.SHIFT and (moving := int(counts.get("moving_by_shift", 0))):
@@ -370,7 +362,7 @@ def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame, orders: pd.DataFrame
         name_column("plan", "plan_id", least=20),
         TableColumn("boxes", placed, spare=3),
         *([] if orders is None else [TableColumn("left\nout", lambda row: number(left_out[row["plan_id"]]))]),
-        TableColumn("verdict", lambda row: Text(row["verdict"], style=_STYLES.get(row["verdict"], "")), "left"),
+        TableColumn("verdict", lambda row: Text(row["verdict"], style=VERDICT_STYLES.get(row["verdict"], "")), "left"),
         TableColumn("reason", text_of("reason"), "left"),
         TableColumn("margin", lambda row: number(row.get("margin"), ".2f"), spare=1),
         TableColumn("first box", first_box, "left", least=8, spare=2),

@@ -14,13 +14,10 @@ from rich.text import Text
 from petmjx.analysis.story import Story
 from petmjx.analysis.story_in_words import events, how_it_was_simulated, notes_in_words, reason_in_words
 from petmjx.common.text import count_text
-from petmjx.engines.verdict import Verdict
-from petmjx.show.table_layout import FittedTable, TableColumn, line, number
+from petmjx.show.table_layout import VERDICT_STYLES, FittedTable, TableColumn, line, note_lines, number
 
 MOST_PRESSED: Final = 5
 """Number of boxes with the largest forces on top that are shown."""
-
-_STYLES: Final = {Verdict.STABLE: "bold green", Verdict.UNSTABLE: "bold red", Verdict.INVALID: "bold yellow"}
 
 
 def story_tables(story: Story) -> Iterator[RenderableType]:
@@ -29,16 +26,19 @@ def story_tables(story: Story) -> Iterator[RenderableType]:
     yield Text.assemble(
         (f"plan {story.name}", "bold"),
         f", {count_text(plan.n_boxes, 'box', 'boxes')}, {plan.mass_kg.sum():.1f} kg: ",
-        (outcome.verdict.value, _STYLES[outcome.verdict]),
+        (outcome.verdict.value, _style(story)),
         f", {reason_in_words(story)}",
     )
     yield line(", ".join(f"{name} {value}" for name, value in how_it_was_simulated(story)), style="dim")
-    for note in notes_in_words(story):
-        yield line(f"note: {note}", style="yellow")
+    yield from note_lines(notes_in_words(story))
     yield ""
     yield _events_table(story)
     yield ""
     yield _boxes_table(story)
+
+
+def _style(story: Story) -> str:
+    return f"bold {VERDICT_STYLES[story.outcome.verdict]}"
 
 
 def _events_table(story: Story) -> Table:
@@ -48,7 +48,7 @@ def _events_table(story: Story) -> Table:
     *before, end = events(story)
     for event in before:
         table.add_row(f"{event.time_s:.2f}", line(event.what, style="red" if event.is_first_sign else ""))
-    table.add_row(f"{end.time_s:.2f}", line(end.what, style=_STYLES[story.outcome.verdict]))
+    table.add_row(f"{end.time_s:.2f}", line(end.what, style=_style(story)))
     return table
 
 
@@ -71,8 +71,3 @@ def _boxes_table(story: Story) -> FittedTable:
         TableColumn("at rest\nN", lambda box: number(boxes.rest_top_force_n[box], "z.1f")),
         TableColumn("dropped\nat s", lambda box: number(boxes.drop_s[box], ".2f"), spare=1),
     )
-
-
-def how_to_draw() -> Text:
-    """A line for the user: the options of ``petmjx show`` that draw or play the simulation."""
-    return line("to see it: --html, --png, --pdf, --svg, --gif, --mp4 or --rrd FILE, or --viewer", style="dim")

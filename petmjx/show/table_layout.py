@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 from typing import Any, Final, Literal
 
 import pandas as pd
 from rich.cells import cell_len
-from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
+from rich.console import Console, ConsoleOptions, RenderResult
 from rich.table import Table
 from rich.text import Text
 
 from petmjx.common.text import printable, three_digits
+from petmjx.engines.verdict import Verdict
 
 Row = Mapping[Any, Any]
 """A row of a data frame: name of a column → value."""
 
 Cell = Callable[[Any], str | Text]
 """A function that makes a cell of a table from a row."""
+
+VERDICT_STYLES: Final = {Verdict.STABLE: "green", Verdict.UNSTABLE: "red", Verdict.INVALID: "yellow"}
+
+SHOWN_SKIPPED: Final = 10
+"""Largest number of skipped plans that are shown. The files of a run or of criteria list all skipped plans."""
 
 FEW_ROWS: Final = 40
 """Largest number of rows of a table in which each row is about one world, search, plan or box. If there are more
@@ -149,10 +155,18 @@ def line(text: str, style: str = "") -> Text:
     return Text(printable(text), style=style, overflow="fold")
 
 
-def print_renderables(renderables: Iterable[RenderableType], console: Console) -> None:
-    """Print tables and lines. The terminal itself wraps long lines, so that a path can be copied as a whole."""
-    for renderable in renderables:
-        console.print(renderable, soft_wrap=isinstance(renderable, Text))
+def note_lines(notes: Iterable[object], kind: str = "note") -> Iterator[Text]:
+    """A line for each note, such as "note: no plan is compared"."""
+    for note in notes:
+        yield line(f"{kind}: {note}", style="yellow")
+
+
+def skipped_lines(reasons: Sequence[object], count: int, where: str = "", kind: str = "skipped") -> Iterator[Text]:
+    """A line for each of the first ``SHOWN_SKIPPED`` reasons, and a line with the number of all others. ``count`` is
+    the number of all reasons, of which ``reasons`` may have only the first."""
+    yield from note_lines(reasons[:SHOWN_SKIPPED], kind)
+    if count > SHOWN_SKIPPED:
+        yield line(f"{kind}: {count - SHOWN_SKIPPED:,} more{where}", style="yellow")
 
 
 def number(value: Any, form: str | None = None, unit: str = "", factor: float = 1.0, sign: bool = False) -> str:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -267,17 +269,21 @@ def test_a_full_disk_is_said_in_one_line(plans: Path) -> None:
 
 
 @pytest.mark.parametrize("encoding", ["latin-1", "ascii"])
-def test_terminals_without_unicode(encoding: str, tmp_path: Path) -> None:
+def test_terminals_without_unicode(encoding: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plans = write(tmp_path / "plans.json", {"Turm-塔" * 20: TOWER})
-    environment = {**os.environ, "PYTHONIOENCODING": encoding, "COLUMNS": "80"}
-    command = ("score", plans, "--engine", "mujoco", "--out", tmp_path / "out")
-    done = run_process(*command, env=environment, encoding=encoding)
-    assert done.returncode == 0, done.stderr
-    assert "Turm-?" in done.stdout
-    assert "~" in done.stdout  # "~" marks a shortened id
-    assert all(len(line) <= 80 for line in done.stdout.splitlines() if not line.startswith("results in "))
-    done = run_process("score", plans, "--interval", "-1", env=environment, encoding=encoding)
-    assert "--interval must be > 0" in only_line(done.stderr)
+    out, errors = (io.TextIOWrapper(io.BytesIO(), encoding) for _ in range(2))
+    monkeypatch.setattr(sys, "stdout", out)
+    monkeypatch.setattr(sys, "stderr", errors)
+    monkeypatch.setenv("COLUMNS", "80")
+    assert run("score", plans, "--engine", "mujoco", "--out", tmp_path / "out") == 0
+    assert run("score", plans, "--size-reduction-mm", "-1") == 2
+    for stream in (out, errors):
+        stream.seek(0)
+    printed = out.read()
+    assert "Turm-?" in printed
+    assert "~" in printed  # "~" marks a shortened id
+    assert all(len(line) <= 80 for line in printed.splitlines() if not line.startswith("results in "))
+    assert "petmjx: --size-reduction-mm must be >= 0" in errors.read()
 
 
 def test_nothing_from_a_file_reaches_the_terminal_raw(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

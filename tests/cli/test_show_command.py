@@ -83,7 +83,7 @@ def test_several_files_from_one_simulation(capsys: pytest.CaptureFixture[str], m
     monkeypatch.setattr(
         "petmjx.analysis.story.tell", lambda *given, **named: calls.append(given) or tell(*given, **named)
     )
-    size = ("--size", "120x100")
+    size = ("--size", "120x100", "--fps", "4")
     printed = lines_of(capsys, "hand-falls-off", "--png", "a.png", "--gif", "b.gif", "--svg", "c.svg", *size)
     assert len(calls) == 1
     for name in ("a.png", "b.gif", "c.svg"):

@@ -82,7 +82,7 @@ def test_names_in_scripts_of_pages(tmp_path: Path) -> None:
     "Box 9: 400 × 300 × 200 mm"."""
     if (node := shutil.which("node")) is None:
         pytest.skip("node is not installed")
-    (tmp_path / "names.mjs").write_bytes((STATIC / "box_names.js").read_bytes())
+    (tmp_path / "names.mjs").write_bytes((STATIC / "texts.js").read_bytes())
     goods = ("'', ''", "'tea', ''", "'', '7'", "'tea', '7'")
     calls = f"[labelOf(9, ''), labelOf(9, 'tea'), {', '.join(f'goodsOf({good})' for good in goods)}]"
     script = f"import {{ labelOf, goodsOf }} from './names.mjs'; console.log(JSON.stringify({calls}))"

@@ -15,7 +15,7 @@ from petmjx.common.errors import InputError
 from petmjx.show.pages.palette import article_colours, rgb_of
 from petmjx.show.pictures.animation import film_times, usual_speed
 from petmjx.show.pictures.box_colours import colouring, ramp_colours
-from petmjx.show.pictures.camera import FIELD_OF_VIEW_DEG, VIEWS, Margins, View, framing, view_of
+from petmjx.show.pictures.camera import VIEWS, Margins, View, framing, view_of
 from petmjx.show.pictures.draw_story import forces_of_pairs, framed_points, newtons_per_m
 from petmjx.show.pictures.overlay import first_outline
 from petmjx.show.pictures.picture_options import Colour, PictureOptions, size_of
@@ -45,7 +45,7 @@ def test_the_front_view_in_closed_form() -> None:
     camera."""
     square = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 1.0]])
     camera = framing(square, View(0, 0), (500, 500), Margins(0, 0, 0, 0))
-    away = 0.5 / np.tan(np.radians(FIELD_OF_VIEW_DEG / 2))
+    away = 0.5 / np.tan(np.radians(24 / 2))
     assert camera.pos == pytest.approx([0.5, -away, 0.5])
     assert camera.project(square) == pytest.approx(np.array([[0, 500], [500, 500], [0, 0], [500, 0]]), abs=1e-6)
 

@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from petmjx.show.pages.markup import element
 from petmjx.show.report.chart_frame import Frame, Scale, path
 from petmjx.show.report.charts import bars, equal_groups, histogram
 from petmjx.show.report.distributions import SHIFT
-from petmjx.show.report.markup import element
 
 
 @pytest.mark.parametrize(
@@ -70,7 +70,7 @@ def test_groups_are_about_equal_and_tear_no_ties_apart() -> None:
 
 def test_marks_are_drawn_as_they_are_meant() -> None:
     assert path(np.array([1.0, math.nan, 2.0, 3.0]), np.array([1.0, 1.0, 2.0, 3.0])) == "M1.0 1.0M2.0 2.0L3.0 3.0"
-    assert element("a", "<b>", None, href='"x"', class_="y", hidden=False, open=True) == (
-        '<a href="&quot;x&quot;" class="y" open>&lt;b&gt;</a>'
+    assert element("a", "<b>", None, href='"x"', class_="y", title=None) == (
+        '<a href="&quot;x&quot;" class="y">&lt;b&gt;</a>'
     )
     assert ElementTree.fromstring(bars("none", [])).tag == "svg"

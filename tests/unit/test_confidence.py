@@ -20,6 +20,7 @@ from support.outcomes import make_outcome
 from support.plans import make_plan, stack
 
 import petmjx
+from petmjx.cli.console import print_tables
 from petmjx.common.errors import InputError
 from petmjx.engines.verdict import Flag, Reason, Verdict
 from petmjx.options.simulation import Simulation
@@ -31,7 +32,6 @@ from petmjx.runs.confidence import READY_MADE, confidence_sweep, contradiction_m
 from petmjx.runs.ready_sweeps import ready_sweeps
 from petmjx.runs.sweep_worlds import SweepPlan
 from petmjx.show.run_tables import run_tables
-from petmjx.show.table_layout import print_renderables
 from petmjx.world.scene import Scene
 
 STANDS = make_plan("stands", stack(2, 100.0))
@@ -154,7 +154,7 @@ def test_a_box_could_not_be_placed_where_its_gap_is_too_narrow_and_stands_there_
     assert row["p_value"] == pytest.approx(2 * 0.5**n)
     assert row["placing_matters"] is True
     console = Console(width=120, file=StringIO())
-    print_renderables(run_tables(results), console)
+    print_tables(run_tables(results), console)
     printed = console.file.getvalue()  # type: ignore[attr-defined]  # it is a StringIO
     assert re.search(rf"could not be placed │ +{n} ", printed)
     assert "plans that stand more often, beyond chance, if boxes are placed exactly: gap" in printed
@@ -300,7 +300,7 @@ def test_what_is_printed_names_the_plans_to_think_about(n_plans: int, tmp_path: 
     for counts, line in (((8, 8), "coin toss: "), ((0, 16), "most worlds contradict the nominal verdict: ")):
         results = written(tmp_path / str(counts[0]), counts, ids=[f"plan-{k:02}" for k in range(n_plans)])
         console = Console(width=80, file=StringIO())
-        print_renderables(run_tables(results), console)
+        print_tables(run_tables(results), console)
         printed = console.file.getvalue()  # type: ignore[attr-defined]  # it is a StringIO
         names = ", ".join(f"plan-{k:02}" for k in range(10))
         assert f"{line}{names} and {n_plans - 10} more, in summary\n" in printed

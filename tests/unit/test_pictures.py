@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import repeat
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from petmjx.common.errors import InputError
 from petmjx.show.pictures.animation import h264_encoder
 from petmjx.show.pictures.box_colours import FIRST, colouring
 from petmjx.show.pictures.camera import VIEWS, framing, view_of
-from petmjx.show.pictures.draw_story import framed_points
+from petmjx.show.pictures.draw_story import PictureStyle, framed_points
 from petmjx.show.pictures.overlay import Overlay
 from petmjx.show.pictures.picture_options import Colour
 from petmjx.show.pictures.story_poses import poses_of_frame
@@ -53,10 +54,10 @@ def test_boxes_are_seen_where_the_camera_projects_them(view: str, tmp_path: Path
     petmjx.draw(story, tmp_path / "x.png", view=view, size=(400, 300), at="end")
     pixels = pixels_of(tmp_path / "x.png")
     assert pixels.shape == (300, 400, 3)
-    margins = Overlay(colouring(story, Colour.ARTICLE), (400, 300)).margins
-    camera = framing(framed_points(story, [20]), view_of(view), (400, 300), margins)
+    look = PictureStyle(colouring(story, Colour.ARTICLE), view_of(view), (400, 300))
+    camera = framing(framed_points(story, [20]), look.view, look.size, Overlay(look).margins)
     poses = poses_of_frame(story.history, 20)
-    colours = colouring(story, Colour.ARTICLE).of(poses)
+    colours = look.colours.of(poses)
     face = np.zeros(3)
     axis = int(np.abs(camera.forward).argmax())
     face[axis] = -np.sign(camera.forward[axis])
@@ -73,8 +74,8 @@ def test_the_first_box_is_outlined_and_ghosts_stand_where_boxes_were_planned(tmp
     pixels = pixels_of(tmp_path / "planned.png")
     red = np.abs(pixels - 255 * np.array(FIRST)).max(axis=2) < 40
     assert 150 < red.sum() < 4000
-    margins = Overlay(colouring(STORY, Colour.PLANNED), (400, 400)).margins
-    camera = framing(framed_points(STORY, [20]), VIEWS["front"], (400, 400), margins)
+    look = PictureStyle(colouring(STORY, Colour.PLANNED), VIEWS["front"], (400, 400))
+    camera = framing(framed_points(STORY, [20]), look.view, look.size, Overlay(look).margins)
     x, y = camera.project(np.array([[0.0, 0.0, 0.3]]))[0]
     beside = pixels[round(y), round(x) - 3 : round(x) + 4]
     assert (beside[:, 2] - beside[:, 0]).max() > 60, "a blue edge on the left of the planned place"
@@ -92,8 +93,9 @@ def test_arrows_are_drawn_in_transparent_boxes(tmp_path: Path) -> None:
 
 
 @needs_pictures()
-@pytest.mark.parametrize("lost", [np.nan, np.inf, 1e30], ids=str)
-@pytest.mark.parametrize("colour", list(Colour))
+@pytest.mark.parametrize(
+    ("colour", "lost"), [*((colour, np.nan) for colour in Colour), (Colour.SHIFT, np.inf), (Colour.SHIFT, 1e30)]
+)
 def test_boxes_that_are_nowhere_are_left_out(colour: Colour, lost: float, tmp_path: Path) -> None:
     """Worlds of which some boxes have no finite position can be drawn: the picture shows the other boxes."""
     pos, quat = STORY.history.pos.copy(), STORY.history.quat.copy()
@@ -190,9 +192,10 @@ def test_figures_have_their_labels_as_text(tmp_path: Path) -> None:
 
 @needs_pictures()
 def test_the_same_story_gives_the_same_files(tmp_path: Path) -> None:
+    options: dict[str, Any] = {"size": (100, 100), "at": "end", "fps": 4}
     for name in ("x.svg", "x.pdf", "x.gif"):
-        first = petmjx.draw(STORY, tmp_path / name, size=(100, 100))[0].read_bytes()
-        assert petmjx.draw(STORY, tmp_path / name, size=(100, 100))[0].read_bytes() == first
+        first = petmjx.draw(STORY, tmp_path / name, **options)[0].read_bytes()
+        assert petmjx.draw(STORY, tmp_path / name, **options)[0].read_bytes() == first
 
 
 @needs_pictures()

@@ -137,6 +137,17 @@ def test_plans_are_found_again_only_if_they_are_what_was_simulated(tmp_path: Pat
         open_runs([run], [tmp_path / "nowhere.json"])
 
 
+def test_the_article_that_failed_first_is_known_without_the_plan(tmp_path: Path) -> None:
+    plans = write_plans(tmp_path / "plans.json", ["a", "b", "c"], n_boxes=3)
+    outcomes = [fallen(plans[0], first=0), fallen(plans[1], first=1), standing(plans[2])]
+    run = write_run(tmp_path / "run", plans, outcomes)
+    for _ in range(2):
+        (opened,) = open_runs([run])
+        assert opened.worlds["first_article"].tolist() == [plans[0].articles[0], plans[1].articles[1], ""]
+        (tmp_path / "plans.json").unlink(missing_ok=True)
+    assert not opened.plan_files.plans
+
+
 def test_boxes_come_back_as_they_ended(run: Path) -> None:
     runs = open_runs([run])
     _, table = table_rows(runs)

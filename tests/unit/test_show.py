@@ -18,6 +18,7 @@ from support.outcomes import dropped_outcome, make_outcome, make_plan
 from support.stories import standing_story
 
 from petmjx.analysis.run_comparison import compare_runs
+from petmjx.cli.console import print_tables
 from petmjx.common.progress_texts import MARK_S, ProgressTexts
 from petmjx.common.text import count_text, printable, three_digits, time_left
 from petmjx.engines.verdict import Outcome
@@ -26,10 +27,10 @@ from petmjx.results.run_reader import load_run
 from petmjx.results.run_writer import RunWriter
 from petmjx.show.compare_tables import comparison_tables
 from petmjx.show.progress import ProgressLines, progress
-from petmjx.show.run_tables import SHOWN_SKIPPED, notes, run_tables, search_table, summary_table, worlds_table
+from petmjx.show.run_tables import notes, run_tables, search_table, summary_table, worlds_table
 from petmjx.show.story_tables import story_tables
 from petmjx.show.sweep_tables import MAX_VALUES, sweep_tables
-from petmjx.show.table_layout import FEW_ROWS, FittedTable, TableColumn, number, percent, print_renderables
+from petmjx.show.table_layout import FEW_ROWS, SHOWN_SKIPPED, FittedTable, TableColumn, number, percent
 
 LONG = "x" * 80 + "end"
 CHINESE = "纸箱托盘计划" * 8
@@ -39,7 +40,7 @@ def lines_of(renderables: RenderableType | Sequence[RenderableType], width: int 
     """The lines that are printed on a terminal of this width, in columns, without spaces at their ends."""
     file = io.StringIO()
     several = [*renderables] if isinstance(renderables, list) else [renderables]
-    print_renderables(several, Console(file=file, width=width))
+    print_tables(several, Console(file=file, width=width))
     return [line.rstrip() for line in file.getvalue().splitlines()]
 
 

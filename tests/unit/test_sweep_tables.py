@@ -10,16 +10,17 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
+from petmjx.cli.console import print_tables
 from petmjx.runs.hopeless_profiles import hopeless_profiles
 from petmjx.runs.sweep_file import load_sweep
 from petmjx.show.report.chart_frame import Frame, Scale
 from petmjx.show.report.charts import histogram
 from petmjx.show.sweep_tables import answers_table, laboratory_table, levels_table, turns_table
-from petmjx.show.table_layout import FittedTable, count_of, print_renderables
+from petmjx.show.table_layout import FittedTable, count_of
 
 
 def printed(table: FittedTable, capsys: pytest.CaptureFixture[str]) -> str:
-    print_renderables([table], Console(width=120))
+    print_tables([table], Console(width=120))
     return capsys.readouterr().out
 
 

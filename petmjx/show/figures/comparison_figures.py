@@ -13,7 +13,7 @@ from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name, shortened_text
 from petmjx.results.share_statistics import DEFAULT_CONFIDENCE
-from petmjx.show.figures.figure_style import POINTS, WIDTH_IN, draw_intervals, wrapped_sentences
+from petmjx.show.figures.figure_style import POINTS, WIDTH_IN, draw_intervals, new_figure, wrapped_sentences
 
 ROW_IN: Final = 0.26
 """Height of the row for a packer or for a pair of packers, inches."""
@@ -32,7 +32,6 @@ def draw_packers(comparison: PackerComparison) -> Any:
     Raises:
         InputError: no order is compared, or there are too many packers.
     """
-    from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     packers = comparison.packers[comparison.packers["size"] == ALL_SIZES].to_dict("records")
@@ -45,7 +44,7 @@ def draw_packers(comparison: PackerComparison) -> Any:
     text_in = LINE_IN * (sentences.count("\n") + 1) + 0.1
     chart_in = ROW_IN * max(len(packers), len(pairs), 2) + 0.75
     above = ConstrainedLayoutEngine(rect=(0, text_in / (chart_in + text_in), 1, chart_in / (chart_in + text_in)))
-    figure = Figure(figsize=(WIDTH_IN, chart_in + text_in), facecolor="white", layout=above)
+    figure = new_figure(WIDTH_IN, chart_in + text_in, above)
     left, right = figure.subplots(1, 2)
     draw_intervals(left, [printable_name(row["packer"]) for row in packers], *_percent_of(packers, "share"))
     left.set_xlabel(f"plans that stand, % of {count_text(int(packers[0]['n']), 'order')}")
@@ -81,12 +80,10 @@ def draw_criteria(results: CriteriaResults) -> Any:
     Raises:
         InputError: the criteria were not compared with a run.
     """
-    from matplotlib.figure import Figure
-
     if results.judged is None or not len(results.judged):
         raise InputError(f"no figure of these criteria: they were not compared with a run ({option('--run')})")
     judged = results.judged
-    figure = Figure(figsize=(WIDTH_IN, CRITERION_IN * len(judged) + 1.0), facecolor="white", layout="constrained")
+    figure = new_figure(WIDTH_IN, CRITERION_IN * len(judged) + 1.0)
     for axes, (name, label) in zip(figure.subplots(1, 3, sharey=True), PANELS, strict=True):
         draw_intervals(axes, judged["criterion"], *(judged[column] for column in (name, f"{name}_low", f"{name}_high")))
         axes.set_xlabel(label)

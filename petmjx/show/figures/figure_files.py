@@ -16,7 +16,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import printable
 from petmjx.results.run_reader import RunResults
 from petmjx.show.figures.comparison_figures import draw_criteria, draw_packers
-from petmjx.show.figures.figure_style import paper_style, write
+from petmjx.show.figures.figure_style import kind_of, paper_style, write
 from petmjx.show.figures.sweep_figures import draw_answers
 
 KINDS: Final = ("pdf", "svg", "png")
@@ -54,7 +54,7 @@ def figure(results: PackerComparison | CriteriaResults | RunResults, *files: str
         for path in paths:
             drawn = _drawn_figure(results)  # the figure is drawn again for each file, since writing a figure changes it
             with atomic_write(path) as temporary:
-                write(drawn, temporary, path.suffix.lower().removeprefix("."))
+                write(drawn, temporary, kind_of(path, KINDS))
     return paths
 
 
@@ -65,11 +65,9 @@ def check_figures(paths: list[Path]) -> None:
         InputError: a suffix is unknown, a path cannot be written, or matplotlib is missing.
     """
     for path in paths:
-        name = printable(str(path))
-        if path.suffix.lower().removeprefix(".") not in KINDS:
-            raise InputError(f"{name}: unknown ending; there are {', '.join(f'.{kind}' for kind in KINDS)}")
+        kind_of(path, KINDS)
         if importlib.util.find_spec("matplotlib") is None:
-            raise InputError(f"{name}: needs matplotlib, not installed: pip install 'petmjx[show]'")
+            raise InputError(f"{printable(str(path))}: needs matplotlib, not installed: pip install 'petmjx[show]'")
         check_writable(path)
 
 

@@ -13,6 +13,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from petmjx.common.errors import InputError
+from petmjx.common.text import printable
 from petmjx.show.pages.palette import OKABE_ITO
 
 WIDTH_IN: Final = 6.3
@@ -45,6 +47,18 @@ SETTINGS: Final[Any] = {
 _UNDATED: Final[dict[str, dict[str, Any]]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
 
 
+def kind_of(path: Path, kinds: Sequence[str]) -> str:
+    """The kind of a file, which its suffix determines.
+
+    Raises:
+        InputError: the suffix is not one of ``kinds``.
+    """
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in kinds:
+        raise InputError(f"{printable(str(path))}: unknown ending; there are {', '.join(f'.{one}' for one in kinds)}")
+    return kind
+
+
 @contextmanager
 def paper_style() -> Iterator[None]:
     """A context in which matplotlib has the settings of figures for papers."""
@@ -53,6 +67,13 @@ def paper_style() -> Iterator[None]:
     with rc_context(SETTINGS), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph", UserWarning)  # Matplotlib warns of characters that the font lacks
         yield
+
+
+def new_figure(width_in: float, height_in: float, layout: Any = "constrained") -> Any:
+    """An empty figure of matplotlib, which belongs to no window."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width_in, height_in), facecolor="white", layout=layout)
 
 
 def write(figure: Any, path: Path, kind: str, dots_per_inch: float = DOTS_PER_INCH) -> None:

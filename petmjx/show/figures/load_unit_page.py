@@ -30,7 +30,7 @@ from petmjx.results.run_reader import RunResults, is_chain
 from petmjx.results.share_statistics import ONE_PLAN
 from petmjx.runs.chain_legs import AS_IS, PLACING
 from petmjx.runs.chain_summary import WHOLE_WAY, arrivals
-from petmjx.show.figures.figure_style import draw_intervals, paper_style
+from petmjx.show.figures.figure_style import draw_intervals, new_figure, paper_style
 from petmjx.show.pages.palette import article_colours
 from petmjx.show.table_layout import percent
 from petmjx.world.film import film_of
@@ -102,9 +102,7 @@ def sentence(row: Mapping[Any, Any]) -> str:
 
 
 def _page(run: RunResults, plan: Plan, row: Mapping[Any, Any]) -> Any:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=A4_IN, facecolor="white")
+    figure = new_figure(*A4_IN, layout=None)
     figure.text(0.07, 0.96, printable(plan.plan_id), fontsize=15, fontweight="bold", va="top")
     figure.text(0.07, 0.935, "\n".join(textwrap.wrap(sentence(row), 88)), fontsize=10, va="top")
     for place, side in enumerate(SIDES):

@@ -13,7 +13,7 @@ from petmjx.common.text import count_text, printable, printable_name
 from petmjx.results.run_reader import RunResults
 from petmjx.results.share_statistics import ALL_PLANS, ONE_PLAN
 from petmjx.runs.chain_summary import arrivals
-from petmjx.show.figures.figure_style import COLOUR, POINTS, WIDTH_IN, draw_intervals
+from petmjx.show.figures.figure_style import COLOUR, POINTS, WIDTH_IN, draw_intervals, new_figure
 from petmjx.show.pages.palette import category
 
 PANEL_IN: Final = (3.1, 2.4)
@@ -139,11 +139,9 @@ def _plans(rows: pd.DataFrame, what: str = "stand") -> Any:
         rows: a row per plan, with its share of worlds and the interval of the share.
         what: what the counted worlds do, as a verb in the label of the axis: "stand" or "arrive".
     """
-    from matplotlib.figure import Figure
-
     if not len(rows) or len(rows) > MOST_PLANS:
         raise InputError(f"no figure of {count_text(len(rows), 'plan')}: a figure has room for 1 to {MOST_PLANS}")
-    figure = Figure(figsize=(WIDTH_IN, 0.2 * len(rows) + 0.7), facecolor="white", layout="constrained")
+    figure = new_figure(WIDTH_IN, 0.2 * len(rows) + 0.7)
     axes = figure.subplots()
     shares = (100 * rows[name] for name in ("share", "low", "high"))
     draw_intervals(axes, [printable_name(name) for name in rows["plan_id"]], *shares)
@@ -154,13 +152,10 @@ def _plans(rows: pd.DataFrame, what: str = "stand") -> Any:
 
 def _panels(count: int) -> tuple[Any, list[Any]]:
     """A figure and its ``count`` panels, two in each row."""
-    from matplotlib.figure import Figure
-
     if count > MOST_PANELS:
         raise InputError(f"no figure with {count} panels: {MOST_PANELS} fit at most")
     columns, rows = min(2, count), -(-count // 2)
-    size = (PANEL_IN[0] * columns, PANEL_IN[1] * rows)
-    figure = Figure(figsize=size, facecolor="white", layout="constrained")
+    figure = new_figure(PANEL_IN[0] * columns, PANEL_IN[1] * rows)
     every = list(np.ravel(figure.subplots(rows, columns, squeeze=False)))
     for axes in every[count:]:
         axes.set_axis_off()

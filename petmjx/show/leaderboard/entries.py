@@ -93,9 +93,8 @@ def pack_ours(orders: Path, folder: Path) -> dict[str, Path]:
     Raises:
         InputError: the orders cannot be read, or a file cannot be written.
     """
-    files = {name: folder / PLANS / f"{name}.json" for name in PACKERS}
+    files = {name: _plans_file(folder, name) for name in PACKERS}
     for name, file in files.items():
-        file.parent.mkdir(parents=True, exist_ok=True)
         write_plans(file, pack_orders(orders, packer=name, on_bad_order=lambda error: None))
     return files
 
@@ -141,10 +140,8 @@ def repair_entries(
     }
     files = {}
     for entry, name in names.items():
-        file = folder / PLANS / f"{entry}.json"
-        file.parent.mkdir(parents=True, exist_ok=True)
-        repair(paths[name], worlds=0, **repair_options).save(file)
-        files[entry] = file
+        files[entry] = _plans_file(folder, entry)
+        repair(paths[name], worlds=0, **repair_options).save(files[entry])
     return files
 
 
@@ -184,7 +181,13 @@ def keep_plans(entry: Entry, folder: Path) -> str:
     Returns the name of the file, or "" if no plans were found."""
     if not entry.plans:
         return ""
-    file = folder / PLANS / f"{entry.name}.json"
-    file.parent.mkdir(parents=True, exist_ok=True)
+    file = _plans_file(folder, entry.name)
     save_plans(list(entry.plans.values()), file)
     return file.name
+
+
+def _plans_file(folder: Path, name: str) -> Path:
+    """The file in a board's folder for the plans of an entry. The folder of the file is made if it does not exist."""
+    file = folder / PLANS / f"{name}.json"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    return file

@@ -90,6 +90,11 @@ class Sample:
         )
 
     @property
+    def differing(self) -> list[Replay]:
+        """The replays whose verdicts differ from the verdicts in the run."""
+        return [replay for replay in self.replays if replay.differs]
+
+    @property
     def refusal(self) -> str:
         """Why the entry is not rated, in one line; "" if it is rated.
 
@@ -101,7 +106,7 @@ class Sample:
         - At least two replays, near a threshold or not, have other verdicts than the run, and they are more than half
           of the replays.
         """
-        differing = [replay for replay in self.replays if replay.differs]
+        differing = self.differing
         firm = [replay for replay in differing if not replay.near]
         most = 2 * len(differing) > len(self.replays) and len(differing) > 1
         if not (self.fault or len(firm) > 1 or (firm and self.exact) or most):
@@ -123,7 +128,7 @@ class Sample:
     @property
     def note(self) -> str:
         """A line about verdicts that differ without refuting the run; "" if no verdict differs."""
-        differing = [replay.plan_id for replay in self.replays if replay.differs]
+        differing = [replay.plan_id for replay in self.differing]
         if not differing or self.refusal:
             return ""
         verb = "has" if len(differing) == 1 else "have"
@@ -135,8 +140,7 @@ class Sample:
 
     def to_dict(self) -> dict[str, Any]:
         """The sample as values for JSON."""
-        differing = [replay.plan_id for replay in self.replays if replay.differs]
-        plans = [replay.plan_id for replay in self.replays]
+        plans, differing = ([replay.plan_id for replay in some] for some in (self.replays, self.differing))
         return {"packer": self.packer, "engine": self.engine, "plans": plans, "differ": differing}
 
 
@@ -182,7 +186,7 @@ def sample_entry(
         values = rows[["verdict", "reason", "margin", "flags"]].loc[[name for name in chosen if name in rows.index]]
         replays = [Replay.judged(name, claimed[name], *value) for name, *value in values.itertuples()]
         sample = replace(sample, engine=used, exact=exact).with_replays(replays)
-        if not drawn or sample.refusal or not any(replay.differs for replay in sample.replays):
+        if not drawn or sample.refusal or not sample.differing:
             break
     return sample
 

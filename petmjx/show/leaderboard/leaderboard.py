@@ -20,7 +20,6 @@ from petmjx.common.argument_checks import flag_of, integer_of, list_of, path_of
 from petmjx.common.atomic_write import atomic_write, write_errors
 from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
-from petmjx.common.text import printable, printable_name
 from petmjx.engines.verdict import Verdict
 from petmjx.options.confidence import Confidence
 from petmjx.options.run_options import RunOptions
@@ -42,7 +41,7 @@ from petmjx.show.leaderboard.entries import (
     repaired_names,
 )
 from petmjx.show.leaderboard.entry_replays import Replay, Sample, sample_entry
-from petmjx.show.leaderboard.leaderboard_files import ORDERS, PAGE, PLANS, RUNS, STORIES, BoardFolder, names_of
+from petmjx.show.leaderboard.leaderboard_files import ORDERS, PAGE, PLANS, RUNS, STORIES, BoardFolder
 from petmjx.show.leaderboard.leaderboard_page import Board, StoryEntry, board_page
 from petmjx.show.pages.story_page import story_page
 
@@ -116,9 +115,8 @@ def leaderboard(
     keeps_orders = source is not None and not _is_same(source, folder / ORDERS)
     repaired = repaired_names(list_of(repairs, "repairs", str, "names of packers"), paths)
     packed = [*(PACKERS if baselines else ()), *paths, *repaired]
-    names = names_of(packed, stories, keeps_orders)
     read = input_files(paths, source if keeps_orders else None)
-    files_of_board = BoardFolder(folder, packed, names, read, overwrite)
+    files_of_board = BoardFolder(folder, packed, stories, keeps_orders, read, overwrite)
     if len(packed) < 2:
         raise InputError(f"give at least two packers to rate, or one with {option('--baselines')}")
     with write_errors(folder):
@@ -266,8 +264,3 @@ def worth_telling(comparison: PackerComparison, packer: str, plans: Mapping[str,
     group = np.where(mine["plan_id"].isin(lost), 0, np.where(falls, 1, other_rank))
     order = mine.assign(group=group, large=-mine["boxes"].fillna(0))
     return [str(name) for name in order.sort_values(["group", "large", "plan_id"])["plan_id"]]
-
-
-def board_line(page: Path) -> str:
-    """The last line that ``petmjx leaderboard`` prints. ``page``: path of the leaderboard's ``index.html``."""
-    return f"leaderboard in {printable(str(page.parent))}: open {printable_name(page.name)}"

@@ -3,8 +3,9 @@ that they may be replaced."""
 
 from __future__ import annotations
 
+import itertools
 import json
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
@@ -35,27 +36,14 @@ _NO_FILE: Final = ".none"
 files in the folder of a run."""
 
 
-def names_of(packers: Collection[str], stories: int, orders: bool) -> list[str]:
-    """The files that a board may have besides the files of its runs, as paths relative to the board's folder.
-
-    Args:
-        packers: names of the packers.
-        stories: largest number of stories per packer.
-        orders: whether the board has a file of orders.
-    """
-    pages = [
-        f"{STORIES}/{packer}-{story}.html" for packer in range(1, len(packers) + 1) for story in range(1, stories + 1)
-    ]
-    return [PAGE, DATA, *([ORDERS] if orders else ()), *(f"{PLANS}/{name}.json" for name in packers), *pages]
-
-
 class BoardFolder:
     """The folder of a leaderboard while it is being made.
 
     Args:
         folder: the folder. :meth:`begin` creates it if it does not exist.
         packers: names of the packers.
-        names: the files that may be written, from :func:`names_of`.
+        stories: largest number of stories per packer.
+        orders: whether a file of orders is written.
         inputs: files and folders that are read.
         overwrite: whether to replace an existing board. An unfinished board is continued even if ``overwrite`` is
             False.
@@ -69,9 +57,21 @@ class BoardFolder:
     """
 
     def __init__(
-        self, folder: Path, packers: Collection[str], names: Collection[str], inputs: Iterable[Path], overwrite: bool
+        self,
+        folder: Path,
+        packers: Sequence[str],
+        stories: int,
+        orders: bool,
+        inputs: Iterable[Path],
+        overwrite: bool,
     ) -> None:
-        self._folder, self._names, self._inputs = folder, list(names), list(inputs)
+        pages = itertools.product(range(1, len(packers) + 1), range(1, stories + 1))
+        self._names = [
+            *(PAGE, DATA, *([ORDERS] if orders else ())),
+            *(f"{PLANS}/{name}.json" for name in packers),
+            *(f"{STORIES}/{packer}-{story}.html" for packer, story in pages),
+        ]
+        self._folder, self._inputs = folder, list(inputs)
         self._runs = [f"{RUNS}/{name}/{_NO_FILE}" for name in packers]
         check_folder(folder)
         before = _board_in(folder)

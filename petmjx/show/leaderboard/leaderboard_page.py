@@ -19,9 +19,9 @@ from petmjx.show.leaderboard.entries import Entry
 from petmjx.show.leaderboard.entry_replays import Sample
 from petmjx.show.leaderboard.leaderboard_files import ORDERS, PLANS
 from petmjx.show.pages.html_page import page
+from petmjx.show.pages.markup import Content, Markup, element, joined_markup, table
 from petmjx.show.report.chart_frame import figure
 from petmjx.show.report.charts import interval_text, intervals, percent
-from petmjx.show.report.markup import Content, Markup, element, joined_markup, table
 from petmjx.show.report.run_settings import changed_options
 from petmjx.version import __version__
 

@@ -3,14 +3,15 @@ readings."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 from petmjx.common.text import count_text, shortened_text
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.readings import ROTATION_RULES
-from petmjx.show.pages.html_page import escaped_html, page
+from petmjx.show.pages.html_page import page
+from petmjx.show.pages.markup import Content, Markup, element, joined_markup
 from petmjx.show.pages.still_svg import plan_svg
 from petmjx.version import __version__
 
@@ -40,6 +41,12 @@ _WORDS: Final = {
 }
 """Name of a field of ``Reading`` → value → description of the value."""
 
+_INTRODUCTION: Final = Markup(
+    "Pictures show plans as they were read, before anything is simulated. Left is −x, front −y. If a picture is wrong, "
+    "say how the file is to be read: <code>--units</code>, <code>--anchor</code>, <code>--up</code>, "
+    "<code>--sizes</code>, <code>--columns</code>."
+)
+
 
 def reading_page(plan_set: PlanSet, infos: Sequence[Mapping[str, Any]]) -> str:
     """The text of an offline HTML file that shows how files are read.
@@ -47,95 +54,89 @@ def reading_page(plan_set: PlanSet, infos: Sequence[Mapping[str, Any]]) -> str:
     Args:
         infos: one record per file, from ``petmjx.show.file_info.file_infos``.
     """
-    sections = "".join(
-        _section(record, [plan for plan in plan_set if plan.source == record["file"]]) for record in infos
-    )
-    body = (
-        "<header><h1>How the files were read</h1>"
-        '<p class="small faint">Pictures show plans as they were read, before anything is simulated. '
-        "Left is −x, front −y. If a picture is wrong, say how the file is to be read: "
-        "<code>--units</code>, <code>--anchor</code>, <code>--up</code>, <code>--sizes</code>, "
-        "<code>--columns</code>.</p></header>"
-        f'<main>{sections}</main><footer class="small faint">petmjx {escaped_html(__version__)}</footer>'
+    sections = [_section(record, [plan for plan in plan_set if plan.source == record["file"]]) for record in infos]
+    body = joined_markup(
+        element("header", element("h1", "How the files were read"), element("p", _INTRODUCTION, class_="small faint")),
+        element("main", *sections),
+        element("footer", f"petmjx {__version__}", class_="small faint"),
     )
     title = shortened_text(infos[0]["file"]) if len(infos) == 1 else count_text(len(infos), "file")
     return page(f"{title}: how it was read", body, script="", styles=("reading.css",))
 
 
-def _section(record: Mapping[str, Any], plans: Sequence[Plan]) -> str:
+def _section(record: Mapping[str, Any], plans: Sequence[Plan]) -> Markup:
     """The section about one file."""
     counts = f"{count_text(record['plans'], 'plan')}, {count_text(record['boxes'], 'box', 'boxes')}"
-    pictures = "".join(_picture(plan) for plan in plans[:_MOST_PICTURES])
     n_more = len(plans) - _MOST_PICTURES
-    also = f'<p class="faint small">{count_text(n_more, "more plan")}</p>' if n_more > 0 else ""
     reading = record["reading"]
-    return (
-        f"<section><h2>{escaped_html(record['file'])}</h2><p>{escaped_html(record['form'])}; {counts}</p>"
-        f"{_notes(reading['notes'] if reading else ())}"
-        f'<div class="sides">{pictures}{_conventions(reading) if reading else ""}</div>{also}'
-        f"{_columns(reading) if reading else ''}"
-        f"{_first_boxes(plans[0]) if plans else ''}"
-        f"{_lines('What is odd', record['odd'])}{_lines('What was skipped', record['skipped'])}</section>"
+    return element(
+        "section",
+        element("h2", record["file"]),
+        element("p", f"{record['form']}; {counts}"),
+        *(element("p", note, class_="note") for note in (reading["notes"] if reading else ())),
+        element(
+            "div", *map(_picture, plans[:_MOST_PICTURES]), _conventions(reading) if reading else None, class_="sides"
+        ),
+        element("p", count_text(n_more, "more plan"), class_="faint small") if n_more > 0 else None,
+        *(_columns(reading) if reading else ()),
+        *(_first_boxes(plans[0]) if plans else ()),
+        *_lines("What is odd", record["odd"]),
+        *_lines("What was skipped", record["skipped"]),
     )
 
 
-def _picture(plan: Plan) -> str:
+def _picture(plan: Plan) -> Markup:
     size = " × ".join(f"{length:,.0f}" for length in (plan.corner_mm + plan.size_mm).max(axis=0))
     caption = f"{plan.plan_id}: {count_text(plan.n_boxes, 'box', 'boxes')}, {size} mm, {plan.mass_kg.sum():,.1f} kg"
-    return f"<figure><figcaption><b>{escaped_html(caption)}</b></figcaption>{plan_svg(plan)}</figure>"
+    return element("figure", element("figcaption", element("b", caption)), plan_svg(plan))
 
 
-def _conventions(reading: Mapping[str, Any]) -> str:
+def _conventions(reading: Mapping[str, Any]) -> Markup:
     """The section about units, axes and rotations."""
     facts = [(_FACTS[name], _WORDS.get(name, {}).get(reading[name], reading[name])) for name in _FACTS]
     facts.append(("sizes along x, y, z", ", ".join(reading["along"])))
     facts.append(("evidence", reading["evidence"]))
-    return f"<div><h3>Units and axes</h3>{_table(('', 'read as'), facts)}</div>"
+    return element("div", element("h3", "Units and axes"), _table(("", "read as"), facts))
 
 
-def _columns(reading: Mapping[str, Any]) -> str:
-    """The section about the columns of the file, and about other possible readings."""
-    html = f"<h3>Columns</h3>{_table(('in petmjx', 'in the file'), reading['columns'].items())}"
+def _columns(reading: Mapping[str, Any]) -> Iterator[Markup]:
+    """The columns of the file, and other possible readings."""
+    yield element("h3", "Columns")
+    yield _table(("in petmjx", "in the file"), reading["columns"].items())
     if reading["unused"]:
-        html += f"<p>Not used: {escaped_html(', '.join(reading['unused']))}</p>"
+        yield element("p", f"Not used: {', '.join(reading['unused'])}")
     if reading["alternatives"]:
+        yield element("h3", "Other readings")
         rows = [
             (other["line"].removeprefix("read as "), other["evidence"], f"{other['cost']:.2f}")
             for other in reading["alternatives"]
         ]
-        html += f"<h3>Other readings</h3>{_table(('reading', 'evidence', 'less plausible by'), rows)}"
-    return html
+        yield _table(("reading", "evidence", "less plausible by"), rows)
 
 
-def _first_boxes(plan: Plan) -> str:
+def _first_boxes(plan: Plan) -> Iterator[Markup]:
     """A table of the first boxes of a plan, as petmjx reads them."""
+    yield element("h3", f"The first boxes of {plan.plan_id}")
     rows = [
         (box, plan.articles[box], _lengths(plan.size_mm[box]), _lengths(plan.corner_mm[box]), f"{plan.mass_kg[box]:g}")
         for box in range(min(plan.n_boxes, _MOST_BOXES))
     ]
-    heads = ("box", "article", "size along x, y, z, mm", "corner, mm", "mass, kg")
-    return f"<h3>The first boxes of {escaped_html(plan.plan_id)}</h3>{_table(heads, rows)}"
+    yield _table(("box", "article", "size along x, y, z, mm", "corner, mm", "mass, kg"), rows)
 
 
 def _lengths(values: Iterable[float]) -> str:
     return ", ".join(f"{value:.7g}" for value in values)
 
 
-def _notes(notes: Sequence[str]) -> str:
-    return "".join(f'<p class="note">{escaped_html(note)}</p>' for note in notes)
+def _lines(title: str, lines: Sequence[str]) -> Iterator[Markup]:
+    if lines:
+        yield element("h3", title)
+        items: list[Content] = [element("li", line) for line in lines[:_MOST_LINES]]
+        items += [element("li", f"{len(lines) - _MOST_LINES:,} more")] if len(lines) > _MOST_LINES else []
+        yield element("ul", *items)
 
 
-def _lines(title: str, lines: Sequence[str]) -> str:
-    if not lines:
-        return ""
-    items = "".join(f"<li>{escaped_html(line)}</li>" for line in lines[:_MOST_LINES])
-    more_item = f"<li>{len(lines) - _MOST_LINES:,} more</li>" if len(lines) > _MOST_LINES else ""
-    return f"<h3>{title}</h3><ul>{items}{more_item}</ul>"
-
-
-def _table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    head = "".join(f'<th scope="col">{escaped_html(name)}</th>' for name in heads)
-    cells = "".join(
-        "<tr>" + "".join(f'<td class="text">{escaped_html(value)}</td>' for value in row) + "</tr>" for row in rows
-    )
-    return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{cells}</tbody></table></div>'
+def _table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> Markup:
+    head = element("tr", *(element("th", name, scope="col") for name in heads))
+    lines = [element("tr", *(element("td", str(value), class_="text") for value in row)) for row in rows]
+    return element("div", element("table", element("thead", head), element("tbody", *lines)), class_="wide")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,8 @@ from petmjx.common.atomic_write import atomic_write
 from petmjx.common.text import count_text, shortened_text
 from petmjx.options.simulation import Simulation
 from petmjx.repairs.repair import Repaired, Repairs
-from petmjx.show.pages.html_page import escaped_html, page
+from petmjx.show.pages.html_page import page
+from petmjx.show.pages.markup import Markup, element, joined_markup
 from petmjx.show.pages.still_svg import still_svg
 from petmjx.show.repair_tables import margin_text, share_text
 from petmjx.version import __version__
@@ -37,25 +39,29 @@ def repair_page(repairs: Repairs) -> str:
     """
     fell = [repaired for repaired in repairs.each if not repaired.trial_before.stands]
     standing = len(repairs.each) - len(fell)
-    also = (
-        f"<p>{count_text(standing, 'plan stands as it is', 'plans stand as they are')}.</p>"
-        if standing and fell
-        else ""
-    )
+    also = f"{count_text(standing, 'plan stands as it is', 'plans stand as they are')}."
     frame = f" {repairs.frame[0].upper()}{repairs.frame[1:]}." if repairs.frame else ""
-    body = (
-        f"<header><h1>Repairs</h1><p>{escaped_html(repairs.summary)}.</p>{also}"
-        '<p class="small faint">In both plans, boxes have the numbers of the original plan, from 0. '
-        "Left is −x, front −y. The first box to fail, and the boxes that are changed, are outlined. Boxes "
-        f"that the text names have their numbers, in parentheses if other boxes hide them.{frame}</p></header><main>"
-        f"{''.join(_section(repaired, dict(repairs.how or {})) for repaired in fell)}</main>"
-        f'<footer class="small faint">petmjx {escaped_html(__version__)}; units mm, kg</footer>'
+    how_to_read = (
+        "In both plans, boxes have the numbers of the original plan, from 0. Left is −x, front −y. The first box to "
+        "fail, and the boxes that are changed, are outlined. Boxes that the text names have their numbers, in "
+        f"parentheses if other boxes hide them.{frame}"
+    )
+    body = joined_markup(
+        element(
+            "header",
+            element("h1", "Repairs"),
+            element("p", f"{repairs.summary}."),
+            element("p", also) if standing and fell else None,
+            element("p", how_to_read, class_="small faint"),
+        ),
+        element("main", *(_section(repaired, dict(repairs.how or {})) for repaired in fell)),
+        element("footer", f"petmjx {__version__}; units mm, kg", class_="small faint"),
     )
     title = shortened_text(fell[0].before.plan_id) if len(fell) == 1 else "repairs"
     return page(f"{title}: before and after", body, script="", styles=("repair.css",))
 
 
-def _section(repaired: Repaired, how: dict[str, Any]) -> str:
+def _section(repaired: Repaired, how: dict[str, Any]) -> Markup:
     """The section about one plan: its pictures and its changes."""
     before = simulated_story(repaired.before, details=False, **how)
     culprit = before.outcome.culprit
@@ -67,16 +73,22 @@ def _section(repaired: Repaired, how: dict[str, Any]) -> str:
             how = {**how, "wrap": Simulation(**how).wrap.changed(turns=repaired.film_turns)}
         after = simulated_story(repaired.plan, details=False, **how)
         marked = {row for row, box in enumerate(numbers) if box in changed}
-        pictures = _picture("before", before, still_svg(before, {culprit}, None, named, [after]))
-        pictures += _picture("after", after, still_svg(after, marked, numbers, named, [before]))
+        pictures = (
+            _picture("before", before, still_svg(before, {culprit}, None, named, [after])),
+            _picture("after", after, still_svg(after, marked, numbers, named, [before])),
+        )
     else:
-        pictures = _picture("before", before, still_svg(before, {culprit}, None, named))
-        pictures += '<figure><figcaption class="note">No repair is known.</figcaption></figure>'
-    changes = "".join(f"<li>{escaped_html(words)}</li>" for words in repaired.words)
-    title = escaped_html(repaired.before.plan_id)
-    return (
-        f'<section><h2>Plan {title}</h2><div class="sides">{pictures}</div>'
-        f"<h3>{escaped_html(_heading(repaired))}</h3><ol>{changes}</ol>{_facts(repaired)}</section>"
+        pictures = (
+            _picture("before", before, still_svg(before, {culprit}, None, named)),
+            element("figure", element("figcaption", "No repair is known.", class_="note")),
+        )
+    return element(
+        "section",
+        element("h2", f"Plan {repaired.before.plan_id}"),
+        element("div", *pictures, class_="sides"),
+        element("h3", _heading(repaired)),
+        element("ol", *(element("li", words) for words in repaired.words)),
+        _facts(repaired),
     )
 
 
@@ -98,16 +110,15 @@ def _numbers(repaired: Repaired) -> list[int]:
     return list(draft.order)
 
 
-def _picture(title: str, story: Story, svg: str) -> str:
-    verdict = escaped_html(story.outcome.verdict.value)
+def _picture(title: str, story: Story, svg: Markup) -> Markup:
+    verdict = story.outcome.verdict.value
+    badge = element("span", verdict, class_=f"badge {verdict}")
     words = first_box_in_words(story) or f"{reason_in_words(story).capitalize()}."
-    return (
-        f'<figure><figcaption><b>{title}</b> <span class="badge {verdict}">{verdict}</span></figcaption>'
-        f'{svg}<p class="small">{escaped_html(words)}</p></figure>'
-    )
+    caption = element("figcaption", element("b", title), " ", badge)
+    return element("figure", caption, svg, element("p", words, class_="small"))
 
 
-def _facts(repaired: Repaired) -> str:
+def _facts(repaired: Repaired) -> Markup:
     """A line with the cost of the repair, the margin, the shares of worlds with errors in which the plan stands, and
     the number of plans that were simulated."""
     facts = [("cost", f"{repaired.cost:.2f}")] if repaired.stands else []
@@ -118,4 +129,5 @@ def _facts(repaired: Repaired) -> str:
     facts.append(("plans simulated", f"{repaired.n_trials:,}"))
     if repaired.doubt:
         facts.append(("without a verdict", repaired.doubt))
-    return f'<p class="small faint">{"; ".join(f"{name} <b>{escaped_html(text)}</b>" for name, text in facts)}</p>'
+    words = [(f"{'; ' * (number > 0)}{name} ", element("b", text)) for number, (name, text) in enumerate(facts)]
+    return element("p", *itertools.chain(*words), class_="small faint")

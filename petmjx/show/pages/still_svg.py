@@ -17,6 +17,7 @@ from petmjx.common.units import FloatArray
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.show.pages.html_page import escaped_html
+from petmjx.show.pages.markup import Markup
 from petmjx.show.pages.palette import article_colours, hex_of, look, rgb_of
 from petmjx.show.pages.story_data import framed_corners
 from petmjx.world.rotation import corners, rotations
@@ -52,7 +53,7 @@ def still_svg(
     numbers: Sequence[int] | None = None,
     numbered: Collection[int] = (),
     beside: Sequence[Story] = (),
-) -> str:
+) -> Markup:
     """The last frame of a story (the simulation of one plan) as SVG.
 
     Args:
@@ -96,7 +97,7 @@ def _last_frame(story: Story) -> tuple[_Blocks, _Blocks, list[int]]:
     return placed, scene.carrier.shapes_at(carrier_pos, carrier_quat), shown.tolist()
 
 
-def plan_svg(plan: Plan) -> str:
+def plan_svg(plan: Plan) -> Markup:
     """An SVG picture of a plan with all boxes at their planned places, on its carrier. Nothing is simulated."""
     scene = build_scene(plan, Simulation(size_reduction_mm=0.0))
     numbers = list(range(plan.n_boxes))
@@ -123,7 +124,7 @@ def _svg(
     label: str,
     extents: Sequence[FloatArray] = (),
     numbered: Collection[int] = (),
-) -> str:
+) -> Markup:
     """The boxes of a plan and the boards of its carrier as SVG.
 
     Args:
@@ -161,7 +162,7 @@ def _svg(
         if k < len(shown) and numbers[k] in numbered:
             nearer = [other for other in order[at + 1 :] if other not in walls]
             parts.append(_number(str(numbers[k]), flat, axes, k, nearer))
-    return (
+    return Markup(
         f'<svg viewBox="0 0 {_WIDTH:.0f} {height:.0f}" role="img" aria-label="{escaped_html(label)}" '
         f'stroke="#1b1815" stroke-width="1" stroke-linejoin="round">{"".join(parts)}</svg>'
     )

@@ -16,6 +16,7 @@ from petmjx.analysis.story import Story, tell
 from petmjx.analysis.story_in_words import first_box_in_words, how_it_was_simulated, notes_in_words, reason_in_words
 from petmjx.common.text import count_text, shortened_text
 from petmjx.show.pages.html_page import escaped_html, filled_template, page
+from petmjx.show.pages.markup import Markup, element, joined_markup
 from petmjx.show.pages.still_svg import still_svg
 from petmjx.show.pages.story_data import story_blocks, story_info
 from petmjx.version import __version__
@@ -40,9 +41,9 @@ def story_page(story: Story) -> str:
         summary=escaped_html(_summary(story)),
         first=escaped_html(first_box_in_words(story)),
         variant=f"variant {story.variant}" if story.values else "",
-        note="".join(f'<p class="note">{escaped_html(note)}</p>' for note in _notes(story)),
+        note=joined_markup(*(element("p", note, class_="note") for note in _notes(story))),
         still=still_svg(story),
-        facts="".join(f"<span>{escaped_html(name)} <b>{escaped_html(value)}</b></span>" for name, value in facts),
+        facts=joined_markup(*(element("span", f"{name} ", element("b", value)) for name, value in facts)),
         table=_table(story, info["boxes"]),
         boxes=count_text(plan.n_boxes, "box", "boxes"),
         end=f"{story.history.time_s[-1]:.2f}",
@@ -101,24 +102,19 @@ _COLUMNS = (
 forces turns -0.0 into 0.0."""
 
 
-def _table(story: Story, boxes: dict[str, Any]) -> str:
+def _table(story: Story, boxes: dict[str, Any]) -> Markup:
     """The HTML table with one row per box."""
-    heads = ['<th scope="col">box</th>', '<th scope="col" class="text">article</th>']
-    heads += ['<th scope="col" class="text">item</th>', '<th scope="col">size, mm</th>']
-    heads += [f'<th scope="col">{title}</th>' for _, title, _ in _COLUMNS]
+    titles = ("box", "article", "item", "size, mm", *(title for _, title, _ in _COLUMNS))
+    texts = ("article", "item")
+    heads = [element("th", title, scope="col", class_="text" if title in texts else None) for title in titles]
     rows = []
     for box in range(story.plan.n_boxes):
-        size = " × ".join(f"{length:g}" for length in boxes["size_mm"][box])
-        cells = [f'<th scope="row">{box}</th>', *(_text(boxes[name][box]) for name in ("article", "item"))]
-        cells.append(f"<td>{size}</td>")
-        cells += [f"<td>{_number(boxes[name][box], form)}</td>" for name, _, form in _COLUMNS]
-        mark = ' class="first"' if box == story.outcome.culprit else ""
-        rows.append(f"<tr{mark}>{''.join(cells)}</tr>")
-    return f"<table><thead><tr>{''.join(heads)}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
-
-
-def _text(value: str) -> str:
-    return f'<td class="text">{escaped_html(value)}</td>'
+        cells = [element("td", boxes[name][box], class_="text") for name in texts]
+        cells.append(element("td", " × ".join(f"{length:g}" for length in boxes["size_mm"][box])))
+        cells += [element("td", _number(boxes[name][box], form)) for name, _, form in _COLUMNS]
+        mark = "first" if box == story.outcome.culprit else None
+        rows.append(element("tr", element("th", str(box), scope="row"), *cells, class_=mark))
+    return element("table", element("thead", element("tr", *heads)), element("tbody", *rows))
 
 
 def _number(value: float, form: str) -> str:

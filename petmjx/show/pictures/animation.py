@@ -20,15 +20,12 @@ from petmjx.analysis.story import Story
 from petmjx.common.errors import InputError
 from petmjx.common.text import one_line
 from petmjx.show.pictures.camera import framing
-from petmjx.show.pictures.draw_story import Painter, framed_points
+from petmjx.show.pictures.draw_story import Painter, PictureStyle, framed_points
 from petmjx.show.pictures.overlay import Overlay
-from petmjx.show.pictures.still_pictures import PictureStyle
 from petmjx.show.pictures.story_poses import poses_at
 
 if TYPE_CHECKING:
     from PIL.Image import Image
-
-Progress = Callable[[int], None]
 
 HELD_S: Final = 2.0
 """Time for which a film shows its last frame, s."""
@@ -67,15 +64,15 @@ def spread_times(story: Story) -> list[float]:
     return sorted([first + share * (last - first) for share in (0.25, 0.5, 0.75, 1.0)] + signs)
 
 
-def film_frames(story: Story, look: PictureStyle, speed: float, times: list[float]) -> Iterator[Image]:
+def film_frames(look: PictureStyle, speed: float, times: list[float]) -> Iterator[Image]:
     """The pictures of a film at the given times, s. The camera does not move, and shows the whole story."""
-    count = len(story.history.time_s)
+    count = len(look.story.history.time_s)
     framed_numbers = {*range(0, count, math.ceil(count / MOST_FRAMED)), count - 1}
-    overlay = Overlay(look.colours, look.size, speed, look.arrows)
-    camera = framing(framed_points(story, sorted(framed_numbers)), look.view, look.size, overlay.margins)
-    with Painter(look.colours, look.size, look.line_px(), look.newtons_per_m) as painter:
+    overlay = Overlay(look, speed)
+    camera = framing(framed_points(look.story, sorted(framed_numbers)), look.view, look.size, overlay.margins)
+    with Painter(look) as painter:
         for time_s in times:
-            poses = poses_at(story.history, time_s)
+            poses = poses_at(look.story.history, time_s)
             yield overlay.on(painter.picture(poses, camera), poses, camera)
 
 
@@ -95,10 +92,9 @@ def palette_of(frames: Iterable[Image]) -> Image:
     return palette
 
 
-def write_gif(
-    frames: Iterator[Image], path: Path, palette: Image, fps: float, progress: Progress | None = None
-) -> None:
-    """Write a film that repeats. Each frame contains only the pixels that change, which keeps the file small.
+def write_gif(frames: Iterator[Image], count: int, path: Path, palette: Image, fps: float) -> None:
+    """Write a film of ``count`` frames that repeats. Each frame contains only the pixels that change, which keeps the
+    file small.
 
     GIF stores durations of frames in hundredths of a second. The durations are rounded so that their sum is right.
     """
@@ -108,9 +104,9 @@ def write_gif(
     previous: NDArray[np.uint8] | None = None
     shown = 0
     with path.open("wb") as file:
-        for number, (frame, last) in enumerate(_with_last(frames)):
+        for number, frame in enumerate(frames, start=1):
             pixels = _colour_indices(frame, palette)
-            until = round(100 * (number + 1) / fps) + (round(100 * HELD_S) if last else 0)
+            until = round(100 * number / fps) + (round(100 * HELD_S) if number == count else 0)
             wait, shown = 10 * (until - shown), until
             if previous is None:
                 first = Image.fromarray(pixels)
@@ -122,14 +118,10 @@ def write_gif(
                 part, offset = _changes(previous, pixels)
                 file.writelines(getdata(part, offset, duration=wait, disposal=1, transparency=GIF_COLOURS))
             previous = pixels
-            if progress is not None:
-                progress(number + 1)
         file.write(b";")
 
 
-def write_mp4(
-    frames: Iterator[Image], path: Path, size: tuple[int, int], fps: float, progress: Progress | None = None
-) -> None:
+def write_mp4(frames: Iterator[Image], path: Path, size: tuple[int, int], fps: float) -> None:
     """Write a film in H.264, which all browsers and office programs can play. The width and the height must be even.
 
     Raises:
@@ -137,11 +129,11 @@ def write_mp4(
     """
     try:
         with h264_encoder(path, size, fps) as add:
-            for number, (frame, last) in enumerate(_with_last(frames)):
-                for _ in range(1 + (round(HELD_S * fps) if last else 0)):
-                    add(frame.tobytes())
-                if progress is not None:
-                    progress(number + 1)
+            for frame in frames:
+                pixels = frame.tobytes()
+                add(pixels)
+            for _ in range(round(HELD_S * fps)):
+                add(pixels)
     except (RuntimeError, OSError) as error:
         full = os.strerror(errno.ENOSPC)  # ffmpeg is a process of its own, and reports a full disk in its output
         fault = f"cannot be written: {full}" if full in str(error) else f"the film cannot be encoded: {one_line(error)}"
@@ -235,14 +227,3 @@ def _changes(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> tuple[Image
     box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
     part = Image.fromarray(np.where(changed[box], after[box], GIF_COLOURS).astype(np.uint8))
     return part, (int(columns[0]), int(rows[0]))
-
-
-def _with_last(frames: Iterator[Image]) -> Iterator[tuple[Image, bool]]:
-    """Yield each frame, and whether it is the last frame."""
-    waiting = next(frames, None)
-    for frame in frames:
-        assert waiting is not None
-        yield waiting, False
-        waiting = frame
-    if waiting is not None:
-        yield waiting, True

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -16,6 +15,7 @@ from petmjx.common.units import FloatArray
 from petmjx.show.pages.palette import RAMP_COLOURS, Rgb, article_colours, ramp, rgb_of
 from petmjx.show.pictures.picture_options import Colour
 from petmjx.show.pictures.story_poses import Poses, shift_mm, tilts_deg
+from petmjx.show.report.chart_frame import round_up
 
 FIRST: Final[Rgb] = (0.80, 0.0, 0.0)
 """Colour of the outline of the first box to fail."""
@@ -110,12 +110,8 @@ def _scale(story: Story, colour: Colour) -> Scale:
     if colour is Colour.TILT:
         return Scale("tilt, °", 0.0, 2 * limits.tilt_deg, True)
     if colour is Colour.FORCE:
-        return Scale(
-            "force on top, N",
-            0.0,
-            round_up(_usual_force(story), (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)),
-            True,
-        )
+        steps = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+        return Scale("force on top, N", 0.0, round_up(_usual_force(story), steps), True)
     return Scale("order of placement", 0.0, float(max(story.plan.n_boxes - 1, 1)), False)
 
 
@@ -126,13 +122,6 @@ def _usual_force(story: Story) -> float:
     rest_force_n = story.outcome.boxes.rest_top_force_n
     usual = float(np.quantile(forces, 0.98)) if len(forces) else 0.0
     return max(usual, float(np.nanmax(rest_force_n)) if np.isfinite(rest_force_n).any() else 0.0, 1.0)
-
-
-def round_up(value: float, steps: tuple[float, ...] = (1.0, 2.0, 5.0, 10.0)) -> float:
-    """The smallest number of the form step × 10ⁿ that is not below ``value``, where step is one of ``steps``. ``value``
-    must be positive."""
-    power = 10.0 ** math.floor(math.log10(value))
-    return next(step * power for step in steps if step * power >= value * (1 - 1e-9))
 
 
 def ramp_colours(shares: FloatArray) -> NDArray[np.float64]:

@@ -14,9 +14,9 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray, deg_to_rad
 
-FIELD_OF_VIEW_DEG: Final = 24.0
-"""Vertical angle of view, as with a 56 mm lens on 24 × 36 mm film. With so small an angle, vertical edges look nearly
-parallel."""
+TANGENT: Final = math.tan(deg_to_rad(12.0))
+"""Tangent of half the vertical angle of view, which is 24°, as with a 56 mm lens on 24 × 36 mm film. With so small an
+angle, vertical edges look nearly parallel."""
 
 NEAREST_M: Final = 0.3
 """Smallest distance from the camera to a framed point, m."""
@@ -94,16 +94,11 @@ class Camera:
         """The same camera with a picture that is larger by a factor."""
         return replace(self, width=factor * self.width, height=factor * self.height)
 
-    @property
-    def tangent(self) -> float:
-        """Tangent of half the vertical angle of view."""
-        return _half_angle_tangent()
-
     def project(self, points: FloatArray) -> FloatArray:
         """(k, 2) places of (k, 3) points in the picture, px, to the right and downwards from the upper left corner. All
         points must be in front of the camera."""
         x, y, z = _along((self.right, self.up, self.forward), points - self.pos)
-        scale = self.height / (2 * self.tangent)
+        scale = self.height / (2 * TANGENT)
         return np.stack((self.width / 2 + scale * x / z, self.height / 2 - scale * y / z), axis=1)
 
 
@@ -125,10 +120,9 @@ def framing(points: FloatArray, view: View, size: tuple[int, int], margins: Marg
     margins = margins or Margins()
     right, up, forward = _axes(view)
     x, y, z = _along((right, up, forward), points)
-    tangent = _half_angle_tangent()
-    wide = tangent * size[0] / size[1]
+    wide = TANGENT * size[0] / size[1]
     to_right, to_left = wide * (1 - 2 * margins.right), wide * (1 - 2 * margins.left)
-    to_top, to_bottom = tangent * (1 - 2 * margins.top), tangent * (1 - 2 * margins.bottom)
+    to_top, to_bottom = TANGENT * (1 - 2 * margins.top), TANGENT * (1 - 2 * margins.bottom)
     limits = [(x - to_right * z).max(), (-x - to_left * z).max(), (y - to_top * z).max(), (-y - to_bottom * z).max()]
     across = -(limits[0] + limits[1]) / (to_right + to_left)
     upright = -(limits[2] + limits[3]) / (to_top + to_bottom)
@@ -137,10 +131,6 @@ def framing(points: FloatArray, view: View, size: tuple[int, int], margins: Marg
     cy = ((limits[2] + to_top * cz) - (limits[3] + to_bottom * cz)) / 2
     pos = cx * right + cy * up + cz * forward
     return Camera(pos, right, up, forward, *size, depth_m=(float(z.min() - cz), float(z.max() - cz)))
-
-
-def _half_angle_tangent() -> float:
-    return math.tan(deg_to_rad(FIELD_OF_VIEW_DEG / 2))
 
 
 def _axes(view: View) -> tuple[FloatArray, FloatArray, FloatArray]:

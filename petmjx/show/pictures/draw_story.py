@@ -4,6 +4,7 @@ places, and contact forces."""
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
@@ -15,11 +16,12 @@ from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
 from petmjx.show.pages.contact_forces import pushes
 from petmjx.show.pages.palette import Rgb, look
-from petmjx.show.pictures.box_colours import CARRIER, FIRST, GHOST, Colouring, round_up
-from petmjx.show.pictures.camera import Camera
+from petmjx.show.pictures.box_colours import CARRIER, FIRST, GHOST, Colouring
+from petmjx.show.pictures.camera import Camera, View
 from petmjx.show.pictures.offscreen import Canvas
 from petmjx.show.pictures.picture_options import Colour
 from petmjx.show.pictures.story_poses import Poses, poses_of_frame, shaking_g, shift_mm, tilts_deg
+from petmjx.show.report.chart_frame import round_up
 from petmjx.world.history import Contacts
 from petmjx.world.rotation import corners, rotations
 from petmjx.world.scene import IDENTITY_QUAT
@@ -61,28 +63,51 @@ This distance is at least ``LEAST_REACH_M``. To show a box that has rolled away,
 small."""
 
 
+@dataclass(frozen=True, eq=False)
+class PictureStyle:
+    """How the pictures of a story look. All pictures of one call of ``petmjx.draw`` have the same style.
+
+    Attributes:
+        colours: colours of the boxes.
+        view: direction from the pallet to the camera.
+        size: width and height of a picture, px.
+        newtons_per_m: force per length of the arrows for contact forces. If arrows are drawn, boxes are transparent. If
+            ``newtons_per_m`` is None, no arrows are drawn.
+    """
+
+    colours: Colouring
+    view: View
+    size: tuple[int, int]
+    newtons_per_m: float | None = None
+
+    @property
+    def story(self) -> Story:
+        return self.colours.story
+
+    @property
+    def arrows(self) -> str:
+        """The line of text that explains the arrows; "" if there are no arrows."""
+        return "" if self.newtons_per_m is None else f"arrows: contact forces, 0.1 m for {self.newtons_per_m / 10:g} N"
+
+
 class Painter:
     """Draws pictures of one story, all of the same size. Use this object in a ``with`` statement, in one thread.
 
     Args:
-        colours: colours of the boxes.
-        size: width and height of a picture, px.
-        line_px: width of boxes' edges, px.
-        newtons_per_m: force per length of the arrows for contact forces. If arrows are drawn, boxes are transparent. If
-            ``newtons_per_m`` is None, no arrows are drawn.
+        finer: factor by which pictures are drawn larger.
 
     Raises:
         InputError: this machine cannot draw.
     """
 
-    def __init__(
-        self, colours: Colouring, size: tuple[int, int], line_px: float, newtons_per_m: float | None = None
-    ) -> None:
-        self.story, self.colours, self.newtons_per_m = colours.story, colours, newtons_per_m
-        contacts = colours.story.history.contacts
-        most_arrows = 0 if newtons_per_m is None or contacts is None else _most_in_a_frame(contacts)
+    def __init__(self, look: PictureStyle, finer: int = 1) -> None:
+        self.story, self.colours, self.newtons_per_m = look.story, look.colours, look.newtons_per_m
+        contacts = self.story.history.contacts
+        most_arrows = 0 if self.newtons_per_m is None or contacts is None else _most_in_a_frame(contacts)
         most_boxes = self.story.plan.n_boxes + len(self.story.scene.carrier.half_size)
-        self.canvas = Canvas(size, line_px, 4 * most_boxes + most_arrows + 1)
+        width, height = look.size
+        line_px = finer * max(1.0, min(width, height) / 600)
+        self.canvas = Canvas((finer * width, finer * height), line_px, 4 * most_boxes + most_arrows + 1)
 
     def __enter__(self) -> Self:
         self.canvas.__enter__()

@@ -11,12 +11,13 @@ import numpy as np
 
 from petmjx.analysis.story import Story
 from petmjx.analysis.story_in_words import headline
-from petmjx.common.text import count_text, printable, printable_name
-from petmjx.show.figures.figure_style import paper_style, write
+from petmjx.common.text import printable, printable_name
+from petmjx.show.figures.figure_style import new_figure, paper_style, write
 from petmjx.show.pictures.box_colours import FIRST, Colouring, Scale, ramp_colours
 from petmjx.show.pictures.camera import Camera, Margins
-from petmjx.show.pictures.overlay import first_outline, scale_ends, shaking_in_words
-from petmjx.show.pictures.still_pictures import PictureStyle, draw_frames, frame_camera
+from petmjx.show.pictures.draw_story import PictureStyle
+from petmjx.show.pictures.overlay import first_outline, scale_ends, state_in_words
+from petmjx.show.pictures.still_pictures import draw_frames, frame_camera
 from petmjx.show.pictures.story_poses import Moment, poses_of_frame
 
 PANEL_IN: Final = 2.25
@@ -29,10 +30,8 @@ _HEAD_IN: Final = 0.36
 _TITLE_IN: Final = 0.3
 _FOOT_IN: Final = 0.42
 
-_NAMES: Final = {"start": "start", "before": "before", "first-sign": "first sign", "end": "end"}
 
-
-def write_figure(story: Story, look: PictureStyle, moments: list[Moment], path: Path, kind: str) -> None:
+def write_figure(look: PictureStyle, moments: list[Moment], path: Path, kind: str) -> None:
     """Write a row with one picture for each moment, all from the same camera.
 
     Args:
@@ -40,16 +39,14 @@ def write_figure(story: Story, look: PictureStyle, moments: list[Moment], path: 
         moments: the moments of the story that are shown.
         kind: format of the file: ``png``, ``pdf`` or ``svg``.
     """
-    from matplotlib.figure import Figure
-
-    frames = [moment.frame for moment in moments]
-    camera = frame_camera(story, look, frames, _MARGINS)
+    story, frames = look.story, [moment.frame for moment in moments]
+    camera = frame_camera(look, frames, _MARGINS)
     panel_height = PANEL_IN * look.size[1] / look.size[0]
     width, height = PANEL_IN * len(moments), _HEAD_IN + _TITLE_IN + panel_height + _FOOT_IN
     with paper_style():
-        figure = Figure(figsize=(width, height), facecolor="white")
+        figure = new_figure(width, height, layout=None)
         _head(figure, story, width, height)
-        for number, (image, moment) in enumerate(zip(draw_frames(story, look, frames, camera), moments, strict=True)):
+        for number, (image, moment) in enumerate(zip(draw_frames(look, frames, camera), moments, strict=True)):
             place = (number / len(moments), _FOOT_IN / height, 1 / len(moments), panel_height / height)
             letter = f"({chr(ord('a') + number % 26)}) " if len(moments) > 1 else ""
             _panel(figure.add_axes(place), np.asarray(image), story, moment, camera, letter)
@@ -76,12 +73,9 @@ def _panel(axes: Any, pixels: Any, story: Story, moment: Moment, camera: Camera,
     poses = poses_of_frame(story.history, moment.frame)
     axes.imshow(pixels, interpolation="none", extent=(0, camera.width, camera.height, 0))
     axes.set_axis_off()
-    name = f"{_NAMES[moment.name]}, " if moment.name else ""
-    placed = f"{poses.n_placed} of {count_text(story.plan.n_boxes, 'box', 'boxes')}"
-    shaken = shaking_in_words(story, poses)
-    axes.set_title(
-        f"{letter}{name}{poses.time_s:.2f} s\n{placed}{shaken}", size=_POINTS, loc="center", pad=2, linespacing=1.1
-    )
+    name = f"{moment.name.replace('-', ' ')}, " if moment.name else ""
+    title = f"{letter}{name}{poses.time_s:.2f} s\n{state_in_words(story, poses)}"
+    axes.set_title(title, size=_POINTS, loc="center", pad=2, linespacing=1.1)
     outline = first_outline(story, poses, camera)
     if outline is not None:
         axes.add_patch(_polygon(outline))

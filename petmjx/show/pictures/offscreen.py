@@ -22,7 +22,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import one_line
 from petmjx.common.units import FloatArray
 from petmjx.show.pages.palette import Rgb
-from petmjx.show.pictures.camera import Camera
+from petmjx.show.pictures.camera import TANGENT, Camera
 
 CONTEXTS: Final = ("egl", "osmesa", "glfw")
 """Possible values of ``MUJOCO_GL`` on Linux."""
@@ -92,7 +92,7 @@ class Canvas:
         for eye in self._scene.camera:
             eye.pos[:], eye.up[:], eye.forward[:] = camera.pos, camera.up, camera.forward
             eye.frustum_near, eye.frustum_far = max(near / 2, 0.01), 4 * far + 20
-            eye.frustum_top = eye.frustum_near * camera.tangent
+            eye.frustum_top = eye.frustum_near * TANGENT
             eye.frustum_bottom, eye.frustum_center, eye.frustum_width = -eye.frustum_top, 0.0, 0.0
 
     def box(self, half_size: FloatArray, pos: FloatArray, turned: FloatArray, rgb: Rgb, alpha: float = 1.0) -> Any:

@@ -15,9 +15,9 @@ from petmjx.common.convex_hull import convex_hull
 from petmjx.common.text import count_text, printable, three_digits
 from petmjx.common.units import FloatArray
 from petmjx.show.pages.palette import Rgb
-from petmjx.show.pictures.box_colours import FIRST, Colouring, Scale, ramp_colours
+from petmjx.show.pictures.box_colours import FIRST, Scale, ramp_colours
 from petmjx.show.pictures.camera import Camera, Margins
-from petmjx.show.pictures.draw_story import LEAST_LEVEL_G
+from petmjx.show.pictures.draw_story import LEAST_LEVEL_G, PictureStyle
 from petmjx.show.pictures.story_poses import Poses, shaking_g
 from petmjx.world.rotation import corners, rotations
 
@@ -38,15 +38,12 @@ class Overlay:
     """Draws texts, and an outline around the first box to fail, onto pictures of one size.
 
     Args:
-        colours: colours of the boxes, which the legend explains.
-        size: width and height of a picture, px.
         speed: speed of a film, as a multiple of real time; None for a single picture.
-        arrows: the line of text that explains the arrows; "" if there are no arrows.
     """
 
-    def __init__(self, colours: Colouring, size: tuple[int, int], speed: float | None = None, arrows: str = "") -> None:
-        self.story, self.colours, self.arrows = colours.story, colours, arrows
-        self.width, self.height = size
+    def __init__(self, look: PictureStyle, speed: float | None = None) -> None:
+        self.story, self.colours, self.arrows = look.story, look.colours, look.arrows
+        self.width, self.height = look.size
         self.pace = "" if speed in (None, 1.0) else f"  ×{speed:g}"
         self.text_px = max(_LEAST_FONT_PX, round(min(self.height, 1.2 * self.width) / 38))
 
@@ -71,13 +68,12 @@ class Overlay:
     def _head(self, pen: ImageDraw, poses: Poses) -> None:
         em = self.text_px
         room = self.width - 2 * em
-        placed = f"{poses.n_placed} of {count_text(self.story.plan.n_boxes, 'box', 'boxes')}"
         bold, plain = font(round(1.15 * em), bold=True), font(em)
         pen.text((em, 0.7 * em), fitted_text(self.story.name, bold, room), fill=INK, font=bold)
         failed = self.story.outcome.culprit >= 0
         line = fitted_text(printable(headline(self.story)), plain, room)
         pen.text((em, 2.2 * em), line, fill=_rgb_bytes(FIRST) if failed else FAINT, font=plain)
-        now = f"{poses.time_s:.2f} s{self.pace}   {placed}{shaking_in_words(self.story, poses)}"
+        now = f"{poses.time_s:.2f} s{self.pace}   {state_in_words(self.story, poses)}"
         pen.text((em, 3.6 * em), now, fill=INK, font=plain)
 
     def _outline(self, image: Image, poses: Poses, camera: Camera) -> None:
@@ -155,10 +151,11 @@ class Overlay:
         return lines
 
 
-def shaking_in_words(story: Story, poses: Poses) -> str:
-    """Text such as ", shaken by 0.50 g"; "" while nothing shakes the carrier."""
+def state_in_words(story: Story, poses: Poses) -> str:
+    """Text such as "3 of 8 boxes", or "8 of 8 boxes, shaken by 0.50 g" while something shakes the carrier."""
     level = float(np.linalg.norm(shaking_g(story, poses)))
-    return f", shaken by {level:.2f} g" if level > LEAST_LEVEL_G else ""
+    shaken = f", shaken by {level:.2f} g" if level > LEAST_LEVEL_G else ""
+    return f"{poses.n_placed} of {count_text(story.plan.n_boxes, 'box', 'boxes')}{shaken}"
 
 
 def scale_ends(scale: Scale) -> tuple[str, str]:

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import importlib.util
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from petmjx.analysis.story import Story
 from petmjx.common.argument_checks import path_of
 from petmjx.common.atomic_write import atomic_write, check_writable
 from petmjx.common.errors import InputError
 from petmjx.common.text import one_line, printable
+from petmjx.show.figures.figure_style import kind_of
 from petmjx.show.pictures.box_colours import colouring
 from petmjx.show.pictures.camera import view_of
 from petmjx.show.pictures.picture_options import GIF_SIZE, MP4_SIZE, PANEL_SIZE, STILL_SIZE, PictureOptions, size_of
 from petmjx.show.pictures.story_poses import moments
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
 Progress = Callable[[int, int], None]
 """A function that is called with the number of finished frames of a film, and the number of all its frames."""
@@ -60,22 +64,8 @@ def draw(story: Story, *files: str | os.PathLike[str], progress: Progress | None
     check_files(paths)
     for path in paths:
         with atomic_write(path) as temporary:
-            _WRITERS[kind_of(path)](story, temporary, look, progress)
+            _WRITERS[kind_of(path, KINDS)](story, temporary, look, progress)
     return paths
-
-
-def kind_of(path: Path) -> str:
-    """The kind of a file, which its suffix determines.
-
-    Raises:
-        InputError: the suffix is not one of ``KINDS``.
-    """
-    kind = path.suffix.lower().removeprefix(".")
-    if kind not in KINDS:
-        raise InputError(
-            f"{printable(str(path))}: unknown ending; there are {', '.join(f'.{ending}' for ending in KINDS)}"
-        )
-    return kind
 
 
 def check_files(paths: Sequence[Path]) -> None:
@@ -85,7 +75,7 @@ def check_files(paths: Sequence[Path]) -> None:
         InputError: a path cannot be written, or libraries for a kind of file are missing.
     """
     for path in paths:
-        if missing := _missing(kind_of(path)):
+        if missing := _missing(kind_of(path, KINDS)):
             raise InputError(f"{printable(str(path))}: {missing}")
         check_writable(path)
     if len({path.absolute() for path in paths}) < len(paths):
@@ -118,7 +108,7 @@ def check_drawing(paths: Sequence[Path]) -> None:
         InputError: a check of ``check_files`` fails, or there is no OpenGL that can draw without a display.
     """
     check_files(paths)
-    drawn = [path for path in paths if "OpenGL" in _NEEDS[kind_of(path)][1]]
+    drawn = [path for path in paths if "OpenGL" in _NEEDS[kind_of(path, KINDS)][1]]
     if drawn and (reason := why_nothing_is_drawn()):
         raise InputError(f"{printable(str(drawn[0]))}: {reason}")
 
@@ -128,38 +118,38 @@ def _write_pictures(story: Story, path: Path, options: PictureOptions, progress:
     from petmjx.show.pictures.figure_row import write_figure
     from petmjx.show.pictures.still_pictures import write_still
 
-    kind, chosen_moments = kind_of(path), moments(story, options.at)
+    kind, chosen_moments = kind_of(path, KINDS), moments(story, options.at)
     if kind == "png" and len(chosen_moments) == 1:
-        write_still(story, _look(story, options, STILL_SIZE), chosen_moments[0].frame, path)
+        write_still(_look(story, options, STILL_SIZE), chosen_moments[0].frame, path)
     else:
-        write_figure(story, _look(story, options, PANEL_SIZE), chosen_moments, path, kind)
+        write_figure(_look(story, options, PANEL_SIZE), chosen_moments, path, kind)
 
 
 def _write_film(story: Story, path: Path, options: PictureOptions, progress: Progress | None) -> None:
     from petmjx.show.pictures import animation
 
-    kind = kind_of(path)
+    kind = kind_of(path, KINDS)
     look = _look(story, options, GIF_SIZE if kind == "gif" else MP4_SIZE)
     speed = options.speed or animation.usual_speed(story)
     times = animation.film_times(story, speed, options.fps)
 
-    def count(done: int) -> None:
-        if progress is not None:
-            progress(done, len(times))
+    def frames() -> Iterator[Image]:
+        for done, frame in enumerate(animation.film_frames(look, speed, times), start=1):
+            yield frame
+            if progress is not None:
+                progress(done, len(times))
 
     if kind == "gif":
-        palette = animation.palette_of(animation.film_frames(story, look, speed, animation.spread_times(story)))
-        animation.write_gif(animation.film_frames(story, look, speed, times), path, palette, options.fps, count)
+        palette = animation.palette_of(animation.film_frames(look, speed, animation.spread_times(story)))
+        animation.write_gif(frames(), len(times), path, palette, options.fps)
     else:
         width, height = look.size
         look = replace(look, size=(width - width % 2, height - height % 2))  # H.264 needs even sides
-        frames = animation.film_frames(story, look, speed, times)
-        animation.write_mp4(frames, path, look.size, options.fps, count)
+        animation.write_mp4(frames(), path, look.size, options.fps)
 
 
 def _look(story: Story, options: PictureOptions, usual_size: tuple[int, int]) -> Any:
-    from petmjx.show.pictures.draw_story import newtons_per_m
-    from petmjx.show.pictures.still_pictures import PictureStyle
+    from petmjx.show.pictures.draw_story import PictureStyle, newtons_per_m
 
     size = usual_size if options.size is None else size_of(options.size)
     scale = newtons_per_m(story) if options.arrows else None

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from petmjx.common.units import FloatArray
-from petmjx.show.report.markup import Content, Markup, element
+from petmjx.show.pages.markup import Content, Markup, element
 
 WIDTH: Final = 300
 HEIGHT: Final = 190
@@ -91,7 +91,7 @@ class Scale:
     def ticks(self) -> list[tuple[float, str]]:
         """(value, label) of each tick. Ticks are at round values. There are at most about ``MOST_TICKS`` ticks."""
         if not self.log:
-            step = max(round_step((self.high - self.low) / (MOST_TICKS - 1)), 1.0 if self.counts else 0.0)
+            step = max(round_up((self.high - self.low) / (MOST_TICKS - 1)), 1.0 if self.counts else 0.0)
             first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
             return [(at * step, _label(at * step, step)) for at in range(first, last + 1)]
         decades = range(math.ceil(math.log10(self.low) - 1e-9), math.floor(math.log10(self.high) + 1e-9) + 1)
@@ -104,10 +104,11 @@ class Scale:
         return ticks
 
 
-def round_step(step: float) -> float:
-    """The smallest number that is 1, 2 or 5 × a power of ten, and not below ``step``."""
-    power = 10.0 ** math.floor(math.log10(step))
-    return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= step * (1 - 1e-9))
+def round_up(value: float, steps: Sequence[float] = (1.0, 2.0, 5.0, 10.0)) -> float:
+    """The smallest number of the form step × 10ⁿ that is not below ``value``, where step is one of ``steps``. ``value``
+    must be positive."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return next(step * power for step in steps if step * power >= value * (1 - 1e-9))
 
 
 def _label(value: float, step: float) -> str:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from petmjx.common.text import three_digits
 from petmjx.common.units import FloatArray
+from petmjx.show.pages.markup import Content, Markup, element
 from petmjx.show.report.chart_frame import WIDTH, Frame, Scale, drawing
-from petmjx.show.report.markup import Content, Markup, element
 
 BINS: Final = 24
 """Number of bins of a histogram. With 24 bins, bars are 12 pixels wide."""

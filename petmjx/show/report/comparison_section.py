@@ -12,9 +12,9 @@ from petmjx.analysis.run_comparison import KEY, Comparison, compare_runs
 from petmjx.common.text import count_text, three_digits
 from petmjx.engines.verdict import Verdict
 from petmjx.results.share_statistics import PairedCounts, newcombe_interval, wilson_interval
+from petmjx.show.pages.markup import NOTHING, Content, Markup, element, joined_markup, table
 from petmjx.show.report.chart_frame import figure
 from petmjx.show.report.charts import interval_text, intervals, percent, stacked_bars
-from petmjx.show.report.markup import NOTHING, Content, Markup, element, joined_markup, table
 from petmjx.show.report.report_runs import ReportRun
 from petmjx.show.report.verdict_shares import plan_link
 

@@ -17,6 +17,7 @@ from petmjx.common.units import MM_PER_M
 from petmjx.engines.verdict import Verdict
 from petmjx.options.thresholds import Thresholds
 from petmjx.results.share_statistics import wilson_interval
+from petmjx.show.pages.markup import NOTHING, Markup, element, joined_markup
 from petmjx.show.report.chart_frame import WIDTH, Frame, Scale, figure
 from petmjx.show.report.charts import (
     MOST_POINTS,
@@ -28,7 +29,6 @@ from petmjx.show.report.charts import (
     quantile_bands,
     share_curve,
 )
-from petmjx.show.report.markup import NOTHING, Markup, element, joined_markup
 from petmjx.show.report.report_runs import ReportRun
 from petmjx.show.report.verdict_shares import ORDER, link
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,12 +17,12 @@ from petmjx.results.input_files import input_files
 from petmjx.results.run_reader import RunResults
 from petmjx.runs.sweep_axes import AXIS_KINDS
 from petmjx.show.pages.html_page import page
+from petmjx.show.pages.markup import NOTHING, Content, Markup, element, joined_markup
 from petmjx.show.pages.page_arrays import block, integer_column
 from petmjx.show.pages.palette import category, ramp
 from petmjx.show.report.comparison_section import comparison_section
 from petmjx.show.report.distributions import distributions, first_boxes
-from petmjx.show.report.markup import NOTHING, Content, Markup, element, joined_markup
-from petmjx.show.report.report_plan_table import table_rows
+from petmjx.show.report.report_plan_table import Rows, table_rows
 from petmjx.show.report.report_runs import Kind, ReportRun, open_runs
 from petmjx.show.report.run_settings import about
 from petmjx.show.report.sweep_answers import sweep_answers
@@ -90,8 +90,7 @@ def report_page(runs: Sequence[ReportRun]) -> str:
         "categories": [category(number) for number in range(N_CATEGORIES)],
     }
     title = "petmjx report: " + ", ".join(run.name for run in runs)
-    notes = _summed_up(rows.summed_up) + _notes(runs, rows.left_out, boxes.without_boxes, played.left_out)
-    body = _body(runs, notes)
+    body = _body(runs, _notes(runs, rows, boxes.without_boxes, played.left_out))
     blocks = {"rows": block(arrays), **boxes.blocks, **played.blocks}
     return page(title, body, script="report.js", styles=("report.css",), info=info, blocks=blocks)
 
@@ -110,35 +109,28 @@ def _of_run(run: ReportRun) -> dict[str, Any]:
     }
 
 
-def _summed_up(runs: Sequence[ReportRun]) -> list[str]:
-    """A note for each run that has too many worlds for one row per world, so that the table has one row per plan."""
-    row = "one row per plan: its world with the smallest margin, and the share of its worlds that stand"
-    return [f"{run.name} has {len(run.worlds):,} worlds, too many for a row each. The table has {row}." for run in runs]
-
-
-def _notes(runs: Sequence[ReportRun], left_out: int, without_boxes: int, not_played: int) -> list[str]:
+def _notes(runs: Sequence[ReportRun], rows: Rows, without_boxes: int, not_played: int) -> Iterator[str]:
     """Notes about worlds that the page does not show."""
-    notes = [
-        f"{run.name}: {run.plan_files.note}. These plans have no 3D picture." for run in runs if run.plan_files.note
-    ]
-    notes += [
-        f"{run.name} kept no boxes: its worlds have no 3D picture." for run in runs if not run.results.keeps_boxes
-    ]
-    if left_out:
-        notes.append(
-            f"{count_text(left_out, 'world')} that stand are not in the table, since the table would be too large."
-        )
+    row = "one row per plan: its world with the smallest margin, and the share of its worlds that stand"
+    for run in rows.summed_up:
+        yield f"{run.name} has {len(run.worlds):,} worlds, too many for a row each. The table has {row}."
+    for run in runs:
+        if run.plan_files.note:
+            yield f"{run.name}: {run.plan_files.note}. These plans have no 3D picture."
+    for run in runs:
+        if not run.results.keeps_boxes:
+            yield f"{run.name} kept no boxes: its worlds have no 3D picture."
+    if rows.left_out:
+        worlds = count_text(rows.left_out, "world")
+        yield f"{worlds} that stand are not in the table, since the table would be too large."
     if without_boxes:
-        notes.append(f"{count_text(without_boxes, 'world')} have no 3D picture: the page would be too large.")
+        yield f"{count_text(without_boxes, 'world')} have no 3D picture: the page would be too large."
     if not_played:
         worlds = count_text(not_played, "recorded world")
-        notes.append(
-            f"{worlds} cannot be played here: the page would be too large. The command 'petmjx show' plays them."
-        )
-    return notes
+        yield f"{worlds} cannot be played here: the page would be too large. The command 'petmjx show' plays them."
 
 
-def _body(runs: Sequence[ReportRun], notes: Sequence[str]) -> Markup:
+def _body(runs: Sequence[ReportRun], notes: Iterable[str]) -> Markup:
     several = len(runs) > 1
     sections: list[tuple[str, str, Content]] = []
     if several:
@@ -192,7 +184,7 @@ def _details_of(run: ReportRun) -> list[tuple[str, str, Markup]]:
     return [section for section in sections if section[2]]
 
 
-def _table_section(notes: Sequence[str]) -> Markup:
+def _table_section(notes: Iterable[str]) -> Markup:
     """The section in which the page's scripts build the table of plans and show the selected plan."""
     lines = [element("p", note, class_="note") for note in notes]
     return joined_markup(

@@ -9,9 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from petmjx.analysis.run_comparison import KEY
 from petmjx.common.errors import InputError
@@ -130,32 +128,23 @@ class ReportRun:
         if self.kind is Kind.CHAIN:
             worlds = worlds[worlds["remedy"] == AS_IS]
         worlds = worlds.sort_values(KEY, kind="stable", ignore_index=True)
-        plans = self.plan_files.plans
-        codes, plan_ids = pd.factorize(worlds["plan_id"])
-        nothing = float("nan"), float("nan")
-        sizes = [_height_and_mass(plans[plan_id]) if plan_id in plans else nothing for plan_id in plan_ids.tolist()]
-        height_m, mass_kg = np.array(sizes).reshape(-1, 2)[codes].T
-        first = self._first_articles(worlds["culprit"], codes, plan_ids.tolist())
-        return worlds.assign(height_m=height_m, mass_kg=mass_kg, first_article=first)
+        plan_id, plans = worlds["plan_id"], self.plan_files.plans
+        heights_mm = {name: float((plan.corner_mm + plan.size_mm)[:, 2].max()) for name, plan in plans.items()}
+        masses_kg = {name: float(plan.mass_kg.sum()) for name, plan in plans.items()}
+        return worlds.assign(
+            height_m=plan_id.map(heights_mm).astype("float64") / MM_PER_M,
+            mass_kg=plan_id.map(masses_kg).astype("float64"),
+            first_article=self._first_articles(worlds),
+        )
 
-    def _first_articles(self, culprit: pd.Series, codes: NDArray[np.int64], plan_ids: list[str]) -> NDArray[np.object_]:
-        """(worlds,) the article of the first box to fail in each world; "" if no box failed.
-
-        Args:
-            culprit: number of the first box to fail in each world.
-            codes: index in ``plan_ids`` of each world's plan.
-            plan_ids: ids of the plans.
-        """
-        first_articles = np.full(len(codes), "", dtype=object)
-        falls = np.flatnonzero(culprit.notna().to_numpy())
-        of_plan = self.articles({plan_ids[code] for code in np.unique(codes[falls]).tolist()})
-        lists = [of_plan.get(plan_id, ()) for plan_id in plan_ids]
-        counts = np.array([len(articles) for articles in lists], dtype=np.int64)
-        flat = np.array([article for articles in lists for article in articles], dtype=object)
-        falls = falls[counts[codes[falls]] > 0]
-        starts = np.cumsum(counts) - counts
-        first_articles[falls] = flat[starts[codes[falls]] + culprit.iloc[falls].to_numpy(np.int64)]
-        return first_articles
+    def _first_articles(self, worlds: pd.DataFrame) -> list[str]:
+        """The article of the first box to fail in each world; "" if no box failed."""
+        articles = self.articles(set(worlds.loc[worlds["culprit"].notna(), "plan_id"]))
+        culprits = worlds["culprit"].fillna(-1).astype("int64")
+        return [
+            articles[plan_id][box] if box >= 0 and plan_id in articles else ""
+            for plan_id, box in zip(worlds["plan_id"], culprits, strict=True)
+        ]
 
     def articles(self, plan_ids: Collection[str]) -> dict[str, Sequence[str]]:
         """Id of a plan → articles of the plan's boxes, in packing order. Articles come from the plan or, if the plan
@@ -196,11 +185,6 @@ class ReportRun:
     def parameters(self) -> list[str]:
         """Names of the columns that ``worlds`` has because of the variants of this run."""
         return [str(param["name"]) for param in self.info.get("params", [])]
-
-
-def _height_and_mass(plan: Plan) -> tuple[float, float]:
-    """The height, m, and the mass, kg, of a plan's load."""
-    return float((plan.corner_mm + plan.size_mm)[:, 2].max()) / MM_PER_M, float(plan.mass_kg.sum())
 
 
 def open_runs(folders: Sequence[str | Path | RunResults], plans: Sequence[Path] = ()) -> list[ReportRun]:

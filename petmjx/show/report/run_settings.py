@@ -8,7 +8,7 @@ from typing import Any, Final
 from petmjx.common.text import count_text, duration, printable_name, three_digits
 from petmjx.options.simulation import Simulation
 from petmjx.results.run_reader import FINISHED, split_warnings
-from petmjx.show.report.markup import NOTHING, Content, Markup, element, joined_markup
+from petmjx.show.pages.markup import NOTHING, Content, Markup, element, joined_markup
 from petmjx.show.report.report_runs import Kind, ReportRun
 
 MOST_LINES: Final = 20

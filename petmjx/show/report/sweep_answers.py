@@ -14,7 +14,8 @@ from petmjx.engines.verdict import Verdict
 from petmjx.results.share_statistics import ALL_PLANS, share_standing
 from petmjx.runs.chain_legs import AS_IS
 from petmjx.runs.chain_summary import WHOLE_WAY, arrivals, shares_by_leg
-from petmjx.show.report.chart_frame import MOST_TICKS, Frame, Scale, figure, round_step
+from petmjx.show.pages.markup import NOTHING, Markup, element, joined_markup, table
+from petmjx.show.report.chart_frame import MOST_TICKS, Frame, Scale, figure, round_up
 from petmjx.show.report.charts import (
     ROSE_RINGS,
     Bar,
@@ -26,7 +27,6 @@ from petmjx.show.report.charts import (
     rose,
     share_curve,
 )
-from petmjx.show.report.markup import NOTHING, Markup, element, joined_markup, table
 from petmjx.show.report.report_runs import Kind, ReportRun
 from petmjx.show.report.verdict_shares import ORDER, link, plan_link
 from petmjx.show.table_layout import count_of
@@ -96,14 +96,13 @@ def _grid(run: ReportRun, summary: pd.DataFrame) -> Markup:
 def _has_numeric_values(summary: pd.DataFrame, axis: str) -> bool:
     """Whether the values of an axis are numbers in a summary. If an axis has random values, the summary divides the
     range of the axis into parts with names, so the values in the summary are texts."""
-    values = summary.loc[(summary["scope"] == ALL_PLANS) & (summary["axis"] == axis), "value"]
-    return bool(pd.to_numeric(values, errors="coerce").notna().all())
+    return bool(pd.to_numeric(_rows(summary, axis)["value"], errors="coerce").notna().all())
 
 
 def _curve(axis: str, summary: pd.DataFrame, over_plans: pd.DataFrame, run: ReportRun) -> Markup:
     """A chart of the share that stands along an axis with numbers. Intervals are computed from the random draws of the
     run or, if nothing is random, from the plans."""
-    draws, plans = (_rows(frame, axis) for frame in (summary, over_plans))
+    draws, plans = (_rows(frame, axis).head(MOST_VALUES) for frame in (summary, over_plans))
     drawn = bool(draws["low"].notna().all())
     rows = draws if drawn else plans
     x = rows["value"].astype("float64").to_numpy()
@@ -121,11 +120,10 @@ def _curve(axis: str, summary: pd.DataFrame, over_plans: pd.DataFrame, run: Repo
 
 
 def _rows(summary: pd.DataFrame, axis: str) -> pd.DataFrame:
-    return summary[(summary["scope"] == ALL_PLANS) & (summary["axis"] == axis)].head(MOST_VALUES)
+    return summary[(summary["scope"] == ALL_PLANS) & (summary["axis"] == axis)]
 
 
 def _named_values(axis: str, summary: pd.DataFrame, run: ReportRun) -> Markup:
-    rows = _rows(summary, axis)
     drawn = [
         Bar(
             str(row["value"]),
@@ -133,7 +131,7 @@ def _named_values(axis: str, summary: pd.DataFrame, run: ReportRun) -> Markup:
             f"{percent(row['share'])} of {row['n_worlds'] - row['n_invalid']:,}",
             "stable",
         )
-        for row in rows.to_dict("records")
+        for row in _rows(summary, axis).head(MOST_VALUES).to_dict("records")
     ]
     note = "Share of worlds that stand, among the worlds with a valid verdict."
     return figure(_title(axis), bars(f"Share that stands by {axis}", drawn), note)
@@ -169,7 +167,7 @@ def importance(worlds: pd.DataFrame, axes: Sequence[str], summary: pd.DataFrame)
         groups = stands.groupby(keys).agg(["mean", "size"])
         spread = groups["mean"].max() - groups["mean"].min()
         if axis != "plan":
-            shares = summary.loc[(summary["scope"] == ALL_PLANS) & (summary["axis"] == axis), "share"]
+            shares = _rows(summary, axis)["share"]
             spread = shares.max() - shares.min()
         rows.append({"axis": axis, "spread": spread, "explained": correlation_ratio(stands, keys)})
     table = pd.DataFrame(rows, columns=["axis", "spread", "explained"])
@@ -242,7 +240,7 @@ def _rose_figure(title: str, unit: str, largest: pd.DataFrame, top: float) -> Ma
         return np.asarray(by.quantile(share).reindex(directions), dtype=np.float64)
 
     quantiles = {"low": at(0.25), "middle": at(0.5), "high": at(0.75)}
-    reach = ROSE_RINGS * round_step(float(np.nanmax(quantiles["high"], initial=top / 10)) / ROSE_RINGS)
+    reach = ROSE_RINGS * round_up(float(np.nanmax(quantiles["high"], initial=top / 10)) / ROSE_RINGS)
     picture = rose(title, directions, quantiles, reach, unit)
     n = count_text(int(largest["plan_id"].nunique()), "plan")
     return figure(f"{title} by direction", picture, f"{DIRECTIONS_CAPTION} {n}; tested up to {top:g} {unit}.")

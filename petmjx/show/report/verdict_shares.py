@@ -11,8 +11,8 @@ import pandas as pd
 from petmjx.common.text import count_text, printable
 from petmjx.engines.verdict import Verdict
 from petmjx.results.share_statistics import wilson_interval
+from petmjx.show.pages.markup import Content, Markup, element, joined_markup, table
 from petmjx.show.report.charts import interval_text, percent
-from petmjx.show.report.markup import Content, Markup, element, joined_markup, table
 from petmjx.show.report.report_runs import Kind, ReportRun
 
 ORDER: Final = [verdict.value for verdict in Verdict]

@@ -1,7 +1,7 @@
 // Shows the numbers of one box: its data from the plan, and its state at the time that is shown.
 
-import { decimals } from "./decimals.js";
 import { make } from "./dom.js";
+import { decimals } from "./texts.js";
 
 const fixed = (value, digits, unit) => decimals(value, digits) + (Number.isFinite(value) ? ` ${unit}` : "");
 

@@ -1,7 +1,8 @@
 // A camera that turns around a target. Angles in radians, lengths in metres, z is up.
 
 import { LOOK } from "./appearance.js";
-import { add, clamped, cross, dot, looking, perspective, product, scaled, sub, transformed, unit } from "./vectors.js";
+import { add, clamped, cornersBetween, cross, dot, looking } from "./vectors.js";
+import { perspective, product, scaled, sub, transformed, unit } from "./vectors.js";
 
 const SLOPE = Math.tan((32 * Math.PI) / 360); // tangent of half the vertical angle of view, which is 32°
 const MARGIN = 1.06; // distance of the camera, as a multiple of the smallest one that shows the whole region
@@ -22,8 +23,7 @@ export class Camera {
     this.target = scaled(add(low, high), 0.5);
     this.distance = 0.1;
     const { right, top, forward } = this.axes();
-    const corners = [0, 1, 2, 3, 4, 5, 6, 7].map((k) => [0, 1, 2].map((axis) => (k & (1 << axis) ? high : low)[axis]));
-    const from = corners.map((corner) => sub(corner, this.target));
+    const from = cornersBetween(low, high).map((corner) => sub(corner, this.target));
     for (const [side, slope] of [[right, SLOPE * this.aspect], [top, SLOPE]]) {
       const one = Math.max(...from.map((c) => dot(c, side) - slope * dot(c, forward)));
       const other = Math.max(...from.map((c) => -dot(c, side) - slope * dot(c, forward)));

@@ -1,7 +1,7 @@
 // The meaning of colours: for each way of colouring, the colours of boxes at a time, and a legend.
 
 import { make, makeSvg } from "./dom.js";
-import { NO_ARTICLE } from "./box_names.js";
+import { NO_ARTICLE } from "./texts.js";
 import { clamped } from "./vectors.js";
 
 const NOT_KNOWN = "#8a8f98";

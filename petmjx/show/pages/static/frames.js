@@ -24,19 +24,14 @@ export class Frames {
     return low;
   }
 
-  // Poses between frames: places on a straight line, orientations on the shortest arc. A box appears in the frame in
-  // which it is placed, not before.
-  poses(time) {
+  // Moves the boxes and the carrier of a view to their poses at a time. Between two frames, places are on a straight
+  // line, and orientations on the shortest arc. A box appears in the frame in which it is placed, not before.
+  showIn(viewer, time) {
+    const { pos, quat, carrier_pos: carrierPos, carrier_quat: carrierQuat } = this;
     const { frame, next, share } = this.between(time);
-    const pos = this.mixed(this.pos, 3 * this.n, frame, next, share);
-    const quat = this.turns(this.quat, this.n, frame, next, share);
-    return { pos, quat };
-  }
-
-  carrier(time) {
-    const { frame, next, share } = this.between(time);
-    const pos = this.mixed(this.carrier_pos, 3, frame, next, share);
-    return { pos, quat: this.turns(this.carrier_quat, 1, frame, next, share) };
+    viewer.setPoses(this.mixed(pos, 3 * this.n, frame, next, share), this.turns(quat, this.n, frame, next, share));
+    const place = this.mixed(carrierPos, 3, frame, next, share);
+    viewer.setCarrier([...place], [...this.turns(carrierQuat, 1, frame, next, share)]);
   }
 
   // One number per box, at the last frame: "shift_mm", "tilt_deg" or "force_n".

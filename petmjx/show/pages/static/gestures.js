@@ -1,6 +1,8 @@
 // Mouse, touch and pen on a canvas: turn (drag), move (right or middle button, shift, two fingers), zoom (wheel,
 // pinch), click.
 
+import { clamped } from "./vectors.js";
+
 const CLICK_PIXELS = 5; // a press that moves less is a click
 const TURN = 0.008; // radians per pixel
 const WHEEL = 0.0012; // change of the camera's distance, as a share, per pixel of the wheel
@@ -57,7 +59,7 @@ export function listen(canvas, actions) {
   on("wheel", (event) => {
     event.preventDefault();
     const pixels = event.deltaMode === 1 ? event.deltaY * 16 : event.deltaY;
-    actions.zoom(Math.exp(Math.max(-300, Math.min(300, pixels)) * WHEEL));
+    actions.zoom(Math.exp(clamped(pixels, -300, 300) * WHEEL));
   });
   return () => stop.abort();
 }

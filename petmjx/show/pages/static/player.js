@@ -1,5 +1,7 @@
 // The clock of a story: a time that plays at a speed, jumps and steps.
 
+import { clamped } from "./vectors.js";
+
 export const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
 
 export class Player {
@@ -9,7 +11,7 @@ export class Player {
   }
 
   go(time) {
-    this.time = Math.min(Math.max(time, this.frames.start), this.frames.end);
+    this.time = clamped(time, this.frames.start, this.frames.end);
     this.onTime(this.time);
   }
 
@@ -23,7 +25,7 @@ export class Player {
     const here = this.frames.at(this.time);
     // if the time is between two frames, a step back leads to the earlier frame
     const behind = frames < 0 && this.time > time[here] + 1e-6 ? 1 : 0;
-    this.seek(time[Math.min(Math.max(here + frames + behind, 0), count - 1)]);
+    this.seek(time[clamped(here + frames + behind, 0, count - 1)]);
   }
 
   toggle() {

@@ -46,10 +46,7 @@ export class Replay {
   }
 
   show(frames, time) {
-    const { pos, quat } = frames.poses(time);
-    const carrier = frames.carrier(time);
-    this.viewer.setPoses(pos, quat);
-    this.viewer.setCarrier([...carrier.pos], [...carrier.quat]);
+    frames.showIn(this.viewer, time);
     this.slider.value = (PARTS * (time - frames.start)) / (frames.end - frames.start || 1);
     const placed = frames.placed[frames.at(time)];
     this.now.textContent = `${time.toFixed(2)} of ${frames.end.toFixed(2)} s, ${placed} placed`;

@@ -1,10 +1,11 @@
 // The page of a report. Its HTML has the charts and small tables. This module makes the table of plans and the 3D
-// pictures.
+// pictures. The address behind # has their state: filters, order, and the selected plan:
+//
+//   #q=milk&verdict=unstable&shift.min=20&sort=-margin&plan=s0-000013&variant=0&of=demo
 
 import { readBlock, readInfo } from "./page_data.js";
 import { byId } from "./dom.js";
 import { Filters } from "./filters.js";
-import { readState, writeState } from "./fragment.js";
 import { PlanView } from "./plan_view.js";
 import { Rows } from "./rows.js";
 import { Table } from "./table.js";
@@ -69,6 +70,19 @@ async function start() {
   show();
   if (state.toString()) byId("plans").scrollIntoView();
   document.documentElement.dataset.ready = "true";
+}
+
+// Links to sections (#plans) have no "=", and no state.
+function readState() {
+  const text = location.hash.slice(1);
+  return new URLSearchParams(text.includes("=") ? text : "");
+}
+
+// Changes the address without a new entry in the browser's history. So "back" leaves the page, and does not undo single
+// letters of a search.
+function writeState(state) {
+  const text = state.toString();
+  history.replaceState(null, "", text ? `#${text}` : location.href.split("#")[0]);
 }
 
 function isBelow(one, other) {

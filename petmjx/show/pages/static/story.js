@@ -6,11 +6,11 @@ import { colourings, rgbOf } from "./colours.js";
 import { byId, make } from "./dom.js";
 import { Frames } from "./frames.js";
 import { listenToKeys } from "./keys.js";
-import { labelOf } from "./box_names.js";
 import { showNumbers } from "./box_numbers.js";
 import { Player, SPEEDS } from "./player.js";
+import { labelOf } from "./texts.js";
 import { Timeline } from "./timeline.js";
-import { clamped } from "./vectors.js";
+import { clamped, upright } from "./vectors.js";
 import { createViewer } from "./viewer.js";
 
 const GLASS = 0.22; // opacity of boxes while arrows of contact forces are shown
@@ -89,17 +89,14 @@ class StoryPage {
 
   faster(by) {
     const place = SPEEDS.indexOf(this.player.speed) + by;
-    this.player.speed = SPEEDS[Math.min(Math.max(place, 0), SPEEDS.length - 1)];
+    this.player.speed = SPEEDS[clamped(place, 0, SPEEDS.length - 1)];
     byId("speed").value = this.player.speed;
   }
 
   show(time) {
     const { frames, viewer } = this;
     const frame = frames.at(time);
-    this.poses = frames.poses(time);
-    viewer.setPoses(this.poses.pos, this.poses.quat);
-    const carrier = frames.carrier(time);
-    viewer.setCarrier([...carrier.pos], [...carrier.quat]);
+    frames.showIn(viewer, time);
     viewer.setColours(this.colouring.colours(time));
     const forces = this.contacts && byId("forces").checked;
     viewer.setOpacity(forces ? GLASS : 1);
@@ -180,12 +177,6 @@ class StoryPage {
     y = clamped(y, 4, room.clientHeight - height - 4);
     label.style.transform = `translate(${x}px, ${y}px)`;
   }
-}
-
-function upright(count) {
-  const quat = new Float32Array(4 * count);
-  for (let box = 0; box < count; box++) quat[4 * box] = 1;
-  return quat;
 }
 
 async function main() {

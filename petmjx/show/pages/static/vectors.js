@@ -21,6 +21,13 @@ export function turned(q, v) {
 }
 export const turnedBack = (q, v) => turned([q[0], -q[1], -q[2], -q[3]], v);
 
+// Quaternions of `count` bodies that are not turned, one after another.
+export const upright = (count) => Float32Array.from({ length: 4 * count }, (_, k) => (k % 4 === 0 ? 1 : 0));
+
+// The eight corners of the box from one corner to the opposite one.
+export const cornersBetween = (low, high) =>
+  [0, 1, 2, 3, 4, 5, 6, 7].map((k) => [0, 1, 2].map((axis) => (k & (1 << axis) ? high : low)[axis]));
+
 // Writes to out[4 k …] the quaternion a share `t` of the way from a[4 k …] to b[4 k …], on the shorter arc.
 export function slerp(out, a, b, k, t) {
   const i = 4 * k;

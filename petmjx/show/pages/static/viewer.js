@@ -5,7 +5,6 @@
 // Lengths are metres, z is up, quaternions (w, x, y, z), colours sRGB from 0 to 1, angles radians. Arrays are flat:
 // `sizes` has 3 numbers per box, the whole extents. `carrier` is as in carrier.js; `floorZ` its floor.
 //
-//   setScene({sizes, carrier, floorZ})  other boxes in the same canvas; everything else is as after createViewer
 //   setPoses(pos, quat)                 3 and 4 numbers per box; a box whose pos is NaN is not drawn
 //   setCarrier(pos, quat)               the pose of the carrier, if it differs from the scene
 //   setColours(rgb)                     3 numbers per box
@@ -35,7 +34,7 @@ import { boardsAt, corners } from "./carrier.js";
 import { listen } from "./gestures.js";
 import { LOOK } from "./appearance.js";
 import { ARROW_NUMBERS, BOX_NUMBERS, Painter } from "./painter.js";
-import { add, dot, norm, sub, turned, turnedBack } from "./vectors.js";
+import { add, cornersBetween, dot, norm, scaled, sub, turned, turnedBack } from "./vectors.js";
 
 const BOX_STRIDE = BOX_NUMBERS.reduce((a, b) => a + b);
 const ARROW_STRIDE = ARROW_NUMBERS.reduce((a, b) => a + b);
@@ -52,8 +51,8 @@ export function createViewer(canvas, scene) {
 }
 
 class Viewer {
-  constructor(canvas, gl, scene) {
-    Object.assign(this, { canvas, gl, camera: new Camera(), onClick: () => {}, onDraw: () => {} });
+  constructor(canvas, gl, { sizes, carrier, floorZ }) {
+    Object.assign(this, { canvas, gl, carrier, floorZ, camera: new Camera(), onClick: () => {}, onDraw: () => {} });
     this.painter = new Painter(gl);
     this.night = matchMedia("(prefers-color-scheme: dark)");
     this.stop = new AbortController();
@@ -69,15 +68,9 @@ class Viewer {
       zoom: (factor) => this.zoom(factor),
       click: (x, y) => this.clicked(x, y),
     });
-    this.setScene(scene);
-  }
-
-  setScene({ sizes, carrier, floorZ }) {
     const n = sizes.length / 3;
     this.n = n;
     this.half = Float32Array.from(sizes, (size) => size / 2);
-    this.floorZ = floorZ;
-    this.carrier = carrier;
     this.boards = boardsAt(carrier, carrier.pos, [1, 0, 0, 0]);
     this.pos = new Float32Array(3 * n).fill(NaN);
     this.quat = new Float32Array(4 * n);
@@ -178,8 +171,8 @@ class Viewer {
   hull(box) {
     const { pos, quat, half } = this.box(box);
     if (Number.isNaN(pos[0])) return null;
-    const corners = [0, 1, 2, 3, 4, 5, 6, 7].map((k) => half.map((size, axis) => (k & (1 << axis) ? size : -size)));
-    const seen = corners.map((corner) => this.project(add(turned(quat, corner), pos)));
+    const own = cornersBetween(scaled(half, -1), half);
+    const seen = own.map((corner) => this.project(add(turned(quat, corner), pos)));
     if (seen.includes(null)) return null;
     const [x, y] = [seen.map((point) => point.x), seen.map((point) => point.y)];
     return { left: Math.min(...x), right: Math.max(...x), top: Math.min(...y), bottom: Math.max(...y) };

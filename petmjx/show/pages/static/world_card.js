@@ -6,12 +6,11 @@
 // `replay` the number of its recorded history or −1.
 
 import { rgbOf, shareOf } from "./colours.js";
-import { decimals } from "./decimals.js";
 import { make, makeSvg } from "./dom.js";
 import { bounds } from "./final_boxes.js";
-import { goodsOf } from "./box_names.js";
 import { Replay } from "./replay.js";
-import { clamped } from "./vectors.js";
+import { decimals, goodsOf } from "./texts.js";
+import { clamped, upright } from "./vectors.js";
 import { createViewer } from "./viewer.js";
 
 const COLOURS = { article: "article", moved: "movement", tilt: "largest tilt", force: "largest force on top" };
@@ -69,8 +68,7 @@ export class Card {
   }
 
   ghosts(wanted) {
-    const upright = Float32Array.from({ length: 4 * this.world.n }, (_, k) => (k % 4 === 0 ? 1 : 0));
-    if (wanted) this.viewer?.setGhosts(this.world.planned, upright);
+    if (wanted) this.viewer?.setGhosts(this.world.planned, upright(this.world.n));
     else this.viewer?.setGhosts();
   }
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Final
 
-from petmjx.show.pages.html_page import escaped_html as escaped_text
+from petmjx.show.pages.html_page import escaped_html
 
 
 class Markup(str):
@@ -19,42 +19,30 @@ Content = str | Markup | None
 
 NOTHING: Final = Markup("")
 
-_EMPTY: Final = frozenset({"br", "col", "hr", "img", "input", "meta"})
-"""HTML elements that have no end tag."""
-
-
-def escaped_markup(text: str) -> Markup:
-    """Text as markup: it is escaped, and invisible characters are made visible. Markup is returned unchanged."""
-    return text if isinstance(text, Markup) else Markup(escaped_text(text))
-
 
 def joined_markup(*parts: Content) -> Markup:
-    """Parts, joined in order. Parts that are not markup are escaped."""
-    return Markup("".join(escaped_markup(part) for part in parts if part is not None))
+    """Parts, joined in order. Parts that are not markup are escaped, and their invisible characters are made
+    visible."""
+    return Markup(
+        "".join(part if isinstance(part, Markup) else escaped_html(part) for part in parts if part is not None)
+    )
 
 
-def element(name: str, *children: Content, **attributes: str | float | bool | None) -> Markup:
-    """An element with children.
+def element(name: str, *children: Content, **attributes: str | float | None) -> Markup:
+    """An element with children and an end tag.
 
     Args:
         name: name of the element, such as "p".
         attributes: attributes of the element. ``class_`` becomes class, and ``aria_label`` becomes aria-label. An
-            attribute with the value None or False is left out. An attribute with the value True is written without a
-            value.
+            attribute with the value None is left out.
     """
-    written = "".join(_attribute(key, value) for key, value in attributes.items())
-    end = "" if name in _EMPTY else f"</{name}>"
-    return Markup(f"<{name}{written}>{joined_markup(*children)}{end}")
+    written = "".join(_attribute(key, value) for key, value in attributes.items() if value is not None)
+    return Markup(f"<{name}{written}>{joined_markup(*children)}</{name}>")
 
 
-def _attribute(key: str, value: str | float | bool | None) -> str:
-    if value is None or value is False:
-        return ""
-    name = key.rstrip("_").replace("_", "-")
-    if value is True:
-        return f" {name}"
+def _attribute(key: str, value: str | float) -> str:
     text = f"{value:.2f}".rstrip("0").rstrip(".") if isinstance(value, float) else str(value)
-    return f' {name}="{escaped_text(text)}"'
+    return f' {key.rstrip("_").replace("_", "-")}="{escaped_html(text)}"'
 
 
 def table(
