@@ -88,7 +88,7 @@ def test_the_rule_on_a_stream_is_that_of_balanced() -> None:
     """If the rule of ``balanced`` sees all boxes of a stream, its packing is that of the packer ``balanced``."""
     packing = Packing(DRAWN.items, EXTENT, PREFERENCE_SETS[0])
     packing.fill()
-    stream = ItemStream(DRAWN.items, EXTENT, 0.0, len(DRAWN.items), PREFERENCE_SETS[0])
+    stream = ItemStream(DRAWN.items, EXTENT, 0.0, len(DRAWN.items))
     assert pack_stream(stream, by_taste) == packing.placed
 
 
