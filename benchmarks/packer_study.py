@@ -6,7 +6,7 @@ that was chosen because it stands in 16 worlds must stand in other worlds, too.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -29,10 +29,11 @@ from benchmarks.packers_of_study import (
 )
 from benchmarks.result_fields import environment
 from petmjx.common.units import MM_PER_M, FloatArray
+from petmjx.loop.episode_orders import Orders
 from petmjx.packers.learned_packer import Policy
 from petmjx.packers.packer_registry import BALANCED
 from petmjx.packers.sample_plans import as_placements
-from petmjx.plans.order import TARGET_EXTENT_MM, Order
+from petmjx.plans.order import TARGET_EXTENT_MM, Item, Order
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_decoder import DecoderOptions, parse_plan
 from petmjx.results.share_statistics import PairedCounts, mcnemar_p
@@ -275,3 +276,21 @@ def _as_many(tables: Mapping[str, pd.DataFrame]) -> dict[str, float]:
         packer: round(float((table.placed >= reference.reindex(table.index) - 1e-9).mean()), 4)
         for packer, table in tables.items()
     }
+
+
+ROBOBPP_BOXES: Final = range(12, 161)
+"""Numbers of boxes of RoboBPP's orders that are read. In ``pg.xlsx``, these are 765 pallets of a real warehouse."""
+
+
+def read_set(path: Path) -> Iterator[tuple[str, Order]]:
+    """The orders of one of RoboBPP's sets that have 12 to 160 boxes, for a euro-pallet. Equal boxes are one article."""
+    for number, boxes in enumerate(Orders(path).some(0)):
+        if len(boxes) not in ROBOBPP_BOXES:
+            continue
+        rows = np.column_stack([boxes.size_mm, boxes.mass_kg]).tolist()
+        articles: dict[tuple[float, ...], str] = {}
+        items = []
+        for row in rows:
+            name = articles.setdefault(tuple(row), f"{len(articles):08d}")
+            items.append(Item(name, name, "", *row))
+        yield f"{path.stem}-{number:05d}", Order("euro-pallet", tuple(items))

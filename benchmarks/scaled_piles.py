@@ -91,9 +91,7 @@ def thresholds(factor: float) -> Thresholds:
     return usual.model_copy(update={name: factor * getattr(usual, name) for name in lengths})
 
 
-def scaled(
-    seed: int, piles: int, engine: EngineName, factors: Sequence[float] = FACTORS, threads: int = 1
-) -> pd.DataFrame:
+def scaled(seed: int, piles: int, engine: EngineName, factors: Sequence[float] = FACTORS) -> pd.DataFrame:
     """The worlds of all piles in all sizes: one row per pile and factor, with the columns of ``worlds`` and ``factor``.
 
     Args:
@@ -108,7 +106,7 @@ def scaled(
         plans = [pile.plan(f"pile-{number:0{width}}", factor) for number, pile in enumerate(drawn)]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            run = petmjx.score(plans, engine=engine, threads=threads, thresholds=thresholds(factor), keep="worlds")
+            run = petmjx.score(plans, engine=engine, threads=1, thresholds=thresholds(factor), keep="worlds")
         frames.append(run.worlds.assign(factor=factor))
     return pd.concat(frames, ignore_index=True)
 

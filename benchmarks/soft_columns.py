@@ -86,24 +86,19 @@ class Answer(NamedTuple):
 
 
 class _Chain:
-    """The energy of the lowest boxes of a column. Unknown are the depth and both leans of each box, in SI units."""
+    """The energy of a column. Unknown are the depth and both leans of each box, in SI units."""
 
-    def __init__(self, column: Column, count: int, moved_m: Array) -> None:
-        half = column.size_mm[:count] / 2e3
-        middle = column.middle_mm[:count] / 1e3
-        stiffness = np.minimum(column.stiffness_n_mm[:count], RIGID_N_MM) * 1e3
+    def __init__(self, column: Column) -> None:
+        half, middle = column.size_mm / 2e3, column.middle_mm / 1e3
+        stiffness = np.minimum(column.stiffness_n_mm, RIGID_N_MM) * 1e3
         give = np.append(0.0, 2 * half[:, 0] * half[:, 1] / stiffness)
         low = np.vstack([(MIDDLE_MM - CARRIER_HALF_MM) / 1e3, middle - half[:, :2]])
         high = np.vstack([(MIDDLE_MM + CARRIER_HALF_MM) / 1e3, middle + half[:, :2]])
-        # each box is set down on the box below as this box has moved
-        low[1:] -= moved_m[:count]
-        high[1:] -= moved_m[:count]
         low, high = np.maximum(low[1:], low[:-1]), np.minimum(high[1:], high[:-1])
-        self.count, self.mass, self.height = count, column.mass_kg[:count], 2 * half[:, 2]
+        self.count, self.mass, self.height = len(column.mass_kg), column.mass_kg, 2 * half[:, 2]
         self.stiffness = 1 / (give[1:] + give[:-1])
         self.hinge = (low + high) / 2
-        centers = middle - moved_m[:count]
-        self.to_center = centers - self.hinge
+        self.to_center = middle - self.hinge
         self.to_next = np.vstack([self.hinge[1:] - self.hinge[:-1], np.zeros(2)])
         side = (np.arange(GRID) + 0.5) / GRID - 0.5
         across = high - low
@@ -168,30 +163,16 @@ class _Chain:
         return moved
 
 
-def bed_answer(column: Column, one_by_one: bool = False) -> Answer:
-    """The result of the bed of springs for a column whose boxes stand from the beginning.
-
-    Args:
-        one_by_one: whether each box is instead set down at its planned place when the boxes below have come to rest.
-    """
-    n = len(column.mass_kg)
-    moved, nowhere = np.zeros((n, 2)), np.full((n, 2), np.nan)
-    least, rest = MOST_MULTIPLE, None
-    for count in range(1 if one_by_one else n, n + 1):
-        chain = _Chain(column, count, moved)
-        multiple = _most(chain)
-        least = min(least, multiple)
-        rest = _at(chain, 1.0)
-        if rest is None:
-            return Answer(least, nowhere, nowhere)
-        if count < n:
-            moved[count] = chain.moved_m(rest)[-1]
-    assert rest is not None
-    lean = rest[n:].reshape(n, 2)
-    tops = chain.moved_m(rest)
-    shift = (tops - chain.height[:, None] / 2 * lean) * 1e3
-    # a box is set down at its planned place, wherever the top below is
-    return Answer(least, lean, shift - moved * 1e3)
+def bed_answer(column: Column) -> Answer:
+    """The result of the bed of springs for a column whose boxes stand from the beginning."""
+    chain = _Chain(column)
+    least = min(MOST_MULTIPLE, _most(chain))
+    rest = _at(chain, 1.0)
+    if rest is None:
+        nowhere = np.full((chain.count, 2), np.nan)
+        return Answer(least, nowhere, nowhere)
+    lean = rest[chain.count :].reshape(-1, 2)
+    return Answer(least, lean, (chain.moved_m(rest) - chain.height[:, None] / 2 * lean) * 1e3)
 
 
 def _at(chain: _Chain, multiple: float) -> Array | None:

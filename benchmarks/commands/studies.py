@@ -209,9 +209,8 @@ def packers(
     **options: Any,
 ) -> None:
     """How dense, sure and firm the plans of packers are, on the same orders (docs/packers.md)."""
-    from benchmarks.packer_study import StudySettings, study
+    from benchmarks.packer_study import StudySettings, read_set, study
     from benchmarks.result_fields import append_line
-    from benchmarks.robobpp import read_set
     from petmjx.common.machine import cpu_threads
     from petmjx.packers.learned_packer import Policy
     from petmjx.packers.pack import orders_of

@@ -28,10 +28,47 @@ EDGES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.998, 1.0)
 """Edges of the bins of estimated chances in the reliability table."""
 
 
+def fresh_network(mean: Array, scale: Array, n_hidden: int, rng: np.random.Generator) -> Network:
+    """A network before training. All scores of this network are 0."""
+    f = len(mean)
+    hidden = rng.standard_normal((f, n_hidden)) / np.sqrt(f)
+    return Network(mean, scale, np.zeros(f), hidden, np.zeros(n_hidden), np.zeros(n_hidden), np.zeros(()))
+
+
+def parameters_of(network: Network) -> Array:
+    """All trained parameters of a network as one vector."""
+    parts = (network.linear, network.hidden, network.bias, network.out, network.constant)
+    return np.concatenate([np.ravel(part) for part in parts])
+
+
+def with_parameters(network: Network, values: Array) -> Network:
+    """The network with other trained parameters, given in the order of ``parameters_of``."""
+    f, h = network.hidden.shape
+    linear, hidden, bias, out, constant = np.split(values, np.cumsum([f, f * h, h, h]))
+    return replace(
+        network, linear=linear, hidden=hidden.reshape(f, h), bias=bias, out=out, constant=constant.reshape(())
+    )
+
+
+def gradient(network: Network, features: Array, weights: Array) -> Array:
+    """The gradient of the sum of weights × scores with respect to the trained parameters, in the order of
+    ``parameters_of``.
+
+    Args:
+        features: (m, f) features.
+        weights: (m,) weights of the m scores.
+    """
+    x = (features - network.mean) / network.scale
+    active = np.tanh(x @ network.hidden + network.bias)
+    back = weights[:, None] * (1 - active**2) * network.out
+    parts = (weights @ x, x.T @ back, back.sum(axis=0), weights @ active, weights.sum())
+    return np.concatenate([np.ravel(part) for part in parts])
+
+
 def believing() -> Network:
     """A head that estimates that all placements stand, for use before there are labels."""
     f = len(NAMES)
-    fresh = Network.fresh(np.zeros(f), np.ones(f), HIDDEN, stream(0, STREAM))
+    fresh = fresh_network(np.zeros(f), np.ones(f), HIDDEN, stream(0, STREAM))
     return replace(fresh, constant=np.array(8.0))
 
 
@@ -46,7 +83,7 @@ def fit(labels: Labels, seed: int, steps: int) -> tuple[Network, dict[str, Any]]
     """The fitted head, and its calibration on the orders kept for tests."""
     aside = kept_aside(labels.order)
     mean, scale = labels.features.mean(axis=0), labels.features.std(axis=0)
-    fresh = Network.fresh(mean, np.where(scale > 1e-6, scale, 1.0), HIDDEN, stream(seed, STREAM))
+    fresh = fresh_network(mean, np.where(scale > 1e-6, scale, 1.0), HIDDEN, stream(seed, STREAM))
     head = _descended(fresh, labels.features[~aside], labels.stands[~aside], seed, steps)
     said = {}
     for name, where in (("all", aside | True), ("usual", labels.usual > 0)):
@@ -58,17 +95,17 @@ def fit(labels: Labels, seed: int, steps: int) -> tuple[Network, dict[str, Any]]
 
 def _descended(head: Network, features: Array, stands: Array, seed: int, steps: int) -> Network:
     """The head with the largest likelihood, found by Adam. Each step uses all placements."""
-    values = head.learned
+    values = parameters_of(head)
     values[-1] = np.log((stands.sum() + 1) / (len(stands) - stands.sum() + 1))
     # hidden units with zero weights would learn nothing, so their weights begin as small random numbers
     values[-1 - HIDDEN : -1] = 0.1 * stream(seed, STREAM, 1).standard_normal(HIDDEN)
     adam = Adam.fresh(values.size)
     for step in range(steps):
-        network = head.with_learned(values)
+        network = with_parameters(head, values)
         error = (likely(network, features) - stands) / len(stands)
-        slope = network.slope(features, error) + DECAY * values * (np.arange(values.size) < values.size - 1)
+        slope = gradient(network, features, error) + DECAY * values * (np.arange(values.size) < values.size - 1)
         values, adam = adam.stepped(values, -slope, 0.02 / (1 + 4 * step / steps))
-    return head.with_learned(values)
+    return with_parameters(head, values)
 
 
 def calibration(chances: Array, stands: Array, base: float) -> dict[str, Any]:

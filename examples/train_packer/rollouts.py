@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from labels import Array
@@ -54,6 +54,11 @@ def drawn(seed: int, generation: int, number: int) -> tuple[Order, list[int], in
     return order, sequence, look_ahead
 
 
+def with_linear(policy: Policy, weights: Array) -> Policy:
+    """The policy with other linear weights in the network that scores candidates."""
+    return replace(policy, taste=replace(policy.taste, linear=weights))
+
+
 def outcomes(task: tuple[int, int, int], policy: Policy, candidates: Array) -> list[Outcome]:
     """The results of all candidates for one order.
 
@@ -62,7 +67,7 @@ def outcomes(task: tuple[int, int, int], policy: Policy, candidates: Array) -> l
         candidates: (n, d) linear weights of the policy's scores.
     """
     order, sequence, look_ahead = drawn(*task)
-    return [outcome(policy.with_linear(linear), order, sequence, look_ahead) for linear in candidates]
+    return [outcome(with_linear(policy, linear), order, sequence, look_ahead) for linear in candidates]
 
 
 def validated(number: int, policy: Policy, look_ahead: int) -> Outcome:

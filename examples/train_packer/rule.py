@@ -3,10 +3,12 @@ the features."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
-from head import believing
+from head import believing, fresh_network
 from labels import Array
-from rollouts import drawn
+from rollouts import drawn, with_linear
 
 from petmjx.packers.learned_candidates import FourSidedStream
 from petmjx.packers.learned_features import NAMES
@@ -36,8 +38,8 @@ def by_rule() -> Policy:
     """The rule as a policy, with a head that estimates that all placements stand."""
     f = len(NAMES)
     linear = np.array([RULE.get(name, 0.0) for name in NAMES])
-    taste = Network.fresh(np.zeros(f), np.ones(f), 0, stream(0))
-    return Policy(taste, believing()).with_linear(linear)
+    taste = fresh_network(np.zeros(f), np.ones(f), 0, stream(0))
+    return with_linear(Policy(taste, believing()), linear)
 
 
 def spread(number: int, seed: int) -> Array:
@@ -64,6 +66,4 @@ def scaled(rows: Array) -> Network:
     scale = np.where(spreads > 1e-6, spreads, 1.0)
     rule = by_rule().taste
     linear = rule.linear * scale / np.sqrt(((rows @ rule.linear) ** 2).mean())
-    f = len(NAMES)
-    fresh = Network.fresh(np.zeros(f), scale, 0, stream(0))
-    return Policy(fresh, believing()).with_linear(linear).taste
+    return replace(fresh_network(np.zeros(len(NAMES)), scale, 0, stream(0)), linear=linear)

@@ -31,7 +31,7 @@ import numpy as np
 from head import believing, fit
 from judge import judged
 from labeller import Labeller
-from rollouts import Outcome, outcomes, policy_worth, validated
+from rollouts import Outcome, outcomes, policy_worth, validated, with_linear
 from rule import scaled, spread
 from search import Search
 
@@ -88,7 +88,7 @@ class State:
     @property
     def policy(self) -> Policy:
         """The policy with the weights that are published: the mean of the candidates' distribution."""
-        return Policy(self.taste, self.head).with_linear(self.search.mean)
+        return with_linear(Policy(self.taste, self.head), self.search.mean)
 
     def save(self, path: Path) -> None:
         """Write the state to a file, completely or not at all."""

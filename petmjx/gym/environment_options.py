@@ -11,7 +11,6 @@ from petmjx.common.checked_records import hint, shown_value
 from petmjx.common.errors import InputError
 from petmjx.loop.candidate_places import LARGEST_GAP_MM
 from petmjx.loop.episode_orders import ENDLESS, Orders, order_reading
-from petmjx.loop.rewards import weights_of
 
 CELLS: Final = "cells"
 CANDIDATES: Final = "candidates"
@@ -143,8 +142,3 @@ class PalletizingOptions:
                 f"mask: '{LOADS}' needs the strengths of boxes; give orders the column strength_n, or pass articles"
             )
         return orders
-
-    @property
-    def weights(self) -> dict[str, float]:
-        """The weights of the terms of the reward."""
-        return weights_of(self.rewards)

@@ -24,7 +24,7 @@ from petmjx.loop.candidate_trials import MOST_ERRORS_DRAWN
 from petmjx.loop.height_maps import cells_of
 from petmjx.loop.pallets import Pallets
 from petmjx.loop.placement_results import PlacementResults
-from petmjx.loop.rewards import TERMS, Placement
+from petmjx.loop.rewards import TERMS, Placement, weights_of
 
 _MOST_ORDERS: Final = 100
 """Largest number of orders that are drawn for one episode. If no box of the drawn order fits on the empty carrier,
@@ -66,7 +66,7 @@ class Episodes:
 
     def __init__(self, n: int, options: dict[str, Any]) -> None:
         self.options, of_pallets = PalletizingOptions.of(options)
-        self.weights = self.options.weights
+        self.weights = weights_of(self.options.rewards)
         self.orders = self.options.read_orders()
         self.curriculum = Curriculum.of(self.options)
         self._several = self.options.open_pallets

@@ -1,4 +1,5 @@
-"""Chooses the engine for open pallets (pallets to which boxes can be added), and checks options."""
+"""The engine of open pallets (pallets to which boxes can be added): its choice, the check of its options, and the base
+class of objects that hold an engine until they are closed (``Closable``)."""
 
 from __future__ import annotations
 
@@ -24,6 +25,18 @@ the memory."""
 
 OF_RUN: Final = ("threads", "lanes")
 """The fields of ``RunOptions`` that pallets accept."""
+
+
+class Closable:
+    """Base class of objects that hold an engine until they are closed. The use of a closed object raises an InputError
+    of one line."""
+
+    _is_closed = False
+
+    def _check_open(self) -> None:
+        """Raise InputError if the object has been closed."""
+        if self._is_closed:
+            raise InputError(f"petmjx.{type(self).__name__}: closed; make a new one")
 
 
 def check_open(sim: Simulation) -> None:

@@ -29,8 +29,7 @@ from petmjx.common.overwrite_guard import check_outputs
 from petmjx.common.parquet_files import open_for_arrow
 from petmjx.common.safe_read import read_regular
 from petmjx.common.text import count_text, printable
-from petmjx.loop.label_splits import SPLITS
-from petmjx.loop.placement_labels import COLUMNS, SCHEMA, Label, Labeller, plans_of_labels
+from petmjx.loop.placement_labels import COLUMNS, SCHEMA, SPLITS, Label, Labeller, plans_of_labels
 from petmjx.loop.unfinished_labels import (
     SPLIT,
     TABLE,

@@ -21,8 +21,7 @@ from petmjx.engines.protocol import Engine
 from petmjx.engines.verdict import Outcome
 from petmjx.loop.candidate_places import LARGEST_GAP_MM, Places, free_places
 from petmjx.loop.candidate_trials import drive_of, driven_results, errors_asked, errors_of, shares
-from petmjx.loop.closable import Closable
-from petmjx.loop.engine_setup import MOST_PALLETS, OF_RUN, check_open, open_engine
+from petmjx.loop.engine_setup import MOST_PALLETS, OF_RUN, Closable, check_open, open_engine
 from petmjx.loop.height_maps import height_maps
 from petmjx.loop.pallet_verdicts import PalletWorld, SettledEngine, pallet_scores
 from petmjx.loop.pallet_worlds import PalletWorlds

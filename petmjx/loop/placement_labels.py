@@ -10,6 +10,7 @@ episode depends only on its number and the seed, so a larger set begins with the
 
 from __future__ import annotations
 
+import hashlib
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
@@ -30,7 +31,6 @@ from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.loop.candidate_places import Places
 from petmjx.loop.engine_setup import chooses_gpu
 from petmjx.loop.episode_orders import Boxes, Orders
-from petmjx.loop.label_splits import split_of
 from petmjx.loop.pallets import Pallets
 from petmjx.options.run_options import AUTO
 from petmjx.options.thresholds import FAILURES
@@ -107,6 +107,9 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     ),
 }
 """Name of a column of labels → type and meaning of the column."""
+
+SPLITS: Final = {"train": 0.8, "validation": 0.1, "test": 0.1}
+"""Share of the orders in each split (training, validation and test set of models)."""
 
 Label = dict[str, Any]
 """A label, as a dict with a value for each name in ``COLUMNS`` and a value for ``split``. Values with an entry for each
@@ -464,6 +467,19 @@ def _label_of(outcome: Outcome) -> Label:
         "margin": None if invalid else outcome.margin,
         "top_force_n": np.asarray(force, np.float64) if rests else None,
     }
+
+
+def split_of(boxes: Boxes) -> str:
+    """The split to which an order belongs. The split depends only on the sizes and masses of the order's boxes, not on
+    their sequence or orientation. So orders with the same boxes are in the same split."""
+    rows = np.column_stack([np.sort(boxes.size_mm, axis=1), boxes.mass_kg]).round(3)
+    content = rows[np.lexsort(rows.T)].tobytes()
+    place = int.from_bytes(hashlib.sha256(content).digest()[:8]) / 2**64
+    for name, share in SPLITS.items():
+        if place < share:
+            return name
+        place -= share
+    return name
 
 
 def plans_of_labels(labels: Sequence[Label]) -> list[Plan]:

@@ -20,8 +20,7 @@ from petmjx.common.units import FloatArray
 from petmjx.engines.protocol import Engine
 from petmjx.engines.simulation_loop import score_worlds
 from petmjx.engines.world_results import World, WorldResult
-from petmjx.loop.closable import Closable
-from petmjx.loop.engine_setup import OF_RUN, ready_engine
+from petmjx.loop.engine_setup import OF_RUN, Closable, ready_engine
 from petmjx.loop.placement_results import PlacementResults
 from petmjx.options.run_options import AUTO, RunOptions
 from petmjx.options.simulation import Simulation

@@ -19,6 +19,7 @@ from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM
 from petmjx.plans.order import Item
 
 MAX_HEIGHT_MM = 2000.0
+ATTEMPTS = 3
 
 
 @dataclass(frozen=True)
@@ -57,12 +58,12 @@ class PlacedBox:
 
 
 def pack_best(
-    items: Sequence[Item], extent_mm: tuple[float, float], rules: PackRules, rng: np.random.Generator, attempts: int = 3
+    items: Sequence[Item], extent_mm: tuple[float, float], rules: PackRules, rng: np.random.Generator
 ) -> list[PlacedBox]:
-    """The best of up to ``attempts`` packings, that is, the packing with the most boxes. For each packing, the boxes
+    """The best of up to ``ATTEMPTS`` packings, that is, the packing with the most boxes. For each packing, the boxes
     are sorted with other random numbers."""
     best: list[PlacedBox] = []
-    for _ in range(attempts):
+    for _ in range(ATTEMPTS):
         placed = pack(items, extent_mm, rules, rng)
         if len(placed) > len(best):
             best = placed

@@ -50,7 +50,8 @@ class Places(NamedTuple):
 
 
 class ItemStream(Packing):
-    """A packing, and the boxes that are still to arrive.
+    """A packing, and the boxes that are still to arrive. Candidates are rated with the first set of weights that the
+    packer ``balanced`` tries.
 
     Attributes:
         clearance: (3,) free space that a box needs along x, y and z, mm.
@@ -63,8 +64,6 @@ class ItemStream(Packing):
         clearance_mm: free space between a box and its neighbours along x and y, mm.
         look_ahead: number of boxes that the packer sees at a time. Any of the boxes that the packer sees may be placed
             next.
-        preferences: values and costs with which candidates are rated, as in the packer ``balanced``. If ``preferences``
-            is None, the first of the sets of ``balanced`` is used.
     """
 
     def __init__(
@@ -73,9 +72,8 @@ class ItemStream(Packing):
         extent_mm: tuple[float, float],
         clearance_mm: float = 0.0,
         look_ahead: int = 1,
-        preferences: Preferences | None = None,
     ) -> None:
-        super().__init__(items, extent_mm, preferences or Preferences(), clearance_mm)
+        super().__init__(items, extent_mm, Preferences(), clearance_mm)
         self.look_ahead = look_ahead
         self.skipped = 0
         self._masses = np.zeros(len(items))

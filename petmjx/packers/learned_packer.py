@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import IO, Final, NamedTuple
@@ -93,10 +93,6 @@ class Policy:
 
     taste: Network
     head: Network
-
-    def with_linear(self, weights: FloatArray) -> Policy:
-        """This policy with other linear weights in the network ``taste``, which scores candidates."""
-        return replace(self, taste=replace(self.taste, linear=weights))
 
     def seen(self, stream: FourSidedStream) -> tuple[Places, FloatArray] | None:
         """The candidates that are rated, and their features; None if there are no candidates."""

@@ -13,6 +13,7 @@ from petmjx.plans.order import Order
 
 NO_PLACE: Final = "no packing has room for more boxes"
 FALLS: Final = "packings with more boxes do not stand often enough"
+"""The two reasons why ``petmjx.pack``, which chooses among packings by simulation, leaves items out."""
 
 
 @dataclass(frozen=True)
@@ -53,14 +54,3 @@ def left_out_of(order_id: str, order: Order, placed: Iterable[PlacedBox], why: s
         if counts[item] < 0:
             missing.append(number)
     return LeftOutItems(order_id, len(order.items), tuple(missing), why) if missing else None
-
-
-def why_left_out(chosen_m3: float | None, found_m3: Iterable[float]) -> str:
-    """The reason why items are missing in a packing. Simulations have chosen the packing from all packings of the
-    order.
-
-    Args:
-        chosen_m3: volume of the boxes of the chosen packing, m³; None if no packing was chosen.
-        found_m3: volumes of the boxes of all packings that were found, m³.
-    """
-    return FALLS if chosen_m3 is not None and max(found_m3) > chosen_m3 else NO_PLACE

@@ -15,8 +15,8 @@ from petmjx.options.simulation import Simulation
 from petmjx.options.sorted_options import sorted_options
 from petmjx.packers.item_stream import MOST_LOOK_AHEAD
 from petmjx.packers.learned_packer import LEARNED
+from petmjx.packers.pack_flow import pack_physical
 from petmjx.packers.packed_orders import Packed, PackedOrder
-from petmjx.packers.physical_packer import pack_physical
 from petmjx.packers.physical_packer_options import PHYSICAL, PhysicalOptions
 from petmjx.packers.sample_plans import MOST_SAMPLES
 from petmjx.plans.file_formats import SupportsArrow

@@ -13,7 +13,7 @@ import pandas as pd
 from petmjx.common.argument_checks import path_of
 from petmjx.common.text import count_text
 from petmjx.packers.finalists import Evaluation, Finalist, choose, decisive_evaluations
-from petmjx.packers.left_out_items import LeftOutItems, left_out_of, why_left_out
+from petmjx.packers.left_out_items import FALLS, NO_PLACE, LeftOutItems, left_out_of
 from petmjx.packers.physical_packer_options import PhysicalOptions
 from petmjx.packers.sample_plans import as_placements
 from petmjx.plans.bedbpp_writer import Placement, write_plans
@@ -84,8 +84,8 @@ class PackedOrder:
         tried = decisive_evaluations(judged, options)
         packing = choose(tried, options) if tried else None
         left_out = left_out_of(order_id, order, packing.finalist.placed if packing else ())
-        chosen_m3 = packing.finalist.volume_m3 if packing else None
-        why = "" if left_out is None else why_left_out(chosen_m3, (finalist.volume_m3 for finalist in finalists))
+        has_fuller = packing and max(finalist.volume_m3 for finalist in finalists) > packing.finalist.volume_m3
+        why = "" if left_out is None else FALLS if has_fuller else NO_PLACE
         good = packing is not None and packing.is_good(options)
         simulated = sum(candidate.n_simulated for candidate in judged)
         return cls(order_id, len(order.items), packing, len(tried), simulated, good, left_out, why)

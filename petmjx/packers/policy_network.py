@@ -3,7 +3,7 @@ probabilities. The network is the sum of a linear part and one hidden layer."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -32,46 +32,11 @@ class Network:
     out: FloatArray
     constant: FloatArray
 
-    @classmethod
-    def fresh(cls, mean: FloatArray, scale: FloatArray, n_hidden: int, rng: np.random.Generator) -> Self:
-        """A network before training. All scores of this network are 0."""
-        f = len(mean)
-        hidden = rng.standard_normal((f, n_hidden)) / np.sqrt(f)
-        return cls(mean, scale, np.zeros(f), hidden, np.zeros(n_hidden), np.zeros(n_hidden), np.zeros(()))
-
     def scores(self, features: FloatArray) -> FloatArray:
         """(m,) scores, from (m, f) features."""
         x = (features - self.mean) / self.scale
         scores: FloatArray = x @ self.linear + np.tanh(x @ self.hidden + self.bias) @ self.out + self.constant
         return scores
-
-    @property
-    def learned(self) -> FloatArray:
-        """All trained parameters as one vector."""
-        parts = (self.linear, self.hidden, self.bias, self.out, self.constant)
-        return np.concatenate([np.ravel(part) for part in parts])
-
-    def with_learned(self, values: FloatArray) -> Self:
-        """This network with other trained parameters, given in the order of ``learned``."""
-        f, h = self.hidden.shape
-        linear, hidden, bias, out, constant = np.split(values, np.cumsum([f, f * h, h, h]))
-        return replace(
-            self, linear=linear, hidden=hidden.reshape(f, h), bias=bias, out=out, constant=constant.reshape(())
-        )
-
-    def slope(self, features: FloatArray, weights: FloatArray) -> FloatArray:
-        """The gradient of the sum of weights × scores with respect to the trained parameters, in the order of
-        ``learned``.
-
-        Args:
-            features: (m, f) features.
-            weights: (m,) weights of the m scores.
-        """
-        x = (features - self.mean) / self.scale
-        active = np.tanh(x @ self.hidden + self.bias)
-        back = weights[:, None] * (1 - active**2) * self.out
-        parts = (weights @ x, x.T @ back, back.sum(axis=0), weights @ active, weights.sum())
-        return np.concatenate([np.ravel(part) for part in parts])
 
     def arrays(self, name: str) -> dict[str, FloatArray]:
         """The arrays of the network as they are stored in a file, with names that begin with ``name``."""

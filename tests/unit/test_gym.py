@@ -23,6 +23,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from support.programs import run_program
 
 import petmjx.gym
+from benchmarks import episodes as episodes_module
 from benchmarks.episodes import SETTINGS, episodes
 from petmjx.common.errors import InputError, PlanWarning
 from petmjx.engines.engine_registry import make_engine
@@ -246,8 +247,9 @@ def test_what_a_box_does_not_need_goes_to_the_others() -> None:
         assert (kept - first < poured.ravel()[seen[kept]]).all()  # the best places of each box are kept
 
 
-def test_random_episodes_in_all_settings_show_no_fault() -> None:
+def test_random_episodes_in_all_settings_show_no_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     """Random episodes with all settings. ``python -m benchmarks loop episodes`` plays thousands of such episodes."""
+    monkeypatch.setattr(episodes_module, "PALLETS", 5)
     summary = episodes(make_engine("mujoco", threads=1), 2 * len(SETTINGS), seed=5)
     assert summary["faults"] == {}
     assert summary["episodes"] >= 2 * len(SETTINGS)

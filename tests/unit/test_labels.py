@@ -24,8 +24,7 @@ from petmjx.cli import main
 from petmjx.common.errors import InputError
 from petmjx.loop.episode_orders import Boxes, Orders, order_reading
 from petmjx.loop.label_files import CARD, README, RULES, baselines, label_files, write_labels
-from petmjx.loop.label_splits import SPLITS, split_of
-from petmjx.loop.placement_labels import COLUMNS, Label, Labeller, plans_of_labels
+from petmjx.loop.placement_labels import COLUMNS, SPLITS, Label, Labeller, plans_of_labels, split_of
 from petmjx.loop.unfinished_labels import LabelParts, check_same_set, labels_of
 
 MUJOCO: dict[str, Any] = {"engine": "mujoco", "threads": 1}

@@ -29,7 +29,7 @@ from petmjx.packers.learned_features import NAMES, features
 from petmjx.packers.learned_packer import CLEARANCE_MM, LEARNED, Policy, pack_learned, published_policy
 from petmjx.packers.packer_registry import LEFT_OUT_REASONS
 from petmjx.packers.packing_state import Packing
-from petmjx.packers.policy_network import Network, likely
+from petmjx.packers.policy_network import likely
 from petmjx.packers.sample_plans import generate
 from petmjx.packers.stability_features import NAMES as STABILITY_NAMES
 from petmjx.plans.order import TARGET_EXTENT_MM, Item, Order
@@ -46,7 +46,6 @@ def test_its_packings_are_sound_and_apart(items: list[Item], extent: tuple[int, 
     for look_ahead in (1, 4):
         placed = pack_learned(items, extent, look_ahead)
         check_sound(placed, items, extent, CLEARANCE_MM, LEAST_SUPPORT)
-        assert placed == pack_learned(items, extent, look_ahead)
 
 
 def test_what_has_not_come_yet_changes_nothing() -> None:
@@ -70,10 +69,8 @@ def test_with_a_look_ahead_boxes_wait_for_their_turn() -> None:
 
 def test_plans_depend_on_the_order_alone() -> None:
     one = partial(_packed, seed=5)
-    assert list(ordered_results(one, range(3), 2, alone=1, chunk=1)) == [one(index) for index in range(3)]
-    assert [plan for _, plan in generate(2, 5, packer=LEARNED)] == [
-        plan for _, plan in list(generate(3, 5, packer=LEARNED))[:2]
-    ]
+    assert list(ordered_results(one, range(2), 2, alone=1, chunk=1)) == [one(index) for index in range(2)]
+    assert list(generate(1, 5, packer=LEARNED)) == list(generate(2, 5, packer=LEARNED))[:1]
 
 
 def _packed(index: int, seed: int) -> list[tuple[float, ...]]:
@@ -88,7 +85,7 @@ def test_the_rule_on_a_stream_is_that_of_balanced() -> None:
     """If the rule of ``balanced`` sees all boxes of a stream, its packing is that of the packer ``balanced``."""
     packing = Packing(DRAWN.items, EXTENT, PREFERENCE_SETS[0])
     packing.fill()
-    stream = ItemStream(DRAWN.items, EXTENT, 0.0, len(DRAWN.items), PREFERENCE_SETS[0])
+    stream = ItemStream(DRAWN.items, EXTENT, 0.0, len(DRAWN.items))
     assert pack_stream(stream, by_taste) == packing.placed
 
 
@@ -227,25 +224,11 @@ def test_sums_over_the_surface_are_those_of_its_cells() -> None:
 # ---------------------------------------------------------------------- the networks
 
 
-def test_slopes_are_those_of_scores() -> None:
-    rng = np.random.default_rng(1)
-    network = Network.fresh(rng.standard_normal(4), rng.uniform(0.5, 2, 4), 3, rng)
-    network = network.with_learned(rng.standard_normal(network.learned.size))
-    rows, weights, step = rng.standard_normal((5, 4)), rng.standard_normal(5), 1e-6
-    values = network.learned
-    for number, slope in enumerate(network.slope(rows, weights)):
-        ahead, behind = values.copy(), values.copy()
-        ahead[number] += step
-        behind[number] -= step
-        difference = weights @ (network.with_learned(ahead).scores(rows) - network.with_learned(behind).scores(rows))
-        assert slope == pytest.approx(difference / (2 * step), abs=1e-6)
-
-
 def policy_that_is(chance: float) -> Policy:
     """The published policy, but with a network that predicts the same probability to stand for every placement."""
     head = published_policy().head
-    nothing = head.with_learned(np.zeros(head.learned.size))
-    return replace(published_policy(), head=replace(nothing, constant=np.array(np.log(chance / (1 - chance)))))
+    logit = np.array(np.log(chance / (1 - chance)))
+    return replace(published_policy(), head=replace(head, linear=0 * head.linear, out=0 * head.out, constant=logit))
 
 
 def test_nothing_is_placed_that_is_more_likely_to_fall() -> None:
@@ -275,7 +258,8 @@ def test_the_weights_are_small_and_in_the_package(tmp_path: Path) -> None:
     assert len(content) < LARGEST_FILE
     published_policy().save(tmp_path / "again.npz")
     again = Policy.load(tmp_path / "again.npz")
-    assert (again.taste.learned == published_policy().taste.learned).all()
+    kept = published_policy().taste.arrays("taste")
+    assert all((values == kept[name]).all() for name, values in again.taste.arrays("taste").items())
     assert (len(again.taste.mean), len(again.head.mean)) == (len(NAMES), len(STABILITY_NAMES))
 
 

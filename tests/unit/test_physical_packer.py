@@ -25,15 +25,14 @@ from petmjx.engines.verdict import Outcome, Reason, Verdict
 from petmjx.options.simulation import Simulation
 from petmjx.packers import beam_search as beam_module
 from petmjx.packers import pack as pack_module
-from petmjx.packers import physical_packer as physical_module
+from petmjx.packers import pack_flow as flow_module
 from petmjx.packers.balanced_packer import PREFERENCE_SETS, pack_balanced
 from petmjx.packers.beam_search import search
 from petmjx.packers.finalists import Evaluation, Finalist, choose, finalists, order_evaluation
 from petmjx.packers.left_out_items import FALLS, NO_PLACE
-from petmjx.packers.pack_flow import WorldsOfPlans
+from petmjx.packers.pack_flow import WorldsOfPlans, pack_physical
 from petmjx.packers.packed_orders import PackedOrder
 from petmjx.packers.packing_state import Packing
-from petmjx.packers.physical_packer import pack_physical
 from petmjx.packers.physical_packer_options import PhysicalOptions
 from petmjx.plans.order import TARGET_EXTENT_MM, Item, Order
 from petmjx.plans.order_generator import draw_order
@@ -288,7 +287,7 @@ def test_no_order_waits_for_another(monkeypatch: pytest.MonkeyPatch, streams: bo
     large = Order(ORDER.target, (JAM,) * 3)
     three = finalists(large, PhysicalOptions(width=1))[:1]
     packings_by_order = {large: three, ORDER: [finalist(0.7), finalist(0.6, boxes=1)]}
-    monkeypatch.setattr(physical_module, "finalists", lambda order, options: packings_by_order[order])
+    monkeypatch.setattr(flow_module, "finalists", lambda order, options: packings_by_order[order])
     engine = Streaming() if streams else SmallestFirst()
     packed = list(pack_physical([("a", large), ("b", ORDER)], OPTIONS, {"engine": engine}, workers=1))
     assert [(packed_order.order_id, len(packed_order.taken.finalist.placed)) for packed_order in packed] == [

@@ -97,8 +97,9 @@ def test_a_training_that_stops_goes_on_with_the_same_bits(monkeypatch: pytest.Mo
     assert parts.update == full.update == 2
     for name, values in full.search.arrays.items():
         assert (parts.search.arrays[name] == values).all(), name
-    assert (parts.taste.learned == full.taste.learned).all()
-    assert (parts.head.learned == full.head.learned).all()
+    for network in ("taste", "head"):
+        for name, values in getattr(full, network).arrays(network).items():
+            assert (getattr(parts, network).arrays(network)[name] == values).all(), name
     for name in ("learned.npz", "labels-1.npz"):
         assert (tmp_path / "parts" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
     curves = [
@@ -168,3 +169,21 @@ def test_a_quarter_of_the_first_orders_is_kept_aside_and_of_later_ones() -> None
     aside = kept_aside(pallet * ORDERS + later)
     assert (aside.mean(axis=0) == 0.25).all()
     assert (aside.mean(axis=1) == 0.25).all()
+
+
+def test_slopes_are_those_of_scores() -> None:
+    from head import fresh_network, gradient, parameters_of, with_parameters
+
+    rng = np.random.default_rng(1)
+    network = fresh_network(rng.standard_normal(4), rng.uniform(0.5, 2, 4), 3, rng)
+    network = with_parameters(network, rng.standard_normal(parameters_of(network).size))
+    rows, weights, step = rng.standard_normal((5, 4)), rng.standard_normal(5), 1e-6
+    values = parameters_of(network)
+    for number, slope in enumerate(gradient(network, rows, weights)):
+        ahead, behind = values.copy(), values.copy()
+        ahead[number] += step
+        behind[number] -= step
+        difference = weights @ (
+            with_parameters(network, ahead).scores(rows) - with_parameters(network, behind).scores(rows)
+        )
+        assert slope == pytest.approx(difference / (2 * step), abs=1e-6)
