@@ -22,4 +22,4 @@ class MjxWarpGpuEngine(MjxWarpEngine):
 
     def _long_worlds(self, sim: Simulation, progress: Progress) -> LongWorlds | None:
         """See ``MjxWarpEngine._long_worlds``."""
-        return LongWorlds(AttemptProcess("petmjx.engines.warp.cpu_engine"), sim, progress)
+        return LongWorlds(AttemptProcess(), sim, progress)
