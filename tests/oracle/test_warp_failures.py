@@ -35,10 +35,9 @@ from support.tiny_worlds import (
 from support.worlds import simulate
 
 from petmjx.engines.warp import contact_buffers
-from petmjx.engines.warp.block_sizes import SIZES
+from petmjx.engines.warp.block_sizes import MAX_BOXES, SIZES
 from petmjx.engines.warp.contact_buffers import MORE_BOXES, most_room
 from petmjx.engines.warp.engine import MjxWarpEngine
-from petmjx.engines.warp.world_arrays import MAX_BOXES
 from petmjx.engines.warp.world_table import WorldTable
 
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")

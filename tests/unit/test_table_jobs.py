@@ -15,9 +15,9 @@ from support.worlds import make_scene
 from petmjx.common.errors import InputError
 from petmjx.engines.job_stream import JobBounds, JobStream
 from petmjx.engines.mjx.timetable import build_timetable
+from petmjx.engines.warp.block_sizes import MAX_BOXES
 from petmjx.engines.warp.kernel_features import KernelFeatures
 from petmjx.engines.warp.table_jobs import LEAST_FOLLOWING_ROWS, MOST_PROFILE_BYTES, TableJobs
-from petmjx.engines.warp.world_arrays import MAX_BOXES
 from petmjx.engines.warp.world_table import WorldTable
 from petmjx.options.placing import Placing
 from petmjx.options.simulation import Simulation

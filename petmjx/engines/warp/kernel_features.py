@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 from petmjx.common.errors import InputError
 from petmjx.engines.mjx.padded_sizes import round_up
 from petmjx.engines.warp.block_launch import Features
-from petmjx.engines.warp.block_sizes import size_for
-from petmjx.engines.warp.world_arrays import MAX_BOXES
+from petmjx.engines.warp.block_sizes import MAX_BOXES, size_for
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 

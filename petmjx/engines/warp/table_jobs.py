@@ -8,9 +8,8 @@ from typing import Any, Final
 
 from petmjx.engines.job_stream import JobStream
 from petmjx.engines.mjx.padded_sizes import padded_rows, round_up
-from petmjx.engines.warp.block_sizes import SIZES
+from petmjx.engines.warp.block_sizes import MAX_BOXES, SIZES
 from petmjx.engines.warp.kernel_features import KernelFeatures, widths_of
-from petmjx.engines.warp.world_arrays import MAX_BOXES
 from petmjx.engines.warp.world_table import RunningWorlds, WorldTable
 from petmjx.world.job import Job
 
