@@ -21,7 +21,7 @@ from support.job_streams import LateStream
 from support.plans import make_scene
 from support.tiny_worlds import (
     SHORT,
-    STEP_NS,
+    SOME_NS,
     TINY,
     assert_equal_worlds,
     devices,
@@ -160,7 +160,7 @@ def test_a_plan_with_more_bodies_than_the_solver_has_room_for_is_refused() -> No
 def test_a_plan_that_is_refused_takes_no_outcome_from_those_before(crowd: dict[str, Outcome]) -> None:
     jobs, outcomes = [Job(tiny(TINY[0]))], list[Outcome]()
     stream = LateStream(jobs, [jobs[0], Job(make_scene(TOO_MANY))])
-    run = engine(most_rows=8, slice_ns=STEP_NS).run(stream, SHORT)
+    run = engine(most_rows=8, slice_ns=SOME_NS).run(stream, SHORT)
     with pytest.raises(InputError, match=f"one plan has {MAX_BOXES + 1}"):
         outcomes.extend(run)
     assert sorted(outcome.job for outcome in outcomes) == list(range(len(jobs) + 1))

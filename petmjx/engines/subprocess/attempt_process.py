@@ -28,10 +28,6 @@ from petmjx.engines.verdict import Outcome
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 
-NICE = 5
-"""Niceness of the threads of this process: they have a lower priority than the threads of the run, which keep a GPU
-busy."""
-
 GRANULE = 96
 """The number of box columns of tables is a multiple of this number, so that single worlds of nearly all sizes use the
 same compiled programs."""
@@ -160,7 +156,7 @@ def _end_idle() -> None:
 
 def main() -> None:
     """The work of the process: simulate the worlds of all tasks on threads, and answer in any order."""
-    tasks, answers = own_pipes(NICE)
+    tasks, answers = own_pipes()
     thread_state, writing = threading.local(), threading.Lock()
 
     def answer(task: AttemptTask) -> None:

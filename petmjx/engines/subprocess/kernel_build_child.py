@@ -5,15 +5,12 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 from petmjx.common.text import one_line
 from petmjx.engines.kernel_notes import CPU_KERNEL, note_kernels
 from petmjx.engines.subprocess.task_pipe import serve
 from petmjx.engines.warp.block_sizes import Size
-
-NICE: Final = 0
-"""Niceness of the process. A run waits for its kernels, so they are as urgent as the run itself."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +84,7 @@ def compile_kernel(build: KernelBuild) -> None:
 
 def main() -> None:
     """The work of the process: compile kernels one after another."""
-    serve(NICE, _built)
+    serve(_built, nice=0)  # a run waits for its kernels, so they are as urgent as the run itself
 
 
 def _built(build: KernelBuild) -> BuildAnswer:
