@@ -286,7 +286,7 @@ class Engines:
             and self.primary.name == ENGINE_WITH_ATTEMPT_THREADS
         ):
             return AttemptThreads(threads)
-        return AttemptProcess()
+        return AttemptProcess("petmjx.engines.subprocess.attempt_child")
 
     def note_failure(self, engine: str, attempt: int, worlds: int, message: str) -> None:
         """Add a note that an error ended an attempt on an engine. The note also says what happens to the worlds without

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
+from petmjx.engines.subprocess.attempt_child import engine_with_one_thread
 from petmjx.engines.subprocess.attempt_process import AttemptAnswer, AttemptTask, answer_to
 from petmjx.engines.subprocess.task_pipe import arrived
 
@@ -32,7 +33,7 @@ class AttemptThreads:
         self._pool.submit(self._simulate, task)
 
     def _simulate(self, task: AttemptTask) -> None:
-        self._answers.put(answer_to(task, vars(self._of_thread), lambda: self._closed))
+        self._answers.put(answer_to(task, vars(self._of_thread), engine_with_one_thread, lambda: self._closed))
 
     def ended(self, *, wait: bool) -> Iterator[AttemptAnswer]:
         """See ``AttemptSimulator.ended``."""

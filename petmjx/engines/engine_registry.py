@@ -14,7 +14,7 @@ from petmjx.options.run_options import AUTO, RunOptions
 ENGINES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "mujoco": ("petmjx.engines.mujoco.engine", "MujocoEngine", ("threads", "world_timeout_s")),
     "mjx-jax": ("petmjx.engines.mjx.engine", "MjxJaxEngine", ("lanes",)),
-    "mjx-warp": ("petmjx.engines.warp.engine", "MjxWarpGpuEngine", ("lanes",)),
+    "mjx-warp": ("petmjx.engines.warp.gpu_engine", "MjxWarpGpuEngine", ("lanes",)),
     "mjx-warp-cpu": ("petmjx.engines.warp.cpu_engine", "MjxWarpCpuEngine", ("threads",)),
 }
 """Name of an engine → its module, its class, and the options of a run that the class takes as arguments, in this order.

@@ -68,7 +68,7 @@ def test_an_error_is_an_answer_and_close_ends_what_runs(monkeypatch: pytest.Monk
     (answer,) = simulator.ended(wait=True)
     assert (answer.number, answer.outcome) == (0, None)
     assert "no-such-engine" in answer.message
-    monkeypatch.setattr("petmjx.engines.subprocess.attempt_process.make_engine", lambda *_, **__: Slow())
+    monkeypatch.setattr("petmjx.engines.subprocess.attempt_child.make_engine", lambda *_, **__: Slow())
     simulator.begin(AttemptTask(1, "slow", job, Simulation()))
     simulator.begin(AttemptTask(2, "slow", job, Simulation()))
     assert pauses.wait(10)

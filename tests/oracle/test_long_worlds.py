@@ -119,7 +119,7 @@ def test_worlds_that_leave_end_as_those_that_stay(monkeypatch: pytest.MonkeyPatc
         np.testing.assert_array_equal(getattr(joined.history, name)[same], getattr(whole.history, name), err_msg=name)
     monkeypatch.undo()
 
-    process = AttemptProcess()
+    process = AttemptProcess("petmjx.engines.warp.cpu_engine")
     steps = leaving(monkeypatch, process)
     (fork,) = run_all(engine(), [Job(bridge, drive, start=outcomes[-1].state)], SHORT)
     process.close()

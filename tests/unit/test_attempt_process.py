@@ -20,6 +20,8 @@ from petmjx.options.simulation import Simulation
 
 SIM = Simulation()
 
+CHILD = "petmjx.engines.subprocess.attempt_child"
+
 TOWER = make_world(make_plan("tower", stack(3))).job
 
 LONG = make_world(make_plan("long", stack(60, size_mm=(400, 300, 20)))).job
@@ -28,7 +30,7 @@ LONG = make_world(make_plan("long", stack(60, size_mm=(400, 300, 20)))).job
 
 @pytest.fixture
 def beside() -> Iterator[AttemptProcess]:
-    helper = AttemptProcess()
+    helper = AttemptProcess(CHILD)
     yield helper
     helper.close()
 
@@ -63,7 +65,7 @@ def test_its_answers_are_those_of_the_engine_and_it_is_kept_for_the_next_run(bes
     assert "unknown engine 'no-such'" in answer_by_number[8].message
     first = pid_of(beside)
     beside.close()
-    following = AttemptProcess()
+    following = AttemptProcess(CHILD)
     following.begin(AttemptTask(0, "mujoco", TOWER, SIM))
     assert pid_of(following) == first
     following.close()  # while one task has no answer
@@ -104,7 +106,7 @@ from petmjx.options.simulation import Simulation
 from petmjx.engines.subprocess.attempt_process import AttemptProcess
 from petmjx.engines.subprocess.attempt_process import AttemptTask
 
-beside = AttemptProcess()
+beside = AttemptProcess("petmjx.engines.subprocess.attempt_child")
 job = make_world(make_plan("long", stack(60, size_mm=(400, 300, 20)))).job
 beside.begin(AttemptTask(1, "mujoco", job, Simulation()))
 print(beside._process._popen.pid, flush=True)

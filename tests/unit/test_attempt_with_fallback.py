@@ -75,7 +75,7 @@ def scored(
     """Results and notes of a run. ``c_engine`` and ``kernel`` also make the attempts that run beside the engine."""
     engines = {"mujoco": c_engine, "mjx-warp-cpu": kernel or Scripted("mjx-warp-cpu", never)}
     monkeypatch.setattr(attempt_settings, "make_engine", engines.__getitem__)
-    monkeypatch.setattr(attempt_settings, "AttemptProcess", lambda: AtOnce(engines.__getitem__))
+    monkeypatch.setattr(attempt_settings, "AttemptProcess", lambda _: AtOnce(engines.__getitem__))
     progress = Progress()
     worlds = [make_world(make_plan(f"p{k}", stack(1))) for k in range(WORLDS)]
     results = list(score_worlds(worlds, sim or Simulation(), engine, progress=progress))
@@ -159,7 +159,7 @@ def test_worlds_with_errors_that_sank_and_drives_keep_to_the_gpu_in_stiffer_cont
     many, so the GPU makes them."""
     engines = {name: Scripted(name, never) for name in ("mujoco", "mjx-warp-cpu")}
     monkeypatch.setattr(attempt_settings, "make_engine", engines.__getitem__)
-    monkeypatch.setattr(attempt_settings, "AttemptProcess", lambda: AtOnce(engines.__getitem__))
+    monkeypatch.setattr(attempt_settings, "AttemptProcess", lambda _: AtOnce(engines.__getitem__))
     nominal = make_world(make_plan("p", stack(1)))
     drive = Drive(Excitation("push", "force", np.zeros((3, 3))))
     heavy = make_world(make_plan("heavy", HEAVY))
@@ -184,7 +184,7 @@ def test_a_world_with_errors_that_leans_is_simulated_beside_the_gpu(monkeypatch:
 
     engines = {name: Scripted(name, never) for name in ("mujoco", "mjx-warp-cpu")}
     monkeypatch.setattr(attempt_settings, "make_engine", engines.__getitem__)
-    monkeypatch.setattr(attempt_settings, "AttemptProcess", lambda: AtOnce(engines.__getitem__))
+    monkeypatch.setattr(attempt_settings, "AttemptProcess", lambda _: AtOnce(engines.__getitem__))
     worlds = [replace(make_world(make_plan("p", stack(1))), variant=1)]
     (result,) = score_worlds(worlds, Simulation(), Leaning("mjx-warp", never), attempts=ATTEMPTS[:6])
     assert [(a.attempt, a.engine) for a in result.attempts] == [(1, "mjx-warp"), (6, "mjx-warp-cpu")]
@@ -265,7 +265,7 @@ def test_of_a_plan_that_sinks_worlds_with_errors_are_not_simulated_beside_the_gp
 ) -> None:
     engines = {name: Scripted(name, never) for name in ("mujoco", "mjx-warp-cpu")}
     monkeypatch.setattr(attempt_settings, "make_engine", engines.__getitem__)
-    monkeypatch.setattr(attempt_settings, "AttemptProcess", lambda: AtOnce(engines.__getitem__))
+    monkeypatch.setattr(attempt_settings, "AttemptProcess", lambda _: AtOnce(engines.__getitem__))
     engine = Scripted("mjx-warp", never, Reason.SINKING)
     made = petmjx.score([make_plan("p", HEAVY)], engine=engine, confidence=4, placing="exact").attempts
     again = made[made["attempt"] == 6]

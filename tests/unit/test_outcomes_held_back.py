@@ -143,7 +143,7 @@ def test_attempts_beside_a_silent_engine_are_shown_in_its_pauses(monkeypatch: py
             assert seen == ["p0"], "it was shown in the pause"
             yield outcome_of(1, Verdict.STABLE)
 
-    monkeypatch.setattr(attempt_settings, "AttemptProcess", lambda: Beside())
+    monkeypatch.setattr(attempt_settings, "AttemptProcess", lambda _: Beside())
     monkeypatch.setattr("petmjx.engines.attempt_with_fallback.outcome_checks", unchecked)
     for result in score_worlds(worlds_failing(0, 0), Simulation(), Device()):
         seen.append(result.world.plan.plan_id)
@@ -207,7 +207,7 @@ def test_worlds_follow_while_an_attempt_runs_beside_an_idle_engine(monkeypatch: 
     def following() -> list[World]:
         return (nothing.pop() if nothing else [second]) if beside and len(runs) == 1 else []
 
-    monkeypatch.setattr(attempt_settings, "AttemptProcess", lambda: Beside())
+    monkeypatch.setattr(attempt_settings, "AttemptProcess", lambda _: Beside())
     monkeypatch.setattr("petmjx.engines.attempt_with_fallback.outcome_checks", unchecked)
     results = list(score_worlds([first], Simulation(), Device(), following=following))
     assert [result.world for result in results] == [second, first]

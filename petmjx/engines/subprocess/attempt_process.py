@@ -1,9 +1,9 @@
 """Processes that simulate single worlds beside a run, on engines with one thread. The attempt process simulates worlds
 again (further *attempts*). The process of long worlds simulates long worlds of a GPU to their ends.
 
-``AttemptProcess`` sends tasks to such a process, and receives the answers. ``main`` is the work of the process. The
-process sees no GPU, so its JAX and Warp use the CPU, even if JAX and Warp use a GPU in the run's process. The process
-ends when its pipe of tasks ends, and so also when the process that started it ends.
+``AttemptProcess`` sends tasks to such a process, and receives the answers. ``serve_attempts`` is the work of the
+process. The process sees no GPU, so its JAX and Warp use the CPU, even if JAX and Warp use a GPU in the run's process.
+The process ends when its pipe of tasks ends, and so also when the process that started it ends.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from typing import Final, Protocol
 from petmjx.common.errors import EngineUnavailable
 from petmjx.common.machine import cpu_threads
 from petmjx.common.text import one_line
-from petmjx.engines.engine_registry import make_engine
 from petmjx.engines.protocol import Engine, Progress
 from petmjx.engines.subprocess.task_pipe import Child, arrived, next_of, own_pipes
 from petmjx.engines.verdict import Outcome
@@ -87,16 +86,20 @@ class AttemptProcess:
 
     If the process dies, its open tasks get answers without an outcome, and the next task starts a new process. Idle
     processes are kept for the next ``AttemptProcess``, since a new process has to load JAX, Warp and the kernel.
+
+    Args:
+        module: the module whose function ``main`` the process runs. The function ``main`` calls ``serve_attempts``.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, module: str) -> None:
+        self._module = module
         self._process: Child | None = None
         self._unanswered: set[int] = set()
 
     def begin(self, task: AttemptTask) -> None:
         """See ``AttemptSimulator.begin``."""
         if self._process is None:
-            self._process = _idle_child()
+            self._process = _idle_child(self._module)
         self._unanswered.add(task.number)
         try:
             self._process.tasks.put(pickle.dumps(task))
@@ -128,39 +131,45 @@ class AttemptProcess:
         if self._unanswered - {READY}:
             process.end()
         else:
-            _IDLE.setdefault(os.getpid(), []).append(process)
+            _IDLE.setdefault((os.getpid(), self._module), []).append(process)
 
 
-_IDLE: Final[dict[int, list[Child]]] = {}
-"""Process id → the idle processes that the process with this id started. A fork cannot use the idle processes of the
-original process, since it has no threads that write tasks and read answers. Its process id differs from that of the
-original process, so a fork finds only its own idle processes."""
+_IDLE: Final[dict[tuple[int, str], list[Child]]] = {}
+"""(Process id, module) → the idle processes that the process with this id started for this module. A fork cannot use
+the idle processes of the original process, since it has no threads that write tasks and read answers. The key has the
+process id, which differs between a fork and its original process, so a fork finds only its own idle processes."""
 
 
-def _idle_child() -> Child:
+def _idle_child(module: str) -> Child:
     """An idle process that is alive; if there is none, a new process."""
-    idle = _IDLE.get(os.getpid(), [])
+    idle = _IDLE.get((os.getpid(), module), [])
     while idle:
         process = idle.pop()
         if process.lives:
             return process
         process.end()
-    return Child(__name__)
+    return Child(module)
 
 
 @atexit.register
 def _end_idle() -> None:
-    for process in _IDLE.pop(os.getpid(), []):
-        process.end()
+    for pid, module in [*_IDLE]:
+        if pid == os.getpid():
+            for process in _IDLE.pop((pid, module)):
+                process.end()
 
 
-def main() -> None:
-    """The work of the process: simulate the worlds of all tasks on threads, and answer in any order."""
+def serve_attempts(make_engine: Callable[[str], Engine]) -> None:
+    """The work of the process: simulate the worlds of all tasks on threads, and answer in any order.
+
+    Args:
+        make_engine: function that takes the name of an engine, and creates this engine with one thread.
+    """
     tasks, answers = own_pipes()
     thread_state, writing = threading.local(), threading.Lock()
 
     def answer(task: AttemptTask) -> None:
-        reply = answer_to(task, vars(thread_state), granule=GRANULE)
+        reply = answer_to(task, vars(thread_state), make_engine, granule=GRANULE)
         try:
             data = pickle.dumps(reply)
         except Exception as error:
@@ -178,14 +187,15 @@ def main() -> None:
 def answer_to(
     task: AttemptTask,
     engines: dict[str, Engine],
+    make_engine: Callable[[str], Engine],
     stops: Callable[[], bool] = lambda: False,
     granule: int | None = None,
 ) -> AttemptAnswer:
     """Simulate the world of a task.
 
     Args:
-        engines: name → engine, for the engines of this thread. A missing engine is created, with one CPU thread, and
-            added.
+        engines: name → engine, for the engines of this thread. A missing engine is created and added.
+        make_engine: see ``serve_attempts``.
         stops: function that returns whether the outcome is no longer needed.
         granule: the number of box columns of tables is a multiple of this number. If ``granule`` is None, the engine's
             default is used.
@@ -194,7 +204,7 @@ def answer_to(
     try:
         if task.engine not in engines:
             with _BUILDING:
-                engine = make_engine(task.engine, threads=1)
+                engine = make_engine(task.engine)
             if granule is not None and hasattr(engine, "granule"):
                 engine.granule = granule
             engines[task.engine] = engine

@@ -11,6 +11,7 @@ import warp as wp
 from petmjx.common.errors import EngineUnavailable
 from petmjx.common.machine import cpu_threads, device_name, why_no_warp_on_cpu
 from petmjx.engines.open_world_protocol import MOST_BOXES
+from petmjx.engines.subprocess.attempt_process import serve_attempts
 from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.kernel_launcher import SLICE_NS
@@ -65,3 +66,9 @@ class MjxWarpCpuEngine(MjxWarpEngine):
 
     def _blocks(self, launch: Launch) -> int:
         return self.threads
+
+
+def main() -> None:
+    """The work of the process that takes over long worlds from a GPU and simulates them to their ends
+    (petmjx/engines/warp/gpu_engine.py)."""
+    serve_attempts(lambda _: MjxWarpCpuEngine(1))

@@ -16,7 +16,6 @@ from petmjx.engines.mjx.jax_setup import set_up_jax
 from petmjx.engines.mjx.padded_sizes import GRANULE
 from petmjx.engines.open_world_protocol import MOST_BOXES
 from petmjx.engines.protocol import GPU_WORLDS, Capability, Engine, Progress, RunLock, says_at_hand, takes_stream
-from petmjx.engines.subprocess.attempt_process import AttemptProcess
 from petmjx.engines.verdict import Outcome
 from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.block_pool_choice import BlockPools
@@ -244,11 +243,3 @@ class MjxWarpEngine(Engine):
     def _blocks(self, launch: Launch) -> int:
         """The number of blocks of a launch, at most ``lanes``."""
         return min(self.lanes or launch.blocks, launch.blocks)
-
-
-class MjxWarpGpuEngine(MjxWarpEngine):
-    """The engine ``mjx-warp``, as runs use it on a GPU. Long worlds leave the GPU, and CPU threads simulate them to
-    their ends (``long_worlds``)."""
-
-    def _long_worlds(self, sim: Simulation, progress: Progress) -> LongWorlds | None:
-        return LongWorlds(AttemptProcess(), sim, progress)
