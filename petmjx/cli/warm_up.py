@@ -37,6 +37,7 @@ def warm_up(
     from petmjx.common.compile_caches import cache_folder, why_not_written
     from petmjx.common.machine import why_no_warp_on_cpu
     from petmjx.engines.subprocess.kernel_builds import KernelBuilds, all_builds, gpu_here, gpu_of, note_kept
+    from petmjx.engines.warp.block_sizes import FEW_BOXES, LAST, SIZES
     from petmjx.options.simulation import Simulation
 
     if problem := why_no_warp_on_cpu():
@@ -51,10 +52,16 @@ def warm_up(
             "no GPU here, so only the kernel for CPUs is compiled; to compile for GPUs, name them with --arch"
         )
     console.print(f"{count_text(len(builds), 'kernel')} to compile; each takes some 10 to 60 s of a CPU thread")
+    of_size = {
+        SIZES[0]: "up to 96 boxes",
+        SIZES[1]: "more boxes",
+        FEW_BOXES: "few boxes, many worlds",
+        LAST: "the last worlds of a run",
+    }
     for number, answer in enumerate(KernelBuilds(builds).answers(), start=1):
         build = answer.build
         placing = "placing by hand" if build.hands else "exact placing"
-        place = "CPU" if build.gpu is None else f"GPU sm_{build.gpu.arch}, {placing}, {_SIZES[build.size]}"
+        place = "CPU" if build.gpu is None else f"GPU sm_{build.gpu.arch}, {placing}, {of_size[build.size]}"
         state = answer.fault or f"{answer.seconds:.1f} s"
         console.print(f"{number} of {len(builds)}  {place}: {state}", highlight=False)
         faults += [answer.fault] * bool(answer.fault)
@@ -67,14 +74,6 @@ def warm_up(
         highlight=False,
         soft_wrap=True,
     )
-
-
-_SIZES = {
-    "usual": "up to 96 boxes",
-    "large": "more boxes",
-    "few": "few boxes, many worlds",
-    "last": "the last worlds of a run",
-}
 
 
 def _numbers(text: str) -> list[int]:

@@ -37,15 +37,12 @@ AttemptResult = tuple[AnyWorld, Outcome, tuple[Attempt, ...]]
 """A world after an attempt: the world, the attempt's outcome, and the records of all attempts so far."""
 
 
-class _End:
-    """The type of ``_END``, the value that is queued after an engine's last outcome."""
-
-
-_END: Final = _End()
+_END: Final = object()
+"""What follows an engine's last outcome."""
 
 
 def outcomes_of_stream(
-    engine: Engine, stream: JobStream[Any], sim: Simulation, progress: Progress, most: int
+    engine: Engine, stream: JobStream[Any], sim: Simulation, progress: Progress, most: int = sys.maxsize
 ) -> Generator[Outcome]:
     """Simulate the jobs of a stream. An engine that cannot read a stream gets lists of jobs, one list after another.
 
@@ -53,7 +50,7 @@ def outcomes_of_stream(
         most: largest number of jobs in a list.
     """
     stream.begin()
-    if getattr(engine, "streams", False):
+    if engine.streams:
         yield from cast(StreamEngine, engine).run(stream, sim, progress)
         return
     while jobs := stream.take(most, least=most):
@@ -144,7 +141,7 @@ class AttemptRunner(Generic[AnyWorld]):
         """
         engine_name = "" if Capability.MIXED in engine.capabilities else engine.name
         checked = Capability.CHECKS in engine.capabilities
-        progress, tells = self.engines.progress, getattr(engine, "tells", False)
+        progress, tells = self.engines.progress, engine.tells
         progress.at_hand, progress.pauses = None, tells
         answers = outcomes_of_stream(engine, stream, self.sim, progress, self.most)
         arrivals: list[tuple[Pending[AnyWorld], Outcome]] = []

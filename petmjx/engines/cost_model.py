@@ -136,11 +136,10 @@ class ThreadCosts:
         """Expected time of a run whose worlds are divided among threads, s. The result is at least the time of the
         world that takes longest.
         """
-        counts = (work.planned, work.displaced, work.carried)
         placing = [
-            (count, self.placing_s(work, way, work.share_before_failure(way, FAILING_POWER)))
-            for count, way in zip(counts, work.ways, strict=True)
-            if count
+            (way.count, self.placing_s(work, way, work.share_before_failure(way, FAILING_POWER)))
+            for way in work.ways
+            if way.count
         ]
         driving_s = self.driving_s(work)
         plans_s = sum((count * placing_s for count, placing_s in placing), work.shaken * driving_s)

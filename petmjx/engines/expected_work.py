@@ -125,14 +125,16 @@ def expected_drive_steps(drive: Drive, sim: Simulation) -> float:
 
 @dataclass(frozen=True)
 class WayOfPlacing:
-    """How boxes are placed.
+    """How boxes are placed in some placements of a plan.
 
     Attributes:
+        count: number of these placements of each plan.
         steps: number of steps of the placement, relative to a placement whose boxes appear exactly at their places.
         has_errors: whether places or sizes have errors.
         is_carried: whether a hand or tines carry the boxes.
     """
 
+    count: int
     steps: float
     has_errors: bool = False
     is_carried: bool = False
@@ -278,9 +280,8 @@ class Work:
     @property
     def steps(self) -> FloatArray:
         """(n,) expected number of steps of each plan, including soft starts."""
-        ways = zip((self.planned, self.displaced, self.carried), self.ways, strict=True)
         placing = sum(
-            (count * self.share_before_failure(way) * self.placement_steps(way) for count, way in ways),
+            (way.count * self.share_before_failure(way) * self.placement_steps(way) for way in self.ways),
             np.zeros(len(self.boxes)),
         )
         return (
@@ -296,9 +297,9 @@ class Work:
         drop = WAY_STEPS[Way.DROP] if name is Way.DROP else 1.0
         tines = WAY_STEPS[Way.TINES] / WAY_STEPS[Way.HAND] if name is Way.TINES else 1.0
         return (
-            WayOfPlacing(WAY_STEPS.get(name, 1.0), is_carried=self.sim.placing.carries),
-            WayOfPlacing(DISPLACED_STEPS * drop, has_errors=True),
-            WayOfPlacing(CARRIED_STEPS * tines, has_errors=True, is_carried=True),
+            WayOfPlacing(self.planned, WAY_STEPS.get(name, 1.0), is_carried=self.sim.placing.carries),
+            WayOfPlacing(self.displaced, DISPLACED_STEPS * drop, has_errors=True),
+            WayOfPlacing(self.carried, CARRIED_STEPS * tines, has_errors=True, is_carried=True),
         )
 
     def placement_steps(self, way: WayOfPlacing) -> FloatArray:

@@ -12,7 +12,7 @@ import sys
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
-from typing import Any, Final, Generic, TypeVar
+from typing import Any, Final
 
 from petmjx.common.errors import EngineUnavailable, InputError
 from petmjx.common.text import count_text, one_line, three_digits
@@ -38,14 +38,12 @@ factor of ten."""
 SLOWER: Final = 2.0
 """Smallest ratio of measured to expected time for a handover. Estimates of time may be wrong by this factor."""
 
-Faster = TypeVar("Faster", bound=Engine)
-
 
 _Numbered = tuple[int, Job]
 """A job and its number in the run's stream of jobs."""
 
 
-class HandoverEngine(Engine, Generic[Faster]):
+class HandoverEngine(Engine):
     """An engine that begins a run on C MuJoCo. If worlds take longer than expected, kernels simulate all jobs that have
     not begun by then.
 
@@ -63,9 +61,9 @@ class HandoverEngine(Engine, Generic[Faster]):
     name = MujocoEngine.name
     capabilities = PHYSICS["mujoco"] | Capability.MIXED
 
-    def __init__(self, mujoco: MujocoEngine, make_faster: Callable[[], Faster], costs: Costs) -> None:
+    def __init__(self, mujoco: MujocoEngine, make_faster: Callable[[], Engine], costs: Costs) -> None:
         self._mujoco, self._make_faster, self._costs = mujoco, make_faster, costs
-        self._faster: Faster | None = None
+        self._faster: Engine | None = None
         self._stays = False
         """Whether the run stays on C MuJoCo, because the engine with the kernels is unavailable or has failed."""
         self._sim: Simulation | None = None
@@ -141,7 +139,7 @@ class HandoverEngine(Engine, Generic[Faster]):
         return True
 
 
-class _Shared(Generic[Faster]):
+class _Shared:
     """The jobs of one run, divided between C MuJoCo and the kernels.
 
     Attributes:
@@ -150,7 +148,7 @@ class _Shared(Generic[Faster]):
 
     def __init__(
         self,
-        engine: HandoverEngine[Faster],
+        engine: HandoverEngine,
         jobs: JobStream[Any],
         sim: Simulation,
         progress: Progress,
@@ -205,7 +203,7 @@ class _Shared(Generic[Faster]):
 
         feed()
         stream.close()  # closed for other sources: from now on, only ``feed`` adds jobs, between two outcomes
-        with closing(outcomes_of_stream(engine, stream, self._sim, self._progress, sys.maxsize)) as outcomes:
+        with closing(outcomes_of_stream(engine, stream, self._sim, self._progress)) as outcomes:
             for outcome in outcomes:
                 job = None
                 if outcome is not None:

@@ -112,7 +112,7 @@ def score_worlds(
     # runs, CPU threads make most of these attempts. States can be kept only if all attempts have the run's timestep,
     # because a state counts time in steps.
     keeps = following is not None and all(recipe.timestep_divisor == 1 for recipe in attempts)
-    joins = keeps and getattr(engine, "streams", False) and Capability.STIFF_JOBS in engine.capabilities
+    joins = keeps and engine.streams and Capability.STIFF_JOBS in engine.capabilities
     joins = joins and sim.physics.cone is Cone.ELLIPTIC
     stream = JobStream[Pending[AnyWorld]](
         most_boxes=PENDING_BOXES_GPU if _is_gpu(engine) else PENDING_BOXES * engine.devices,
@@ -243,8 +243,7 @@ class _AttemptRun(Generic[AnyWorld]):
             if batch:
                 worlds_text = count_text(len(batch), "world")
                 self.engines.progress.message = f"simulating {worlds_text} again (attempt {attempt.number})"
-                runner = AttemptRunner[AnyWorld](attempt, attempt.apply_to_sim(self.sim), self.engines)
-                yield from self._results_of(runner.run(batch))
+                yield from self._results_of(self.attempt_tasks.runner_of(attempt).run(batch))
 
     def _results_of(self, attempt_results: Iterator[AttemptResult[AnyWorld] | None]) -> Iterator[WorldResult[AnyWorld]]:
         """Yield the final results among ``attempt_results``. Also yield the final results of tasks (attempts

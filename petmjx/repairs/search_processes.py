@@ -39,10 +39,6 @@ second of CPU time to start, and about 30 MB of memory."""
 PLANS_EACH_UNCOPIED: Final = 4
 """Smallest number of plans per process, on systems that cannot copy processes."""
 
-NICE: Final = 5
-"""Niceness (lower priority) of the processes. The process that has the engine keeps its priority, because it must keep
-the engine busy."""
-
 REQUEST_WAIT_S: Final = 0.005
 """While all processes are busy, and the engine is idle, messages are looked for at intervals of this length, s."""
 
@@ -319,7 +315,7 @@ class _PipedSimulator:
     """
 
     def __init__(self) -> None:
-        self._tasks, self._answers = own_pipes(NICE)
+        self._tasks, self._answers = own_pipes()
         self._batches: list[tuple[int, Sequence[TrialRequest]]] = []
         self.ended: list[str] = []
         self._n_open = 0

@@ -53,7 +53,7 @@ class ReadingAnswer(NamedTuple):
 
 def main() -> None:
     """Read the plans that a task from standard input names, and write the answer to standard output."""
-    serve(0, lambda task: answer_to(*task))
+    serve(lambda task: answer_to(*task), nice=0)
 
 
 def answer_to(source: PlanSource | Segment | None, sim: Simulation, options: RunOptions) -> ReadingAnswer | None:

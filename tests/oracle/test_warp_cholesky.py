@@ -18,9 +18,9 @@ import warp as wp
 from petmjx.common.units import FloatArray
 from petmjx.common.warp_cpp import with_cpp
 from petmjx.common.warp_setup import set_up_warp
-from petmjx.engines.warp.block_sizes import SIZES
+from petmjx.engines.warp.block_sizes import MAX_BOXES, SIZES
 from petmjx.engines.warp.solver import newton
-from petmjx.engines.warp.world_arrays import MAX_BOXES, PANEL, most_panels
+from petmjx.engines.warp.world_arrays import PANEL, most_panels
 
 set_up_warp()
 

@@ -21,7 +21,7 @@ from support.job_streams import LateStream
 from support.plans import make_scene
 from support.tiny_worlds import (
     SHORT,
-    STEP_NS,
+    SOME_NS,
     TINY,
     assert_equal_worlds,
     devices,
@@ -35,10 +35,9 @@ from support.tiny_worlds import (
 from support.worlds import simulate
 
 from petmjx.engines.warp import contact_buffers
-from petmjx.engines.warp.block_sizes import SIZES
+from petmjx.engines.warp.block_sizes import MAX_BOXES, SIZES
 from petmjx.engines.warp.contact_buffers import MORE_BOXES, most_room
 from petmjx.engines.warp.engine import MjxWarpEngine
-from petmjx.engines.warp.world_arrays import MAX_BOXES
 from petmjx.engines.warp.world_table import WorldTable
 
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")
@@ -161,7 +160,7 @@ def test_a_plan_with_more_bodies_than_the_solver_has_room_for_is_refused() -> No
 def test_a_plan_that_is_refused_takes_no_outcome_from_those_before(crowd: dict[str, Outcome]) -> None:
     jobs, outcomes = [Job(tiny(TINY[0]))], list[Outcome]()
     stream = LateStream(jobs, [jobs[0], Job(make_scene(TOO_MANY))])
-    run = engine(most_rows=8, slice_ns=STEP_NS).run(stream, SHORT)
+    run = engine(most_rows=8, slice_ns=SOME_NS).run(stream, SHORT)
     with pytest.raises(InputError, match=f"one plan has {MAX_BOXES + 1}"):
         outcomes.extend(run)
     assert sorted(outcome.job for outcome in outcomes) == list(range(len(jobs) + 1))

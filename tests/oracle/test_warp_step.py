@@ -33,7 +33,7 @@ from petmjx.engines.warp import block_launch, block_sizes
 from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.compiled_programs import friction_damping
 from petmjx.engines.warp.solver import newton
-from petmjx.engines.warp.world_arrays import MAX_BOXES, PANEL
+from petmjx.engines.warp.world_arrays import PANEL
 
 set_up_warp()
 
@@ -238,10 +238,10 @@ def test_sizes_fit_tables_and_thread_blocks() -> None:
     """The size of blocks follows from the width of a table. The C++ code has room for the sums of 8 warps."""
     most = [size.most_boxes for size in block_sizes.SIZES]
     assert most == sorted(most)
-    assert most[-1] == MAX_BOXES
+    assert most[-1] == block_sizes.MAX_BOXES
     assert all(boxes % GRANULE == 0 for boxes in most)
     assert all(size.threads % 32 == 0 and 64 <= size.threads <= 256 for size in block_sizes.SIZES)
-    assert [block_sizes.size_for(n).most_boxes for n in (1, most[0], most[0] + 1, MAX_BOXES)] == [
+    assert [block_sizes.size_for(n).most_boxes for n in (1, most[0], most[0] + 1, block_sizes.MAX_BOXES)] == [
         *most[:1] * 2,
         *most[1:] * 2,
     ]

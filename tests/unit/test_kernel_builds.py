@@ -16,6 +16,7 @@ from petmjx.engines.kernel_notes import CPU_KERNEL, are_noted
 from petmjx.engines.subprocess import kernel_builds
 from petmjx.engines.subprocess.kernel_build_child import BuildAnswer, KernelBuild, compile_kernel
 from petmjx.engines.subprocess.kernel_builds import KernelBuilds, all_builds, gpu_of, usual_builds
+from petmjx.engines.warp.block_sizes import FEW_BOXES, SIZES, USUAL_SIZES
 from petmjx.options.simulation import Simulation
 
 H100 = gpu_of(90)
@@ -35,11 +36,11 @@ def test_a_build_compiles_the_kernel_that_a_run_would_launch(
 ) -> None:
     """A run chooses its kernel by JAX's device. A build, which has no device, chooses the same kernel by the limits of
     a GPU."""
-    from petmjx.engines.warp import block_launch, block_sizes
+    from petmjx.engines.warp import block_launch
 
     device = SimpleNamespace(is_cuda=True, sm_count=132, max_shared_memory_per_block=227 << 10)
     monkeypatch.setattr(block_launch, "launch_device", lambda: device)
-    of_run = [block_launch.Launch.of(size, block_launch.Features(lands=True)) for size in block_sizes.USUAL_SIZES]
+    of_run = [block_launch.Launch.of(size, block_launch.Features(lands=True)) for size in USUAL_SIZES]
     monkeypatch.undo()
     monkeypatch.setattr("warp.compile_aot_module", lambda module, **options: aot.append((module.name, options)))
     builds = usual_builds(Simulation(), H100)
@@ -55,7 +56,7 @@ def test_other_gpus_and_placing_by_hand_need_other_kernels(aot: list[tuple[str, 
     builds = all_builds([H100, gpu_of(89)])
     assert len(set(builds)) == len(builds) == 1 + 2 * 2 * 4
     for build in builds:
-        if build.size == "usual":
+        if build.size == SIZES[0]:
             compile_kernel(build)
     names = [name for name, _ in aot if "pause" not in name]
     assert len(set(names)) == len(names) == 4  # an L4 has less shared memory than an H100
@@ -63,7 +64,7 @@ def test_other_gpus_and_placing_by_hand_need_other_kernels(aot: list[tuple[str, 
 
 def test_a_process_compiles_for_the_cpu(aot: None) -> None:
     """This test starts a real process. Other tests need the compiled kernel, too."""
-    (answer,) = KernelBuilds([KernelBuild(None, "large", False, True)]).answers()
+    (answer,) = KernelBuilds([KernelBuild(None, SIZES[-1], False, True)]).answers()
     assert answer.fault == ""
     (again,) = KernelBuilds([answer.build]).answers()
     assert again.seconds < 10
@@ -71,7 +72,7 @@ def test_a_process_compiles_for_the_cpu(aot: None) -> None:
 
 
 class _Child:
-    """A fake process that answers at once. A build of the size ``few`` kills it."""
+    """A fake process that answers at once. A build of the size ``FEW_BOXES`` kills it."""
 
     made: list[_Child]
 
@@ -82,7 +83,7 @@ class _Child:
 
     def _put(self, data: bytes) -> None:
         build = kernel_builds.pickle.loads(data)
-        self.answers.put(None if build.size == "few" else BuildAnswer(build, 1.0))
+        self.answers.put(None if build.size == FEW_BOXES else BuildAnswer(build, 1.0))
 
     def end(self) -> None:
         self.ended = True
@@ -101,7 +102,7 @@ def test_each_kernel_gets_an_answer_and_no_process_is_left(children: list[_Child
     assert {answer.build for answer in answers} == set(builds)
     assert len(answers) == len(builds)
     died = "the process that compiled the kernel died"
-    assert all(answer.fault == (died if answer.build.size == "few" else "") for answer in answers)
+    assert all(answer.fault == (died if answer.build.size == FEW_BOXES else "") for answer in answers)
     assert all(child.ended for child in children)
 
 

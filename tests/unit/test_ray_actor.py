@@ -21,7 +21,7 @@ from petmjx.common.errors import EngineUnavailable
 from petmjx.common.machine import cuda_devices
 from petmjx.engines.job_stream import JobStream
 from petmjx.engines.mujoco.engine import MujocoEngine
-from petmjx.engines.protocol import Progress, takes_stream
+from petmjx.engines.protocol import Engine, Progress, takes_stream
 from petmjx.engines.remote import ray_actor
 from petmjx.engines.remote.job_dealer import JobDealer, WorkerJobs
 from petmjx.engines.remote.ray_actor import Packet, Recipe, Report, Worker, WorkerReady, WorkerRun
@@ -36,7 +36,7 @@ RUN = WorkerRun(SHORT)
 MUJOCO = Recipe("mujoco", {"threads": 1})
 
 
-class _Broken:
+class _Broken(Engine):
     name = "broken"
 
     def run(self, jobs: Any, sim: Any, progress: Progress) -> Iterator[Outcome]:

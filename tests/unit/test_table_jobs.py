@@ -15,9 +15,10 @@ from support.worlds import make_scene
 from petmjx.common.errors import InputError
 from petmjx.engines.job_stream import JobBounds, JobStream
 from petmjx.engines.mjx.timetable import build_timetable
+from petmjx.engines.warp.block_launch import Features
+from petmjx.engines.warp.block_sizes import MAX_BOXES
 from petmjx.engines.warp.kernel_features import KernelFeatures
 from petmjx.engines.warp.table_jobs import LEAST_FOLLOWING_ROWS, MOST_PROFILE_BYTES, TableJobs
-from petmjx.engines.warp.world_arrays import MAX_BOXES
 from petmjx.engines.warp.world_table import WorldTable
 from petmjx.options.placing import Placing
 from petmjx.options.simulation import Simulation
@@ -104,7 +105,7 @@ def test_jobs_that_follow_join_the_table_whose_kernels_know_them() -> None:
     assert not source.ended
     jobs, numbers, _ = source.begin()
     assert (jobs, numbers) == ([BY_HAND, SMALL], [3, 4])
-    assert source.needs.hands
+    assert source.needs.features.hands
     put(stream, LARGE)
     assert source.begin()[:2] == ([LARGE], [5])
     assert source.needs == KernelFeatures({96: 12})
@@ -176,15 +177,17 @@ def test_a_table_has_room_for_what_will_follow() -> None:
         put(stream, SMALL)
         source = TableJobs(stream, 8, 0, granule=4, depth_first=depth_first)
         source.begin()
-        assert source.needs.wraps == depth_first, "legs with film begin at once, or have a table of their own"
+        assert source.needs.features.wraps == depth_first, "legs with film begin at once, or have a table of their own"
     source = jobs_of(feedback_stream([SMALL, pushed]))
     jobs, _, rows = source.begin()
     assert source.profile_room(jobs, rows) == (4, 0), "unknown: four times as many as there are"
 
 
 def test_needs_of_both() -> None:
-    both = KernelFeatures({96: 8}, hands=True) | KernelFeatures({96: 12, MAX_BOXES: 100}, wraps=True)
-    assert both == KernelFeatures({96: 12, MAX_BOXES: 100}, hands=True, wraps=True)
+    both = KernelFeatures({96: 8}, Features(hands=True)) | KernelFeatures(
+        {96: 12, MAX_BOXES: 100}, Features(wraps=True)
+    )
+    assert both == KernelFeatures({96: 12, MAX_BOXES: 100}, Features(hands=True, wraps=True))
     assert both.sizes == [MAX_BOXES, 96]
     assert both.most_boxes == 100
     assert both.know(BY_HAND)

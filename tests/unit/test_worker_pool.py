@@ -125,7 +125,7 @@ def run(kind: str, folder: Path, **options: Any) -> petmjx.RunResults:
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory: pytest.TempPathFactory) -> dict[str, petmjx.RunResults]:
     """Kind → a run in one process."""
-    kinds = ("score", "grid", "search")
+    kinds = ("grid", "search")
     return {kind: run(kind, tmp_path_factory.mktemp("alone"), engine=MujocoEngine(1)) for kind in kinds}
 
 
@@ -206,14 +206,13 @@ def test_workers_that_are_killed_change_no_table(
     tmp_path_factory: pytest.TempPathFactory,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """``least``: if a number, jobs are dealt as to devices. Worlds of the grid follow from others, those of a score do
-    not."""
+    """``least``: if a number, jobs are dealt as to devices. Of the worlds of the grid, drives follow from placements,
+    and placements from no other world."""
     monkeypatch.setattr(pool_module, "LEAST", {} if least is None else {"mujoco": least})
-    for kind in ("score", "grid") if least is None else ("grid",):
-        killer = Killer(pool, every=8 if least is None else 12)  # a world whose workers die three times would be blamed
-        shared = run(kind, tmp_path_factory.mktemp("shared"), engine=pool, watcher=killer)
-        assert killer.killed >= 1
-        assert_same(shared, tables(alone[kind]))
+    killer = Killer(pool, every=8 if least is None else 12)  # a world whose workers die three times would be blamed
+    shared = run("grid", tmp_path_factory.mktemp("shared"), engine=pool, watcher=killer)
+    assert killer.killed >= 1
+    assert_same(shared, tables(alone["grid"]))
 
 
 def test_jobs_are_simulated_as_they_come(pool: WorkerPool, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -305,18 +304,21 @@ def test_a_place_where_no_worker_gets_ready_any_more_is_left(
     assert len(lost_pool._resources) == 1
 
 
-def test_a_ray_of_this_machine_that_has_died_is_not_waited_for(
-    lost_pool: WorkerPool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.usefixtures("free_cluster")
+def test_a_ray_of_this_machine_that_has_died_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     """For example, Ray's process may have been killed because memory was short. No worker can then be started any
     more."""
-    outcomes = lost_pool.run([Job(fake_scene(1.0, 10.0 + k)) for k in range(30)], SHORT)
-    next(outcomes)
-    monkeypatch.setattr(pool_module, "START_S", 0.0)
-    monkeypatch.setattr(Cluster, "nodes", [])
-    os.kill(lost_pool.pids[0], signal.SIGKILL)
-    with pytest.raises(PetmjxError, match="Ray died on this machine"):
-        list(outcomes)
+    pool = WorkerPool(MUJOCO, [WorkerResources(1)], Cluster())
+    try:
+        outcomes = pool.run([Job(fake_scene(1.0, 10.0 + k)) for k in range(30)], SHORT)
+        next(outcomes)
+        monkeypatch.setattr(pool_module, "START_S", 0.0)
+        monkeypatch.setattr(Cluster, "nodes", [])
+        os.kill(pool.pids[0], signal.SIGKILL)
+        with pytest.raises(PetmjxError, match="Ray died on this machine"):
+            list(outcomes)
+    finally:
+        pool.close()
 
 
 def _ready(recipe: Recipe) -> None:

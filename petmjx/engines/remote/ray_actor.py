@@ -10,7 +10,6 @@ import os
 import pickle
 import platform
 import queue
-import sys
 import threading
 import time
 from collections.abc import Iterator, Sequence
@@ -188,7 +187,7 @@ class Worker:
         """Simulate the jobs on the engine."""
         try:
             engine = self._built.result()
-            for outcome in outcomes_of_stream(engine, jobs.stream, jobs.sim, progress, sys.maxsize):
+            for outcome in outcomes_of_stream(engine, jobs.stream, jobs.sim, progress):
                 jobs.answered(outcome, engine.name)
             if not jobs.stream.closed or jobs.unanswered:
                 raise RuntimeError(f"engine {engine.name} ended before all jobs had outcomes")

@@ -27,10 +27,6 @@ from petmjx.engines.verdict import Outcome
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 
-NICE = 5
-"""Niceness of the threads of this process: they have a lower priority than the threads of the run, which keep a GPU
-busy."""
-
 GRANULE = 96
 """The number of box columns of tables is a multiple of this number, so that single worlds of nearly all sizes use the
 same compiled programs."""
@@ -169,7 +165,7 @@ def serve_attempts(make_engine: Callable[[str], Engine]) -> None:
     Args:
         make_engine: function that takes the name of an engine, and creates this engine with one thread.
     """
-    tasks, answers = own_pipes(NICE)
+    tasks, answers = own_pipes()
     thread_state, writing = threading.local(), threading.Lock()
 
     def answer(task: AttemptTask) -> None:

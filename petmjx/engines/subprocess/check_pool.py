@@ -50,9 +50,6 @@ _ANY_DRIVE: Final = Drive(Excitation("any", ACCELERATION, np.zeros((0, 3))))
 """Stands for the drive (motion of the carrier) of a job that is sent to a check process. Checks need to know only
 whether the job has a drive."""
 
-NICE: Final = 5
-"""Niceness of a check process: its threads have a lower priority than the threads of the run."""
-
 CheckTask = tuple[Sequence[Outcome], Sequence[Job], Simulation]
 """The arguments of ``outcome_checks``."""
 
@@ -200,7 +197,7 @@ class CheckPool(Generic[Key]):
 def main() -> None:
     """Check the outcomes of tasks, one task after another, until the pipe of tasks ends. A check process needs neither
     JAX nor Warp."""
-    serve(NICE, _checked)
+    serve(_checked)
 
 
 def _checked(task: CheckTask) -> CheckAnswer | str:

@@ -5,14 +5,12 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 from petmjx.common.text import one_line
 from petmjx.engines.kernel_notes import CPU_KERNEL, note_kernels
 from petmjx.engines.subprocess.task_pipe import serve
-
-NICE: Final = 0
-"""Niceness of the process. A run waits for its kernels, so they are as urgent as the run itself."""
+from petmjx.engines.warp.block_sizes import Size
 
 
 @dataclass(frozen=True)
@@ -36,14 +34,12 @@ class KernelBuild(NamedTuple):
 
     Attributes:
         gpu: the GPU; None: the CPU of this machine.
-        size: name of a block size of petmjx/engines/warp/block_sizes.py: ``usual`` (``SIZES[0]``), ``large``
-            (``SIZES[1]``, for large plans), ``few`` (``FEW_BOXES``, for worlds of few boxes), or ``last`` (``LAST``,
-            for the last worlds of a run). On a CPU, one kernel serves all sizes.
+        size: the block size. On a CPU, one kernel serves all sizes.
         hands, lands: features of a kernel for GPUs, as in ``petmjx.engines.warp.block_launch.Features``.
     """
 
     gpu: GpuLimits | None
-    size: str
+    size: Size
     hands: bool
     lands: bool
 
@@ -73,25 +69,22 @@ def compile_kernel(build: KernelBuild) -> None:
 
     set_up_warp()
     from petmjx.engines.warp.block_launch import Features, Launch, kernel
-    from petmjx.engines.warp.block_sizes import FEW_BOXES, LAST, SIZES
     from petmjx.engines.warp.kernels.pause import pause
 
-    usual, large = SIZES
-    size = {"usual": usual, "large": large, "few": FEW_BOXES, "last": LAST}[build.size]
     features = Features(hands=build.hands, lands=build.lands)
     if build.gpu is None:
-        launch = Launch.of(size, features, wp.get_device("cpu"))
+        launch = Launch.of(build.size, features, wp.get_device("cpu"))
         wp.compile_aot_module(kernel(launch).module, device="cpu")
         note_kernels(CPU_KERNEL)
         return
-    launch = Launch.of(size, features, build.gpu)
+    launch = Launch.of(build.size, features, build.gpu)
     for module in (kernel(launch).module, pause.module):
         wp.compile_aot_module(module, arch=build.gpu.arch)
 
 
 def main() -> None:
     """The work of the process: compile kernels one after another."""
-    serve(NICE, _built)
+    serve(_built, nice=0)  # a run waits for its kernels, so they are as urgent as the run itself
 
 
 def _built(build: KernelBuild) -> BuildAnswer:

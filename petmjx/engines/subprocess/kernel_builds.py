@@ -19,11 +19,8 @@ from petmjx.common.machine import cpu_threads, cuda_limits
 from petmjx.engines.kernel_notes import are_noted, note_kernels
 from petmjx.engines.subprocess.kernel_build_child import BuildAnswer, GpuLimits, KernelBuild
 from petmjx.engines.subprocess.task_pipe import ANSWER_WAIT_S, Child
+from petmjx.engines.warp.block_sizes import SIZES, USUAL_SIZES
 from petmjx.options.simulation import Simulation
-
-USUAL_SIZES: Final = ("usual", "few", "last")
-"""Block sizes of most runs, as in ``petmjx.engines.warp.block_sizes.USUAL_SIZES``. The kernel that takes longest to
-compile comes first."""
 
 SHARED_KB: Final = {75: 64, 80: 163, 86: 99, 87: 163, 89: 99, 90: 227, 100: 227, 103: 227, 110: 227, 120: 99, 121: 99}
 """Compute capability times ten → largest shared memory of a thread block, kB (CUDA C++ Programming Guide, "Technical
@@ -66,9 +63,9 @@ def all_builds(gpus: Sequence[GpuLimits]) -> list[KernelBuild]:
         KernelBuild(gpu, size, hands, lands)
         for gpu in gpus
         for hands in (False, True)
-        for size in (*USUAL_SIZES, "large")
+        for size in (*USUAL_SIZES, SIZES[-1])
     ]
-    return [KernelBuild(None, "large", False, lands), *on_gpus]
+    return [KernelBuild(None, SIZES[-1], False, lands), *on_gpus]
 
 
 class KernelBuilds:

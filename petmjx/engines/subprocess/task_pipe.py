@@ -26,6 +26,10 @@ ANSWER_WAIT_S: Final = 0.25
 KILL_WAIT_S: Final = 5.0
 """Longest wait for processes to be killed by the process from which they were copied, s."""
 
+NICE: Final = 5
+"""Niceness of most processes beside a run: their threads have a lower priority than the threads of the run, which may
+keep a GPU busy."""
+
 _NO_GPU: Final = {"JAX_PLATFORMS": "cpu", "CUDA_VISIBLE_DEVICES": ""}
 
 
@@ -248,12 +252,12 @@ def arrived(answers: queue.SimpleQueue[Item], *, wait: bool) -> Iterator[Item]:
         yield answer
 
 
-def serve(nice: int, answer_to: Callable[[Any], Any]) -> None:
+def serve(answer_to: Callable[[Any], Any], *, nice: int = NICE) -> None:
     """Answer one task after another in this process beside a run. When the pipe of tasks ends, the process ends.
 
     Args:
-        nice: see ``own_pipes``.
         answer_to: function that takes a task, and returns the answer.
+        nice: niceness of this process.
     """
     tasks, answers = own_pipes(nice)
     while (task := next_of(tasks)) is not None:
@@ -266,10 +270,9 @@ def serve(nice: int, answer_to: Callable[[Any], Any]) -> None:
     os._exit(0)
 
 
-def own_pipes(nice: int) -> tuple[IO[bytes], IO[bytes]]:
-    """Set up this process beside a run when it starts, and return its pipes: tasks and answers. The threads of this
-    process get a niceness, so that the threads of the run have priority. Ctrl-C is ignored, since the run handles
-    Ctrl-C and ends this process."""
+def own_pipes(nice: int = NICE) -> tuple[IO[bytes], IO[bytes]]:
+    """Set up this process beside a run when it starts, and return its pipes: tasks and answers. Ctrl-C is ignored,
+    since the run handles Ctrl-C and ends this process."""
     collect_rarely()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(os, "nice"):

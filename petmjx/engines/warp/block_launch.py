@@ -22,12 +22,11 @@ import warp as wp
 
 from petmjx.common.warp_cpp import with_cpp
 from petmjx.engines.kernel_notes import CPU_KERNEL, note_kernels
-from petmjx.engines.warp.block_sizes import Size, size_for
+from petmjx.engines.warp.block_sizes import MAX_BOXES, Size, size_for
 from petmjx.engines.warp.kernels.pause import pause
 from petmjx.engines.warp.kernels.world_loop import run_worlds
 from petmjx.engines.warp.solver import newton
 from petmjx.engines.warp.world_arrays import (
-    MAX_BOXES,
     PANEL,
     Counts,
     FrameBuffer,

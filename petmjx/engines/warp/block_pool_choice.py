@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from petmjx.engines.warp.block_launch import Features, Launch
+from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.block_pool import BlockPool
 from petmjx.engines.warp.block_sizes import FEW_BOXES
 from petmjx.engines.warp.contact_buffers import ContactBuffers
@@ -61,5 +61,5 @@ class BlockPools:
         """
         needs = run.needs
         n_boxes = needs.widths[size]
-        launch = Launch.here(n_boxes, Features(needs.hands, needs.gives, needs.wraps, run.sim.physics.has_landings))
+        launch = Launch.here(n_boxes, needs.features._replace(lands=run.sim.physics.has_landings))
         return BlockPool.of(launch, self._blocks(launch), n_boxes, boards, self.buffers.room(run, size))

@@ -4,6 +4,8 @@ In a step of a world with forty boxes, threads mostly wait for one another's res
 should simulate a second world meanwhile. A step of a world with two hundred boxes is work for many threads. So there
 are blocks of two sizes. Two further block sizes are for worlds of few boxes (small_world_blocks.py), and for the last
 worlds of a run (tail_blocks.py). Each size has its own kernel (block_launch.py).
+
+This module does not import Warp, since it is also used before Warp has started.
 """
 
 from __future__ import annotations
@@ -11,7 +13,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from petmjx.engines.warp.world_arrays import MAX_BOXES
+MAX_BOXES = 512
+"""Largest number of boxes of a world. The right-hand side of the solver must fit in shared memory, which sets this
+limit."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +58,8 @@ fills a multiprocessor."""
 
 
 USUAL_SIZES: Final = (SIZES[0], FEW_BOXES, LAST)
-"""The block sizes that most runs need, since most runs have no large plans."""
+"""The block sizes that most runs need, since most runs have no large plans. The kernel that takes longest to compile
+comes first."""
 
 
 def size_for(n_boxes: int) -> Size:

@@ -209,8 +209,6 @@ MOST_KEPT = 16
 The largest of these objects takes 16 MB."""
 
 
-@functools.lru_cache(MOST_KEPT)
-def programs(sim: Simulation, timetable: Timetable, pools: tuple[BlockPool, ...], slice_ns: int) -> Programs:
-    """The programs of a run. They are kept for later calls with the same options, block pools, slice length and
-    timetable object."""
-    return Programs(sim, timetable, pools, slice_ns)
+programs = functools.lru_cache(MOST_KEPT)(Programs)
+"""The programs of a run. They are kept for later calls with the same options, block pools, slice length and timetable
+object."""

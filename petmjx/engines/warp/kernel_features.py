@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from petmjx.common.errors import InputError
 from petmjx.engines.mjx.padded_sizes import round_up
-from petmjx.engines.warp.block_launch import Features
-from petmjx.engines.warp.block_sizes import size_for
-from petmjx.engines.warp.world_arrays import MAX_BOXES
+from petmjx.engines.warp.block_launch import NO_FEATURES, Features
+from petmjx.engines.warp.block_sizes import MAX_BOXES, size_for
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
@@ -42,16 +41,12 @@ class KernelFeatures:
         widths: block size, named by its largest number of boxes (``block_sizes.Size``) → number of boxes for which
             buffers are made in this run. This number is smaller than the block size if all plans of the run are
             smaller.
-        hands: whether kernels must support hands, which carry or drop boxes.
-        gives: whether kernels must support compliant boxes.
-        wraps: whether kernels must support stretch film that holds boxes.
+        features: what the kernels must be able to simulate, apart from landings.
         stiff: the values of ``Job.stiff``, apart from None. Each value needs constants of its own in the kernels.
     """
 
     widths: Mapping[int, int]
-    hands: bool = False
-    gives: bool = False
-    wraps: bool = False
+    features: Features = NO_FEATURES
     stiff: frozenset[float] = frozenset()
 
     @classmethod
@@ -66,9 +61,9 @@ class KernelFeatures:
         """
         # the inner set has each scene only once: all drives of a placement share the scene of the placement
         box_counts = {scene.n_boxes for scene in {job.scene for job in jobs}}
-        hands, gives, wraps, _ = Features.joined(needs_of(job.scene, driven=job.drive is not None) for job in jobs)
+        features = Features.joined(needs_of(job.scene, driven=job.drive is not None) for job in jobs)
         stiff = frozenset(job.stiff for job in jobs if job.stiff is not None)
-        return cls(widths_of(box_counts, granule), hands, gives, wraps, stiff)
+        return cls(widths_of(box_counts, granule), features, stiff)
 
     @property
     def sizes(self) -> list[int]:
@@ -90,18 +85,12 @@ class KernelFeatures:
         widest = {
             size: max(needs.widths.get(size, 0) for needs in (self, other)) for size in {*self.widths, *other.widths}
         }
-        kinds = (self.hands or other.hands, self.gives or other.gives, self.wraps or other.wraps)
-        return KernelFeatures(widest, *kinds, self.stiff | other.stiff)
-
-    def with_widths(self, widths: Mapping[int, int]) -> KernelFeatures:
-        """The same features for blocks of other widths."""
-        return replace(self, widths=widths)
+        return KernelFeatures(widest, Features.joined([self.features, other.features]), self.stiff | other.stiff)
 
     def know(self, job: Job) -> bool:
         """Whether kernels with these features support everything that a job needs, apart from its number of boxes."""
-        hands, gives, wraps, _ = needs_of(job.scene, driven=job.drive is not None)
-        known = hands <= self.hands and gives <= self.gives and wraps <= self.wraps
-        return known and (job.stiff is None or job.stiff in self.stiff)
+        more = Features.joined([self.features, needs_of(job.scene, driven=job.drive is not None)])
+        return more == self.features and (job.stiff is None or job.stiff in self.stiff)
 
 
 def widths_of(box_counts: Collection[int], granule: int) -> dict[int, int]:

@@ -24,8 +24,8 @@ from petmjx.engines.mjx.world_constants import Worlds, device_array, upload_worl
 from petmjx.engines.mjx.world_state import State, Status, put_rows, take_rows
 from petmjx.engines.open_world_protocol import OpenWorlds, Snapshots
 from petmjx.engines.verdict import Flag, Outcome
-from petmjx.engines.warp import world_arrays
 from petmjx.engines.warp.block_launch import Features
+from petmjx.engines.warp.block_sizes import MAX_BOXES
 from petmjx.engines.warp.contact_buffers import MAX_GROWTH
 from petmjx.engines.warp.kernel_features import needs_of
 from petmjx.engines.warp.next_boxes import NewBox, new_box, snapshot_inputs, snapshots_of
@@ -67,8 +67,8 @@ class WarpWorlds(OpenWorlds):
 
     def __init__(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int, threads: int | None = None) -> None:
         super().__init__(scenes, sim)
-        if not 1 <= most_boxes <= world_arrays.MAX_BOXES:
-            raise ValueError(f"most_boxes must be from 1 to {world_arrays.MAX_BOXES}, got {most_boxes!r}")
+        if not 1 <= most_boxes <= MAX_BOXES:
+            raise ValueError(f"most_boxes must be from 1 to {MAX_BOXES}, got {most_boxes!r}")
         self._sim, self._threads = sim, threads
         self.width = round_up(most_boxes)
         self.boards = max(len(scene.carrier.half_size) for scene in scenes)

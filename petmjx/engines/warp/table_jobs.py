@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import takewhile
 from typing import Any, Final
 
 from petmjx.engines.job_stream import JobStream
 from petmjx.engines.mjx.padded_sizes import padded_rows, round_up
-from petmjx.engines.warp.block_sizes import SIZES
+from petmjx.engines.warp.block_launch import Features
+from petmjx.engines.warp.block_sizes import MAX_BOXES, SIZES
 from petmjx.engines.warp.kernel_features import KernelFeatures, widths_of
-from petmjx.engines.warp.world_arrays import MAX_BOXES
 from petmjx.engines.warp.world_table import RunningWorlds, WorldTable
 from petmjx.world.job import Job
 
@@ -122,7 +123,7 @@ class TableJobs:
         if grows and self._stream.bounds is not None:
             counts = [count for count in self._stream.bounds.box_counts if count <= MAX_BOXES]
             wraps = self._depth_first and self._stream.bounds.wraps
-            needs |= KernelFeatures(widths_of(counts, self._granule), wraps=wraps)
+            needs |= KernelFeatures(widths_of(counts, self._granule), Features(wraps=wraps))
         elif grows and not self.feedback:
             needs = _roomy(needs | self.needs)
         self.needs, self._begun = needs, True
@@ -213,4 +214,4 @@ def _roomy(needs: KernelFeatures) -> KernelFeatures:
         size: size if size == small else min(round_up(width, LARGE_GRANULE), size)
         for size, width in needs.widths.items()
     }
-    return needs.with_widths(widths)
+    return replace(needs, widths=widths)

@@ -111,11 +111,6 @@ class Rollout:
         self._slices.append(Slice(table.slices, began, readback, frames, counts))
         table.slices += 1
 
-    def keep_under_way(self, count: int, table: WorldTable, order: Int[Array, "queue world"]) -> None:
-        """Start slices until ``count`` of them are started and not yet read."""
-        while self.under_way < count:
-            self.start(table, order)
-
     def finish(self, table: WorldTable) -> None:
         """Wait for all started slices."""
         while self.under_way:
@@ -223,7 +218,8 @@ class TableSlices:
         # idle, slices are started one by one, so that jobs can join soon.
         blocks_idle = int(self._table.live.sum()) <= rollout.launcher.blocks
         single = self._waits or (self._source.feedback and blocks_idle)
-        rollout.keep_under_way(1 if single else UNDER_WAY, self._table, self._queues.order)
+        while rollout.under_way < (1 if single else UNDER_WAY):
+            rollout.start(self._table, self._queues.order)
 
     def _wait_for_slice(self) -> tuple[NDArray[np.int32], PickedFrames | None]:
         """Wait for the oldest started slice. Returns the statuses of the worlds after this slice, and the frames of

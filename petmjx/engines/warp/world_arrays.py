@@ -30,10 +30,6 @@ from petmjx.options.thresholds import Thresholds
 PANEL = 16
 """Number of rows of a panel in the Cholesky factorisation. The Hessian is padded to a multiple of this number."""
 
-MAX_BOXES = 512
-"""Largest number of boxes of a world. The right-hand side of the solver must fit in shared memory, which sets this
-limit."""
-
 EFC_WORDS = 32
 """Number of values stored per contact: contact frame (9), moment arms of both bodies (9 + 9), reference accelerations
 (aref, 3), stiffness of a constraint row (D, 1), friction (1)."""
