@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from jax.tree import leaves, leaves_with_path
 from support.plans import heap, make_plan, make_scene, stack
 
 from petmjx.engines.contact_penetration import stiffened
@@ -84,8 +85,8 @@ def test_boxes_are_released_where_the_stiffness_of_their_own_contacts_puts_them(
     for row, job in enumerate([*jobs, *[jobs[0]] * 3]):
         sim = Simulation() if job.stiff is None else stiffened(Simulation(), job.stiff)
         alone = upload_worlds([replace(job, stiff=None)], 1, 4, {}, sim)
-        for name, rows, expected in zip(together._fields, together, alone, strict=True):
-            assert np.array_equal(rows[row], expected[0]), (row, name)
+        for (path, rows), expected in zip(leaves_with_path(together), leaves(alone), strict=True):
+            assert np.array_equal(rows[row], expected[0]), (row, path)
     assert not np.array_equal(together.start[0], together.start[3]), "softer contacts give way by more"
 
 
@@ -94,6 +95,6 @@ def test_padding_rows_made_on_the_device_are_those_made_on_the_host(monkeypatch:
     on_host = upload_worlds(jobs, 8, 4, {}, Simulation())
     monkeypatch.setattr(world_constants, "MANY_PADDING_ROWS", 5)
     on_device = upload_worlds(jobs, 8, 4, {}, Simulation())
-    for name, rows, expected in zip(on_host._fields, on_device, on_host, strict=True):
-        assert rows.dtype == expected.dtype, name
-        assert np.array_equal(rows, expected), name
+    for (path, rows), expected in zip(leaves_with_path(on_host), leaves(on_device), strict=True):
+        assert rows.dtype == expected.dtype, path
+        assert np.array_equal(rows, expected), path
