@@ -128,12 +128,12 @@ def _spring_terms(physics: Physics, spring_n_m: Any, inverse_mass: Any) -> tuple
     return time_s * longer**0.5, damping, impedance
 
 
-def law_between(physics: Physics, one: Face, two: Face | None) -> tuple[tuple[float, float], Triple]:
-    """MuJoCo's ``solref`` and ``solimp`` of the contacts between two shapes. If ``two`` is None, the second shape is
-    the floor."""
+def law_between(physics: Physics, one: Face, two: Face | None) -> tuple[tuple[float, float], Triple] | None:
+    """MuJoCo's ``solref`` and ``solimp`` of the contacts between two shapes; None: neither shape is compliant, so their
+    contacts have the law of rigid bodies. If ``two`` is None, the second shape is the floor."""
     give = one.give + (two.give if two is not None else 0.0)
     if give == 0.0:
-        return physics.solref, physics.solimp
+        return None
     area = 4.0 * one.half[0] * one.half[1] if two is None else shared_area_m2(one, two)
     inverse_mass = one.inverse_mass + (two.inverse_mass if two is not None else 0.0)
     return spring_law(physics, area / give / CONTACTS_PER_FACE, inverse_mass)

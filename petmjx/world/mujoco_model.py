@@ -227,8 +227,8 @@ def _declare_pairs(
     columns = contact_values(physics, pairs, friction, surface, first, len(these) + second)
     for (one, two), *row in zip(itertools.product(these, other_partners), *columns.values(), strict=True):
         values = dict(zip(columns, row, strict=True))
-        if two.face is not None:
-            values["solref"], solimp = law_between(physics, two.face, one.face)
+        if two.face is not None and (law := law_between(physics, two.face, one.face)) is not None:
+            values["solref"], solimp = law
             values["solimp"] = solimp + _SOLIMP_TAIL
         spec.add_pair(geomname1=one.name, geomname2=two.name, margin=-(one.skin_m + two.skin_m), **values)
 

@@ -205,7 +205,8 @@ def test_the_laws_of_mjx_jax_are_those_of_mujoco(name: str, held: bool) -> None:
     template = padded_template(capacity, boards, SIM, held=held)
     worlds = upload_worlds([Job(scene)], 1, capacity, {}, SIM)
     inverse = 1 / worlds.mass
-    contact_laws = laws(worlds, template, inverse.at[:, 0].set(0.0) if held else inverse, SIM.physics)
+    inverse = inverse.at[:, 0].set(0.0) if held else inverse
+    contact_laws = laws(worlds, template, inverse, SIM.physics, template.pair_solref)
     exact = build_spec(scene, SIM.physics, HeldCarrier(scene.carrier.pos, np.array(IDENTITY_QUAT)) if held else None)
     expected = exact.compile()
     row_of = {pair: row for row, pair in enumerate(zip(template.pair_geom1, template.pair_geom2, strict=True))}

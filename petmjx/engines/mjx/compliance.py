@@ -16,12 +16,17 @@ from petmjx.world.contact_laws import CONTACTS_PER_FACE
 
 
 def laws(
-    worlds: Worlds, model: Any, inverse_mass: Float[Array, "world body"], physics: Physics
+    worlds: Worlds,
+    model: Any,
+    inverse_mass: Float[Array, "world body"],
+    physics: Physics,
+    rigid_solref: Float[Array, "... pair 2"],
 ) -> dict[str, Float[Array, "world ..."]]:
     """Model fields ``pair_solref`` and ``pair_solimp``: the contact laws of all pairs of geoms that the model declares.
 
     Args:
         inverse_mass: inverse masses, 1/kg; 0 for a held carrier.
+        rigid_solref: solref of pairs of which neither geom is compliant.
     """
     one, two = model.pair_geom1, model.pair_geom2
     n, shapes = worlds.shape_give.shape
@@ -47,7 +52,7 @@ def laws(
     solref, impedance = spring_laws(physics, spring, jnp.maximum(inverse[:, one] + inverse[:, two], 1e-12))
     solimp = jnp.broadcast_to(model.pair_solimp, (n, *model.pair_solimp.shape)).at[..., :2].set(impedance[..., None])
     return {
-        "pair_solref": jnp.where(gives[..., None], solref, model.pair_solref),
+        "pair_solref": jnp.where(gives[..., None], solref, rigid_solref),
         "pair_solimp": jnp.where(gives[..., None], solimp, model.pair_solimp),
     }
 
