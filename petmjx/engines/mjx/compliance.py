@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from petmjx.engines.mjx.world_constants import Worlds
@@ -20,7 +21,7 @@ def laws(
     model: Any,
     inverse_mass: Float[Array, "world body"],
     physics: Physics,
-    rigid_solref: Float[Array, "... pair 2"],
+    rigid_solref: Float[Array | np.ndarray, "... pair 2"],
 ) -> dict[str, Float[Array, "world ..."]]:
     """Model fields ``pair_solref`` and ``pair_solimp``: the contact laws of all pairs of geoms that the model declares.
 
