@@ -60,7 +60,7 @@ _COMMANDS = {
     "repair": "Say what to change in plans so that they stand.",
     "show": "Show what happens to one plan: page, picture, film.",
     "report": "Write a page about runs: charts, tables, plans in 3D.",
-    "compare": "Compare two runs of the same plans, or packers.",
+    "compare": "Compare packers, or two runs of the same plans.",
     "figure": "Draw the answers of a sweep as a figure for a paper.",
     "kpis": "Rate plans as BED-BPP's leaderboard does.",
     "leaderboard": "Rate packers by physics, as a site.",

@@ -100,7 +100,7 @@ def temporary_folder() -> Path:
     with suppress(FileExistsError):
         folder.mkdir(mode=0o700)
     status = folder.lstat()
-    # no other user may be able to write to the folder, since this user will run the programs in it
+    # this process will run the programs in the folder, so no other user may be able to write to it
     is_ours = stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022
     if is_ours and not _why_unusable(folder):
         return folder

@@ -149,7 +149,8 @@ class ColumnExtraction:
                 names = ", ".join(map(printable_name, self.table.header[:20]))
                 raise InputError(f"has no column {printable_name(name)} ({role}); there are {names}")
             self.fixed[role] = self.table.header.index(name)
-        for axis in (*SIZE_WORDS, *XYZ):  # a column chosen for a size is no column of places ("bounds[0]")
+        # a column that the user has chosen for a size is a size, even if its name ("bounds[0]") has another meaning
+        for axis in (*SIZE_WORDS, *XYZ):
             column = self.fixed.get(role_of(axis))
             if column is not None and ((meaning := self.meanings[column]) is None or meaning.kind != "size"):
                 self.meanings[column] = ColumnMeaning("size", axis, unit_in(self.table.header[column]))

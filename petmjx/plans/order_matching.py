@@ -123,8 +123,8 @@ _WAYS: Final = (
     _MatchKey(lambda names: (), _any, lambda item: not any(item), named=False),
 )
 """Rules of matching, in order. Each rule is applied to the boxes and items that are still unmatched. In a first pass,
-all rules match only boxes and items of equal size and mass. In a second pass, the ``named`` rules match the rest
-regardless of size. A name that the box or the item lacks is not compared."""
+all rules match only boxes and items of equal size and mass. In a second pass, the rules that compare names (``named``)
+match the rest regardless of size. A name that the box or the item lacks is not compared."""
 
 
 def match(plan: Plan, order: Order) -> Matching:

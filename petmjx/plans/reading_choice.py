@@ -161,7 +161,7 @@ class _Judged:
 
     @cached_property
     def order_cost(self) -> float:
-        """How implausible it is that boxes are listed in this order, and turned in this way."""
+        """How implausible the candidate's packing order and its turns of boxes are, and whether its loads are walls."""
         weight = _PY3DBP_ORDER_WEIGHT if self.columns.source.form.rule == "py3dbp" else 1.0
         walls = float(np.mean([is_wall(layout) for layout in self.layouts]))
         cost = weight * order_cost(self.layouts) + _WALL_COST * walls

@@ -178,7 +178,7 @@ class _Reader:
             line = self.lines[self.next]
             match = _KEY.match(line.text)
             if match is None:
-                raise self._fault(line, "it is no key with a value")
+                raise self._fault(line, "an entry between { and } is not KEY: VALUE")
             key, rest = self._plain(line, match[1]), (match[2] or "").strip()
             if key in values:
                 raise self._fault(line, f"{key} occurs twice")
@@ -267,7 +267,7 @@ class _Reader:
             if end == "}":
                 match = _FLOW_KEY.match(text, at)
                 if match is None:
-                    raise self._fault(line, "it is no key with a value")
+                    raise self._fault(line, "an entry between { and } is not KEY: VALUE")
                 name = self._plain(line, match[1])
                 if name in pairs:
                     raise self._fault(line, f"{name} occurs twice")

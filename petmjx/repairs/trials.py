@@ -83,9 +83,9 @@ ITERATIONS_PER_BOX: Final = 150
 ``SCORED_ITERATIONS``."""
 
 JUDGED_TILT_DEG: Final = 5.0
-"""A box that tilts by more than this counts as fallen if a draft is only judged. A shift alone does not end the world,
-but most boxes that shift too far also tilt by more than this. Of 133 generated plans that stand, only one has a box
-that tilts by more than 3°. This box tilts by 5.4°."""
+"""A box that tilts by more than this counts as fallen if a draft is only judged. A box that has shifted too far does
+not end the simulation, because most such boxes also tilt by more than 5°. Of 133 generated plans that stand, only one
+has a box that tilts by more than 3°. This box tilts by 5.4°."""
 
 ON_A_GPU: Final = "mjx-warp"
 ROWS: Final = 256
@@ -592,7 +592,8 @@ class TrialStream:
                     if outcome.state is not None and queue.common is not None:
                         for following in queue.common.go_on(placement, outcome):
                             stream.put(following.job, following)
-                    # the outcome is final for all worlds of the placement: a box fell before the worlds begin to differ
+                    # the outcome is final for all worlds of the placement: there is only one world, or a box fell
+                    # before the worlds begin to differ
                     else:
                         for world in placement.worlds:
                             batch, number = world.tag
@@ -622,7 +623,7 @@ class TrialStream:
     def _take(self, batch: _Batch, number: int, trial: Trial) -> None:
         batch.trials[number] = trial
         self._question.n_trials += 1
-        # the engine sets ``message`` back to what it was at the start of its run
+        # not ``message``: the engine overwrites it with the message from the start of its run
         self._question.progress.caller_message = count_text(self._question.n_trials, "trial")
         if len(batch.trials) == len(batch.requests):
             self._complete.append(batch)

@@ -78,7 +78,7 @@ def moved(before: FloatArray, after: FloatArray, radius_m: FloatArray) -> FloatA
 def corner_acceleration(angular: FloatArray, half_size: FloatArray) -> FloatArray:
     """(n,) root mean square of the accelerations that the rotation of each box gives to its eight corners, m/s².
 
-    Gravity alone gives the corners of a box at rest at most √3/2 × g, whatever the box stands on. The reason: the
+    For a box that begins to move from rest under gravity alone, it is at most √3/2 × g, whatever the box stands on: the
     accelerations that rigid supports allow are such that the supports' forces do no work, so m a² + I α² ≤ m g a. Here,
     a is the acceleration of the centre, and I α² is the sum over the axes of moment of inertia × (angular
     acceleration)². The largest I α² is therefore m g² / 4, at a = g / 2. The mean square of the corners' accelerations

@@ -131,7 +131,8 @@ class _Template:
             data = mujoco.MjData(model)
         self._fill(model, scene, order)
         mujoco.mj_setConst(model, data)
-        # The sum has the same order as in MuJoCo's compiler, since the solver's tolerance is relative to this sum.
+        # The terms are added in the order of MuJoCo's compiler, so that the sum is the same to the last digit: the
+        # solver's tolerance is relative to it.
         model.stat.meaninertia = sum(model.dof_M0.tolist()) / model.nv
         mujoco.mj_resetData(model, data)
         return ModelInstance(model, data)

@@ -78,7 +78,7 @@ def record(cls: type, tables: Sequence[type] = (), without: Sequence[str] = ()) 
         for name, kind in get_type_hints(table).items():
             if name in without:
                 continue
-            # a dictionary of tables of pairs has an array for each table
+            # the field ``pairs`` is a dictionary of tables (``PAIR_TABLES``), each of which is an array of the struct
             arrays = _PAIRS if name == "pairs" else {name: (TYPES[kind.dtype], kind.dim_str)}
             for array, (dtype, of) in arrays.items():
                 annotations[array] = wp.array(dtype=dtype, ndim=len(of.split()))
