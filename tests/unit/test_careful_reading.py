@@ -56,6 +56,7 @@ def array_bytes(shape: str, dtype: str = "<f8", values: bytes = b"", version: in
         (array_bytes("(100000000000,)", "<U0"), "without values"),
         (array_bytes("(-1, 6)", values=BOXES.tobytes()), "header cannot be read"),
         (array_bytes("((((", values=BOXES.tobytes()), "header cannot be read"),
+        (array_bytes("(3, 6)", values=BOXES.tobytes()).replace(b"'<f8'", b"()   "), "header cannot be read"),
         (array_bytes("(3, 6)", "|O", BOXES.tobytes()), "Python objects"),
         (b"\x93NUMPY\x01\x00", "header cannot be read"),
         (b"\x93NUMPY\x02\x00\xff\xff\xff\x7f", "header cannot be read"),
