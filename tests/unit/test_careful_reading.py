@@ -311,12 +311,24 @@ def test_info_and_reading_name_boxes_that_are_too_heavy_or_too_light(tmp_path: P
             for k, weight in enumerate(weights)
         ]
         (tmp_path / "load.csv").write_text("\n".join([names, *rows]))
-        (info,), _ = file_infos([tmp_path / "load.csv"], {"up": "z"})
+        (info,), _ = file_infos([tmp_path / "load.csv"], {"up": None if header else "z"})
         box = int(np.argmax(np.abs(np.log(np.array(weights) / 5))))
         text = line and f"plan load: {line.format(f' (a{box})' if header else '')}"
         assert info["odd"] == ([text] if text else [])
         notes = load(tmp_path, "load.csv", "\n".join([names, *rows]), up=None if header else "z").conventions
         assert [note.partition(": ")[2] for note in notes if "kg/m³" in note] == info["odd"]
+
+
+def test_info_names_options_without_effect_for_each_file_however_long_its_path(tmp_path: Path) -> None:
+    header = "plan_id,sequence,article,length_mm,width_mm,height_mm,weight_kg,x_mm,y_mm,z_mm"
+    files = [tmp_path / f"{'long' * 40}{name}.csv" for name in "ABC"]
+    for file in files:
+        file.write_text(f"{header}\n{file.stem[-1]},1,a,400,300,200,5,0,0,0")
+    infos, _ = file_infos(files, {"up": "z"})
+    for info in infos:
+        (line,) = info["odd"]
+        assert line.startswith("up has no effect on /")
+        assert line.endswith(", since it is in petmjx's own form, with z upwards")
 
 
 def test_a_file_whose_boxes_mostly_overlap_is_refused(tmp_path: Path) -> None:
