@@ -187,6 +187,12 @@ def test_running_numbers_with_gaps_or_repeats_have_a_note(tmp_path: Path, number
     assert notes == ([f"Nr. {flaw}, so it is not read as the packing order (--columns sequence=Nr.)"] if flaw else [])
 
 
+def test_a_note_about_gaps_in_the_packing_order_names_the_column(tmp_path: Path) -> None:
+    plan_set = load(tmp_path, "load.csv", table([[*row, 2 * k] for k, row in enumerate(TOWER)], f"{NAMES},Reihenfolge"))
+    (note,) = plan_set.notes
+    assert note.endswith("load.csv: Reihenfolge has gaps in 1 plan (load); are rows missing?")
+
+
 def test_columns_with_unknown_units_have_a_note(tmp_path: Path) -> None:
     header = "name,x,y,z,length (outer),width [furlong],height in punkte,weight (stone)"
     (reading,) = load(tmp_path, "load.csv", table(TOWER, header)).readings.values()
