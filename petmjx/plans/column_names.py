@@ -324,6 +324,7 @@ _PLAIN_LETTERS: Final = str.maketrans(
 """Letters and signs that Unicode does not decompose into a plain letter and an accent → their replacements."""
 
 
+@lru_cache(maxsize=1 << 12)
 def plain_text(text: str) -> str:
     """Text without accents: "Länge" → "Lange", "długość" → "dlugosc", "Maße" → "Masse". Known words in other scripts
     are translated: "длина" → "length", "x坐标" → "x coordinate"."""

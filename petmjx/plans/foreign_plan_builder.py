@@ -353,7 +353,8 @@ class PlanBuilder:
             if texts is not None and any(texts):
                 values[name] = [texts[row][:1000] for row in rows.tolist()]
         numbers = np.array([row_number(self.places[row], row) for row in rows.tolist()], np.int64)
-        return Table({name: as_column(column) for name, column in values.items()}, (), numbers)
+        fields = {name: as_column(column) for name, column in values.items()}
+        return Table(fields, (), numbers, sequence_name=columns.columns.get("sequence", "sequence"))
 
 
 _LAST_WORD: Final = re.compile(r"(?:[\[(]|\s(?:in|/)\s)\s*([^\W\d_]\w*)\s*[\])]?\s*$")

@@ -64,7 +64,7 @@ def loaded_array(data: bytes | bytearray, name: str = "") -> Any:
 
 
 _DAMAGED: Final = (
-    *(ValueError, TypeError, KeyError, SyntaxError, tokenize.TokenError),
+    *(ValueError, TypeError, KeyError, IndexError, SyntaxError, tokenize.TokenError),
     *(MemoryError, RecursionError, OSError, EOFError),
 )
 """Exceptions that NumPy raises for a damaged array."""

@@ -292,6 +292,7 @@ class Table:
         numbers: (n,) the number of each row, for messages.
         lost: rows that could not be read, and so are missing from ``columns``.
         end_fault: the error text for the last plan, if the table ends too early, so that the plan may lack rows.
+        sequence_name: name of the column ``sequence`` in the file.
     """
 
     columns: Mapping[str, InputColumn]
@@ -299,6 +300,7 @@ class Table:
     numbers: NDArray[np.int64]
     lost: Sequence[LostRow] = ()
     end_fault: str = ""
+    sequence_name: str = "sequence"
 
 
 def sorted_columns(names: Sequence[str]) -> tuple[dict[str, int], list[str]]:
@@ -369,7 +371,8 @@ class _TableReader:
         finally:  # the note is made even if the caller stops early
             if self.gaps:
                 plans = f"{count_text(len(self.gaps), 'plan')} ({first_names(self.gaps)})"
-                self.notes.append(f"{self.source}: sequence has gaps in {plans}; are rows missing?")
+                shown = printable_name(self.table.sequence_name)
+                self.notes.append(f"{self.source}: {shown} has gaps in {plans}; are rows missing?")
 
     def _rows_of_plans(self) -> Iterator[PlanFields | RefusedPlan]:
         refused = self._refused_before()

@@ -55,7 +55,6 @@ packers. The model of a plan with this number of boxes declares 132,000 pairs of
 MOST_LINES: Final = 100_000
 """Largest number of unusable entries of a file that are listed one by one. Further entries are only counted."""
 REPEATED: Final = "repeated plan id"
-NO_EFFECT: Final = "no effect on"
 FRAME: Final = "data frame"
 OBJECT: Final = "python"
 """Names in messages: ``FRAME`` stands for a data frame, ``OBJECT`` for any other Python object."""
@@ -199,6 +198,19 @@ def read_json_plans(
     return with_conventions(loading.found, extent_mm), loading.unread
 
 
+def idle_options(options: RunOptions, own_files: Sequence[str]) -> Iterator[str]:
+    """A note about options for files of other tools, if files in petmjx's own form were read. ``own_files``: names of
+    these files."""
+    names = [option(flag, python=name) for name, flag in OPTIONS_OF_OTHERS if getattr(options, name) is not None]
+    if names and own_files:
+        verb = "has" if len(names) == 1 else "have"
+        forms = "it is" if len(own_files) == 1 else "they are"
+        yield (
+            f"{joined_names(names)} {verb} no effect on {first_names(own_files, 2)}, since {forms} in petmjx's own "
+            "form, with z upwards"
+        )
+
+
 def is_box_object(value: Any) -> bool:
     """Whether a Python object may contain boxes in another tool's form: dictionaries, an array, py3dbp's objects."""
     if isinstance(value, list | tuple):
@@ -300,20 +312,7 @@ class _PlanLoader:
         """The result, once all files have been read."""
         self.found.notes.extend(self.unread.notes())
         plan_set = with_conventions(self.found, self.carrier_extent_mm)
-        return replace(plan_set, conventions=[*self._idle_options(), *plan_set.conventions])
-
-    def _idle_options(self) -> Iterator[str]:
-        """A note about options for files of other tools, if files in petmjx's own form were read."""
-        names = [
-            option(flag, python=name) for name, flag in OPTIONS_OF_OTHERS if getattr(self.options, name) is not None
-        ]
-        if names and self.own_files:
-            verb = "has" if len(names) == 1 else "have"
-            forms = "it is" if len(self.own_files) == 1 else "they are"
-            yield (
-                f"{joined_names(names)} {verb} {NO_EFFECT} {first_names(list(self.own_files), 2)}, since {forms} in "
-                "petmjx's own form, with z upwards"
-            )
+        return replace(plan_set, conventions=[*idle_options(self.options, list(self.own_files)), *plan_set.conventions])
 
     def read_file(self, path: Path) -> None:
         source = printable(str(path))

@@ -18,7 +18,7 @@ from petmjx.plans.item_columns import TWO_WAYS
 from petmjx.plans.item_joins import has_named_places
 from petmjx.plans.item_units_and_quantities import OrderReading
 from petmjx.plans.order_reader import read_orders
-from petmjx.plans.plan_reader import NO_EFFECT, REPEATED, load_plans
+from petmjx.plans.plan_reader import OPTIONS_OF_OTHERS, REPEATED, idle_options, load_plans
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.readings import NOT_READ, Reading
 
@@ -47,8 +47,9 @@ def file_infos(paths: Sequence[Path], options: Mapping[str, Any]) -> tuple[list[
     sources = dict.fromkeys(
         [*(plan.source for plan in plan_set), *(skipped.source for skipped in plan_set.skipped), *plan_set.readings]
     )
-    infos = [_info(plan_set, source) for source in sources]
-    names_places = not {*XYZ, "position"}.isdisjoint(RunOptions(columns=options.get("columns")).columns or ())
+    given = RunOptions(**{name: options.get(name) for name, _ in OPTIONS_OF_OTHERS})
+    infos = [_info(plan_set, source, given) for source in sources]
+    names_places = not {*XYZ, "position"}.isdisjoint(given.columns or ())
     for record in infos:
         are_plans = (
             record["plans"] or names_places or any(TWO_WAYS in line or REPEATED in line for line in record["skipped"])
@@ -86,7 +87,7 @@ def _orders_line(path: Path, options: Mapping[str, Any]) -> tuple[str, str]:
     return f"{line}; unusable: {errors[0]}" if errors else line, ""
 
 
-def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
+def _info(plan_set: PlanSet, source: str, given: RunOptions) -> dict[str, Any]:
     plans = [plan for plan in plan_set if plan.source == source]
     reading = plan_set.readings.get(source)
     sizes = [float((plan.corner_mm + plan.size_mm).max(axis=0)[axis]) for plan in plans for axis in range(3)]
@@ -95,7 +96,7 @@ def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
     form = "petmjx's own form" if is_read else "cannot be read"
     odd = [layout for layout in plan_set.warnings if layout.source == source]
     lines = find_conventions(plans, odd if reading is None else (), None)
-    idle_options = [line for line in plan_set.conventions if reading is None and NO_EFFECT in line and source in line]
+    idle = idle_options(given, [source] if reading is None and is_read else ())
     record: dict[str, Any] = {
         "file": source,
         "form": form if reading is None else reading.form,
@@ -105,7 +106,7 @@ def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
         "mass_kg": round(sum(float(plan.mass_kg.sum()) for plan in plans), 6),
         "largest_mm": [max(sizes[axis::3]) for axis in range(3)] if plans else [],
         "skipped": skipped_lines,
-        "odd": [*idle_options, *(line.removeprefix(f"{source}: ") for line in lines), *map(str, odd)],
+        "odd": [*idle, *(line.removeprefix(f"{source}: ") for line in lines), *map(str, odd)],
         "reading": None,
     }
     if reading is not None:

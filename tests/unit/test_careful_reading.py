@@ -56,6 +56,7 @@ def array_bytes(shape: str, dtype: str = "<f8", values: bytes = b"", version: in
         (array_bytes("(100000000000,)", "<U0"), "without values"),
         (array_bytes("(-1, 6)", values=BOXES.tobytes()), "header cannot be read"),
         (array_bytes("((((", values=BOXES.tobytes()), "header cannot be read"),
+        (array_bytes("(3, 6)", values=BOXES.tobytes()).replace(b"'<f8'", b"()   "), "header cannot be read"),
         (array_bytes("(3, 6)", "|O", BOXES.tobytes()), "Python objects"),
         (b"\x93NUMPY\x01\x00", "header cannot be read"),
         (b"\x93NUMPY\x02\x00\xff\xff\xff\x7f", "header cannot be read"),
@@ -186,6 +187,12 @@ def test_running_numbers_with_gaps_or_repeats_have_a_note(tmp_path: Path, number
     assert notes == ([f"Nr. {flaw}, so it is not read as the packing order (--columns sequence=Nr.)"] if flaw else [])
 
 
+def test_a_note_about_gaps_in_the_packing_order_names_the_column(tmp_path: Path) -> None:
+    plan_set = load(tmp_path, "load.csv", table([[*row, 2 * k] for k, row in enumerate(TOWER)], f"{NAMES},Reihenfolge"))
+    (note,) = plan_set.notes
+    assert note.endswith("load.csv: Reihenfolge has gaps in 1 plan (load); are rows missing?")
+
+
 def test_columns_with_unknown_units_have_a_note(tmp_path: Path) -> None:
     header = "name,x,y,z,length (outer),width [furlong],height in punkte,weight (stone)"
     (reading,) = load(tmp_path, "load.csv", table(TOWER, header)).readings.values()
@@ -310,12 +317,24 @@ def test_info_and_reading_name_boxes_that_are_too_heavy_or_too_light(tmp_path: P
             for k, weight in enumerate(weights)
         ]
         (tmp_path / "load.csv").write_text("\n".join([names, *rows]))
-        (info,), _ = file_infos([tmp_path / "load.csv"], {"up": "z"})
+        (info,), _ = file_infos([tmp_path / "load.csv"], {"up": None if header else "z"})
         box = int(np.argmax(np.abs(np.log(np.array(weights) / 5))))
         text = line and f"plan load: {line.format(f' (a{box})' if header else '')}"
         assert info["odd"] == ([text] if text else [])
         notes = load(tmp_path, "load.csv", "\n".join([names, *rows]), up=None if header else "z").conventions
         assert [note.partition(": ")[2] for note in notes if "kg/m³" in note] == info["odd"]
+
+
+def test_info_names_options_without_effect_for_each_file_however_long_its_path(tmp_path: Path) -> None:
+    header = "plan_id,sequence,article,length_mm,width_mm,height_mm,weight_kg,x_mm,y_mm,z_mm"
+    files = [tmp_path / f"{'long' * 40}{name}.csv" for name in "ABC"]
+    for file in files:
+        file.write_text(f"{header}\n{file.stem[-1]},1,a,400,300,200,5,0,0,0")
+    infos, _ = file_infos(files, {"up": "z"})
+    for info in infos:
+        (line,) = info["odd"]
+        assert line.startswith("up has no effect on /")
+        assert line.endswith(", since it is in petmjx's own form, with z upwards")
 
 
 def test_a_file_whose_boxes_mostly_overlap_is_refused(tmp_path: Path) -> None:
