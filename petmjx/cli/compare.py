@@ -59,7 +59,6 @@ def compare(
     of packers, it prints the difference of the shares with an interval, McNemar's exact test, and the orders for which
     only one packer's plan stands.
     """
-
     files = figure_files(pdf, svg, png, overwrite, runs, orders)
     if packers:
         _compare_packers(runs, orders, rows, out, overwrite, files, as_json)

@@ -257,8 +257,8 @@ _MOMENT: Final = re.compile(rf"\s*(?:{_DATE}(?:[T\s]+{_TIME})?|{_TIME})\s*")
 def weight_column(extraction: ColumnExtraction) -> int | None:
     """The column of weights. If several columns have weights, the first column of gross weights is taken; without gross
     weights, the first column of weights is taken. A column that an option names for another role is not taken."""
-    if "weight" in extraction.fixed:
-        return extraction.fixed["weight"]
+    if "weight" in extraction.fixed or "weight" in extraction.ignored:
+        return extraction.fixed.get("weight")
     weights = [index for index in extraction.indices("weight") if index not in extraction.fixed.values()]
     gross = (index for index in weights if _GROSS.intersection(words_of(extraction.table.header[index])))
     return next(gross, next(iter(weights), None))

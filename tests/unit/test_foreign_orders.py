@@ -387,6 +387,10 @@ def test_two_readings_are_refused_and_options_decide(tmp_path: Path) -> None:
     for columns, kg in (({"weight": "Gewicht"}, 48), ({"total weight": "-"}, 48), ({"total weight": "Gewicht"}, 2)):
         (order,) = read(tmp_path / "weights.csv", columns=columns).values()
         assert (len(order.items), order.items[0].weight_kg) == (24, kg)
+    (tmp_path / "unit.csv").write_text("sku,L,B,H,unit weight,density\na,400,300,200,6,200\n")
+    for columns, kg in (({}, 6), ({"weight": "-"}, 4.8)):
+        (order,) = read(tmp_path / "unit.csv", columns=columns).values()
+        assert order.items[0].weight_kg == pytest.approx(kg)
     for role, count in (("quantity", 8), ("per layer", 16)):
         (order,) = read(tmp_path / "layers.csv", columns={role: "qty"}).values()
         assert len(order.items) == count
