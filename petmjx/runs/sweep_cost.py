@@ -93,7 +93,7 @@ def job_bounds(worlds: SweepPlan, groups: Collection[PlacementGroup]) -> JobBoun
     drives and legs that follow these placements. With these limits, engines prepare themselves before the first job."""
     sweep = worlds.sweep
     sim, profiles = sweep.simulation, sweep.profiles.values()
-    jobs = sum(max(len(group.variants), 1) for group in groups)
+    jobs = sum(map(worlds.most_forks, groups))
     box_counts = {group.plan.n_boxes for group in groups}
     if sweep.legs:
         legs = {leg for legs in worlds.ways.values() for leg in legs}

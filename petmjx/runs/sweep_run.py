@@ -169,16 +169,15 @@ class SweepRun:
 
     def _chunks(self) -> Iterator[list[PlacementGroup]]:
         """Placements with drives, in groups as large as ``Batching`` allows."""
-        search = self.plan.sweep.search
+        is_grid = self.plan.sweep.search is None and not self.plan.sweep.legs
         # the limit for chains is lower: in a leg, each world may have a drive of its own, whose samples take memory
-        most = self.batching.worlds if search is None and not self.plan.sweep.legs else self.batching.drives
-        per_search = 0 if search is None else len(self.plan.search_items()) * search.sections
+        most = self.batching.worlds if is_grid else self.batching.drives
         chunk: list[PlacementGroup] = []
         worlds = histories = 0
         for group in self._groups():
             if not group.driven or (not group.variants and self._answer_again(group)):
                 continue
-            n_forks = len(group.variants) or per_search
+            n_forks = self.plan.most_forks(group)
             more_histories = int(self.recording.of(group.plan) is not None)
             full = worlds + n_forks > most or len(chunk) >= self.batching.placements
             if chunk and (full or histories + more_histories > self.batching.histories):

@@ -141,6 +141,14 @@ class SweepPlan(Design):
             for number, (placement, variants) in enumerate(self.placements()):
                 yield PlacementGroup(plan, number, placement, variants)
 
+    def most_forks(self, group: PlacementGroup) -> int:
+        """Largest number of worlds that start from the settled state of a placement at the same time. In a search,
+        these are the tests of a round, for all profiles and directions."""
+        search = self.sweep.search
+        if search is None or group.variants:
+            return len(group.variants)
+        return len(self.search_items()) * search.sections
+
     def find(self, plan_id: str, index: int) -> tuple[PlacementGroup, Variant]:
         """The variant of a plan that has the number ``index``, and the group of worlds to which it belongs.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from itertools import product
 from pathlib import Path
 
 import pandas as pd
@@ -41,16 +42,20 @@ def test_worlds_of_a_placement_that_is_not_driven_are_final_before_any_drive(tmp
     assert [world.plan.plan_id for world in run.worlds()] == ["falls"] * 12 + ["stands"] * 12
 
 
-@pytest.mark.parametrize("name", ["chain-film-truck", "chain-to-wrapper", "en-12195-1", "radial-force"])
+@pytest.mark.parametrize("name", ["chain-film-truck", "chain-to-wrapper", "en-12195-1", "eumos-search", "radial-force"])
 def test_the_bounds_of_a_sweep_hold_for_all_of_its_drives(name: str) -> None:
     """An engine reserves memory for these bounds before the drives exist."""
     plan = SweepPlan(load_sweep(Path(__file__).parents[2] / "sweeps" / f"{name}.toml", plans_given=True), STACKS)
     groups = list(plan.groups())
     worlds = [(group.plan, variant) for group in groups for variant in group.variants]
+    if plan.sweep.search is not None:
+        tests = product(groups, range(len(plan.search_items())), range(plan.sweep.search.sections))
+        worlds = [(group.plan, plan.search_variant(group, item, level)) for group, item, level in tests]
     drives = [plan.drive(*world) for world in worlds]
     drives += [plan.leg_drive(*world, leg) for world in worlds for leg in world[1].legs]
     excitations = [drive.excitation for drive in drives if drive is not None]
     bounds = job_bounds(plan, groups)
+    assert bounds.jobs == len(worlds)
     assert bounds.box_counts == {scene.n_boxes for _, scene in plan.scenes(groups)}
     assert bounds.drive_steps == max(len(excitation.samples) for excitation in excitations)
     assert bounds.excitations is None or bounds.excitations == len({id(excitation) for excitation in excitations})
