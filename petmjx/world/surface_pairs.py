@@ -124,10 +124,9 @@ def find_surfaces(plan: Plan, sim: Simulation) -> Surfaces | None:
         # a friction that is unknown is not given either: bodies of such pairs never touch (check_pairs)
         if not np.isnan(values).all():
             pairs[table.name] = np.nan_to_num(values, nan=NOT_GIVEN)
-    number_of = {surface: number for number, surface in enumerate(surfaces, start=1)}
     return Surfaces(
-        np.array([of_boxes.index(material) + 1 for material in materials]),
-        np.array([number_of[board] for board in boards]),
+        np.array([1 + of_boxes.index(material) for material in materials]),
+        np.array([1 + len(of_boxes) + of_boards.index(board) for board in boards]),
         pairs,
     )
 
