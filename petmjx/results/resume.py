@@ -46,7 +46,7 @@ class CompletedWorlds:
             if not boxes.is_file():
                 raise InputError(f"{boxes}: missing, although the table `worlds` has a file with the same number")
         self._table = pa.concat_tables(parts.table("worlds", [*_COLUMNS, *columns]))
-        # Two sorted arrays take a few bytes per world; a dictionary would take hundreds of bytes per world.
+        # Two arrays take 16 bytes per world; a dictionary would take hundreds of bytes per world.
         ranks = self._ranks.ranks(self._table)
         self._rows = np.argsort(ranks, kind="stable")
         self._sorted = array("q", ranks[self._rows].tobytes())
