@@ -119,7 +119,7 @@ CONFIRMED_AT_ONCE: Final = 2
 
 MOST_FINALISTS: Final = 4
 """Worlds with errors decide which of the repairs with the fewest changes is chosen. At most this many repairs are
-compared."""
+compared in all worlds of ``COMPARED_IN``."""
 
 MOST_COMPARED: Final = 12
 """Largest number of repairs of which worlds with errors choose ``MOST_FINALISTS`` (``Search._standing_in``)."""

@@ -40,7 +40,7 @@ class SlipLaw:
     """Applies the law of sliding contacts in worlds with this physics.
 
     Args:
-        pair_kinetic: kinetic shares of friction for pairs of surfaces (``petmjx.world.scene.Scene``).
+        pair_kinetic: kinetic shares of friction for pairs of surfaces: the table "kinetic" of a scene's ``pairs``.
         surfaces: (ngeom,) number of the surface of each geom in the model. Needed with ``pair_kinetic``.
     """
 
