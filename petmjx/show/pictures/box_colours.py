@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.analysis.story import Story, thresholds_of
-from petmjx.common.text import UNNAMED, count_text
+from petmjx.common.text import UNNAMED, count_text, next_round_number
 from petmjx.common.units import FloatArray
 from petmjx.show.pages.palette import RAMP_COLOURS, Rgb, article_colours, ramp, rgb_of
 from petmjx.show.pictures.picture_options import Colour
 from petmjx.show.pictures.story_poses import Poses, shift_mm, tilts_deg
-from petmjx.show.report.chart_frame import round_up
 
 FIRST: Final[Rgb] = (0.80, 0.0, 0.0)
 """Colour of the outline of the first box to fail."""
@@ -111,7 +110,7 @@ def _scale(story: Story, colour: Colour) -> Scale:
         return Scale("tilt, °", 0.0, 2 * limits.tilt_deg, True)
     if colour is Colour.FORCE:
         steps = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
-        return Scale("force on top, N", 0.0, round_up(_usual_force(story), steps), True)
+        return Scale("force on top, N", 0.0, next_round_number(_usual_force(story), steps), True)
     return Scale("order of placement", 0.0, float(max(story.plan.n_boxes - 1, 1)), False)
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from petmjx.analysis.story import Story, thresholds_of
 from petmjx.common.errors import InputError
-from petmjx.common.text import printable_name
+from petmjx.common.text import next_round_number, printable_name
 from petmjx.common.units import FloatArray
 from petmjx.show.pages.contact_forces import pushes
 from petmjx.show.pages.palette import Rgb, look
@@ -21,7 +21,6 @@ from petmjx.show.pictures.camera import Camera, View
 from petmjx.show.pictures.offscreen import Canvas
 from petmjx.show.pictures.picture_options import Colour
 from petmjx.show.pictures.story_poses import Poses, poses_of_frame, shaking_g, shift_mm, tilts_deg
-from petmjx.show.report.chart_frame import round_up
 from petmjx.world.history import Contacts
 from petmjx.world.rotation import corners, rotations
 from petmjx.world.scene import IDENTITY_QUAT
@@ -202,7 +201,7 @@ def newtons_per_m(story: Story) -> float:
     strength = np.linalg.norm(contacts.force, axis=1)
     strength = strength[strength > 0]
     usual_n = 4 * float(np.quantile(strength, 0.9)) if len(strength) else 1.0
-    return round_up(usual_n / (_ARROW_SHARE * largest_extent_m(story)))
+    return next_round_number(usual_n / (_ARROW_SHARE * largest_extent_m(story)))
 
 
 def forces_of_pairs(contacts: Contacts, poses: Poses) -> list[tuple[FloatArray, FloatArray]]:

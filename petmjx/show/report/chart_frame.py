@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from petmjx.common.text import next_round_number
 from petmjx.common.units import FloatArray
 from petmjx.show.pages.markup import Content, Markup, element
 
@@ -91,7 +92,7 @@ class Scale:
     def ticks(self) -> list[tuple[float, str]]:
         """(value, label) of each tick. Ticks are at round values. There are at most about ``MOST_TICKS`` ticks."""
         if not self.log:
-            step = max(round_up((self.high - self.low) / (MOST_TICKS - 1)), 1.0 if self.counts else 0.0)
+            step = max(next_round_number((self.high - self.low) / (MOST_TICKS - 1)), 1.0 if self.counts else 0.0)
             first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
             return [(at * step, _label(at * step, step)) for at in range(first, last + 1)]
         decades = range(math.ceil(math.log10(self.low) - 1e-9), math.floor(math.log10(self.high) + 1e-9) + 1)
@@ -102,13 +103,6 @@ class Scale:
             ticks = [(value, text) for value, text in ticks if math.log10(value / self.low) > apart]
             ticks.insert(0, (self.low, self.lowest))
         return ticks
-
-
-def round_up(value: float, steps: Sequence[float] = (1.0, 2.0, 5.0, 10.0)) -> float:
-    """The smallest number of the form step × 10ⁿ that is not below ``value``, where step is one of ``steps``. ``value``
-    must be positive."""
-    power = 10.0 ** math.floor(math.log10(value))
-    return next(step * power for step in steps if step * power >= value * (1 - 1e-9))
 
 
 def _label(value: float, step: float) -> str:

@@ -8,14 +8,14 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from petmjx.common.text import count_text, three_digits
+from petmjx.common.text import count_text, next_round_number, three_digits
 from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Verdict
 from petmjx.results.share_statistics import ALL_PLANS, share_standing
 from petmjx.runs.chain_legs import AS_IS
 from petmjx.runs.chain_summary import WHOLE_WAY, arrivals, shares_by_leg
 from petmjx.show.pages.markup import NOTHING, Markup, element, joined_markup, table
-from petmjx.show.report.chart_frame import MOST_TICKS, Frame, Scale, figure, round_up
+from petmjx.show.report.chart_frame import MOST_TICKS, Frame, Scale, figure
 from petmjx.show.report.charts import (
     ROSE_RINGS,
     Bar,
@@ -240,7 +240,7 @@ def _rose_figure(title: str, unit: str, largest: pd.DataFrame, top: float) -> Ma
         return np.asarray(by.quantile(share).reindex(directions), dtype=np.float64)
 
     quantiles = {"low": at(0.25), "middle": at(0.5), "high": at(0.75)}
-    reach = ROSE_RINGS * round_up(float(np.nanmax(quantiles["high"], initial=top / 10)) / ROSE_RINGS)
+    reach = ROSE_RINGS * next_round_number(float(np.nanmax(quantiles["high"], initial=top / 10)) / ROSE_RINGS)
     picture = rose(title, directions, quantiles, reach, unit)
     n = count_text(int(largest["plan_id"].nunique()), "plan")
     return figure(f"{title} by direction", picture, f"{DIRECTIONS_CAPTION} {n}; tested up to {top:g} {unit}.")

@@ -171,8 +171,7 @@ class Viewer {
   hull(box) {
     const { pos, quat, half } = this.box(box);
     if (Number.isNaN(pos[0])) return null;
-    const own = cornersBetween(scaled(half, -1), half);
-    const seen = own.map((corner) => this.project(add(turned(quat, corner), pos)));
+    const seen = cornersBetween(scaled(half, -1), half).map((corner) => this.project(add(turned(quat, corner), pos)));
     if (seen.includes(null)) return null;
     const [x, y] = [seen.map((point) => point.x), seen.map((point) => point.y)];
     return { left: Math.min(...x), right: Math.max(...x), top: Math.min(...y), bottom: Math.max(...y) };
