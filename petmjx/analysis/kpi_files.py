@@ -16,6 +16,7 @@ from petmjx.common.atomic_write import write_errors
 from petmjx.common.errors import InputError
 from petmjx.common.overwrite_guard import IsOurs
 from petmjx.common.text import printable
+from petmjx.common.unreadable_files import DAMAGED_ZIP
 from petmjx.results.documented_tables import check_tables_free, has_keys
 from petmjx.results.result_files import csv, parquet, text, write_together
 
@@ -117,7 +118,5 @@ def _is_our_workbook(file: Path) -> bool:
     try:
         with zipfile.ZipFile(file) as parts, parts.open("docProps/core.xml") as properties:
             return f">{_CREATOR}<".encode() in properties.read(_MOST_PROPERTIES)
-    # Each of these errors shows that petmjx did not write the file: it is not a zip file, is encrypted, or uses an
-    # unknown compression.
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile, NotImplementedError, RuntimeError):
+    except (*DAMAGED_ZIP, KeyError):  # petmjx did not write the file, or it is damaged
         return False

@@ -7,6 +7,8 @@ As plans and orders, petmjx nevertheless reads some of these formats, such as wo
 from __future__ import annotations
 
 import re
+import zipfile
+import zlib
 from typing import Final
 
 ZIP_MAGIC: Final = b"PK\x03\x04"
@@ -14,6 +16,12 @@ ZIP_MAGIC: Final = b"PK\x03\x04"
 NUMPY_MAGIC: Final = b"\x93NUMPY"
 ARCHIVE_BYTES: Final = 1 << 16
 """Number of bytes at the beginning of a ZIP archive from which its content is recognised."""
+DAMAGED_ZIP: Final = (
+    *(zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError),
+    *(ValueError, OSError, EOFError),
+)
+"""Exceptions that ``zipfile`` raises for a file that is damaged, encrypted or not a ZIP file, or uses an unknown
+compression."""
 
 _SAVE: Final = "save the sheet as CSV"
 

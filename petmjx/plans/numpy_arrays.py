@@ -17,10 +17,11 @@ from numpy.lib import format as npy
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
+from petmjx.common.unreadable_files import DAMAGED_ZIP
 from petmjx.plans.column_names import known_meanings
 from petmjx.plans.known_forms import ARRAY, MOST_BYTES, POSES, BoxSource, with_known_form
 from petmjx.plans.raw_tables import BoxList, RawTable, united, with_titles
-from petmjx.plans.workbooks import DAMAGED_ZIP, check_archive
+from petmjx.plans.workbooks import check_archive
 
 
 def loaded_array(data: bytes | bytearray, name: str = "") -> Any:

@@ -6,7 +6,6 @@ from __future__ import annotations
 import io
 import re
 import zipfile
-import zlib
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
@@ -17,7 +16,7 @@ from xml.etree import ElementTree
 from petmjx.common.errors import InputError
 from petmjx.common.safe_read import allowed_bytes
 from petmjx.common.text import printable_name
-from petmjx.common.unreadable_files import ARCHIVE_BYTES, ZIP_MAGIC
+from petmjx.common.unreadable_files import ARCHIVE_BYTES, DAMAGED_ZIP, ZIP_MAGIC
 from petmjx.plans.cell_numbers import cell_number
 from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.raw_tables import MOST_COLUMNS, MOST_ROWS, RawTable
@@ -122,13 +121,6 @@ def _ods_value(cell: ElementTree.Element) -> Any:
         return None if number is None else number.value
     paragraphs = ["".join(part.itertext()) for part in cell.iter(f"{_TEXT}p")]
     return "\n".join(paragraphs) or None
-
-
-DAMAGED_ZIP: Final = (
-    *(zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError),
-    *(ValueError, OSError, EOFError),
-)
-"""Exceptions that ``zipfile`` raises for a damaged member of an archive."""
 
 
 def check_archive(data: bytes | bytearray) -> None:

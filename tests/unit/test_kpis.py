@@ -313,6 +313,19 @@ def test_files(capsys: pytest.CaptureFixture[str]) -> None:
     assert second[0].value == "B, \\u001b[31m"
 
 
+def test_a_damaged_workbook_is_kept() -> None:
+    kpis = rate({"A": tower(1)}, assume_stable=True)
+    write_kpis(kpis, "out", xlsx=True)
+    workbook = Path("out/kpis.xlsx")
+    content = bytearray(workbook.read_bytes())
+    name = b"docProps/core.xml"
+    content[content.index(name) + len(name)] ^= 0xFF  # the first byte of the compressed member
+    workbook.write_bytes(content)
+    with pytest.raises(petmjx.InputError, match=r"kpis\.xlsx: was not written by petmjx"):
+        write_kpis(kpis, "out", xlsx=True, overwrite=True)
+    assert workbook.read_bytes() == content
+
+
 @pytest.mark.parametrize("at", [1, 3, 4])
 def test_on_a_full_disk_all_files_are_as_they_were(at: int, monkeypatch: pytest.MonkeyPatch) -> None:
     kpis = rate({"A": tower(1)}, assume_stable=True)
