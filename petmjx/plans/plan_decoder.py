@@ -88,6 +88,9 @@ class _AnyPlacement(_Placement, forbid_unknown_fields=False, gc=False):
     item: _AnyItem
 
 
+_RARE_FIELDS: Final = {*_AnyItem.__struct_encode_fields__, *SPARSE} - {*_Item.__struct_encode_fields__}
+"""Fields of items and placements that few plans have, under their names in JSON."""
+
 # loops over these functions run in C
 _ITEM: Final = attrgetter("item")
 _SEQUENCE: Final = attrgetter("sequence")
@@ -303,6 +306,8 @@ def _with_rare_fields(
 ) -> Plan | None:
     """A plan with the fields that few plans have; None if one of their values is not allowed. ``value``: the decoded
     placements, which also have the fields of ``SPARSE``."""
+    if all(_RARE_FIELDS.isdisjoint(placed) and _RARE_FIELDS.isdisjoint(placed["item"]) for placed in value):
+        return plan
     items, size_mm = [*map(_ITEM, placements)], plan.item_size_mm
     materials = [item.material or "" for item in items]
     kinds = tuple(item.kind or "" for item in items)
