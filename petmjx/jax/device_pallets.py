@@ -136,6 +136,7 @@ class Device:
         full = state.status == Status.OVERFLOWED
         reason = jnp.zeros(len(full), jnp.int32)
         top_force = jnp.fmax(state.metrics.max_top_force, state.top_force)
+        # the types of ``BoxMetrics`` are NumPy's; here, the arrays are JAX's
         measured: Any = {"shift_m": shift, "max_tilt_deg": tilt, "dropped": dropped, "max_top_force_n": top_force}
         boxes = BoxMetrics.measured(*here.shape, **measured)
         over = largest_excess(boxes, limits)

@@ -42,7 +42,8 @@ class WorldRanks:
         self._variants = variants or range(MOST_VARIANTS)
 
     def rank(self, plan_id: str, variant: int) -> int:
-        """The rank of one world."""
+        """The rank of one world. The first rank of a plan that ``plan_ids`` lacks gives the plan a place in the
+        order."""
         place = self._places.setdefault(plan_id, len(self._places))
         return place * len(self._variants) + variant - self._variants.start
 

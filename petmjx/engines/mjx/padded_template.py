@@ -172,5 +172,6 @@ def override_fields(
         sliding = jnp.where(pair_friction == NOT_GIVEN, partners[..., 0], pair_friction)
         fields["pair_friction"] = partners[..., jnp.array([0, 0, 1, 2, 2])].at[..., :2].set(sliding[..., None])
         if gives:
+            # ``pair_solref`` is only in ``fields`` if a further value of pairs of materials sets it
             fields |= laws(worlds, model, inv_translation, physics, fields.get("pair_solref", model.pair_solref))
     return fields
