@@ -96,7 +96,7 @@ def _minimised_by_scipy(cost: FloatArray, matrix: Entries, rows: Limits, bounds:
 
 
 def _no_answer(n_rows: int, reason: str) -> PetmjxError:
-    return PetmjxError(f"the solver HiGHS found no answer for a force balance with {n_rows} constraints: {reason}")
+    return PetmjxError(f"the solver HiGHS found no answer for a linear programme with {n_rows} constraints: {reason}")
 
 
 def _highs() -> Any | None:
