@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks.referees.referee import RefereeWorld
 from petmjx.common.units import FloatArray, seconds_to_steps
 from petmjx.engines.margin import margin_of
-from petmjx.engines.metrics import BoxMetrics
+from petmjx.engines.metrics import BoxMetrics, BoxSample
 from petmjx.engines.mujoco.rest import QuietRule
 from petmjx.engines.mujoco.running_metrics import OracleMetrics
 from petmjx.engines.verdict import Flag, Reason, Verdict, judge
@@ -117,8 +117,9 @@ class _Run:
         velocity = _velocity(self._last, pose, self._poll_s)
         self._last = pose
         if self._polls % self._polls_per_sample == 0:
-            none = np.zeros(len(pose))
-            self._metrics.add_sample(self._time_s, pose[:, :3], pose[:, 3:], np.zeros((len(pose), 6)), none)
+            k, none = len(pose), np.zeros((len(pose), 6))
+            sample = BoxSample(pose[:, :3], pose[:, 3:], none, none, np.zeros(k), self._scene.target[:k])
+            self._metrics.add_sample(self._time_s, sample)
         return self._quiet.look(pose, velocity, has_failed=self._metrics.has_failed)
 
     def _judged(self, placed: int, moving: bool) -> Stood:

@@ -13,11 +13,12 @@ from petmjx.analysis.story import Story, sinks_of, thresholds_of
 from petmjx.common.text import alternatives, box_in_words, count_text, printable_name
 from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.engines.knife_edges import is_same_edge, kept_edges, nearest_edge
+from petmjx.engines.metrics import box_metrics
 from petmjx.engines.mujoco import box_motion
 from petmjx.engines.outcome_checks import contact_tilt_boxes, edges_again
 from petmjx.engines.verdict import Flag, Reason, Verdict
 from petmjx.options.simulation import Check
-from petmjx.options.thresholds import FAILURES
+from petmjx.options.thresholds import FAILURES, MOTION_REASONS
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, gaps_mm
 from petmjx.world.building_edges import steps_beyond
 from petmjx.world.job import FORCE
@@ -128,8 +129,7 @@ MOST_LEANING: Final = 3
 def reason_in_words(story: Story) -> str:
     """A sentence with the reason of the verdict, without full stop."""
     outcome = story.outcome
-    values = {name: _threshold(name, value) for name, value in thresholds_of(story).model_dump().items()}
-    deeds = {failure.reason: failure.reason.words.format(**values) for failure in FAILURES}
+    deeds = _deeds(story)
     if outcome.reason is Reason.NONE:
         words = f"no box {alternatives(reversed(deeds.values()))}"
     elif outcome.reason is Reason.DROP:
@@ -140,10 +140,18 @@ def reason_in_words(story: Story) -> str:
     return f"{words}: {printable_name(outcome.message)}" if outcome.message else words
 
 
-def _threshold(name: str, value: float) -> str:
-    """A threshold with its unit, which is the end of its name."""
-    unit = name.rpartition("_")[2]
-    return {"m": _mm(value), "deg": f"{value:g}°", "n": f"{value:,g} N"}.get(unit, f"{value:g} {unit}")
+def _deeds(story: Story) -> dict[Reason, str]:
+    """Reason of an unstable world → what a box did, such as "tilted by more than 20°"."""
+    units, limits = {metric.attribute: metric.unit for metric in box_metrics()}, thresholds_of(story)
+    return {
+        reason: reason.words.format(**{name: _with_unit(getattr(limits, name), units[metric])} if name else {})
+        for reason, metric, name, *_ in FAILURES
+    }
+
+
+def _with_unit(value: float, unit: str) -> str:
+    """A value with its unit, which is one of the units of metrics."""
+    return {"m": _mm(value), "deg": f"{value:g}°"}.get(unit, f"{value:,g} {unit.replace('^2', '²')}")
 
 
 def notes_in_words(story: Story) -> list[str]:
@@ -231,7 +239,8 @@ def first_box_in_words(story: Story) -> str:
     time_text = "" if math.isnan(story.outcome.first_sign_s) else f" at {story.outcome.first_sign_s:.2f} s"
     gap_mm = _gap_mm(story, box)
     planned = f"was planned {_mm(gap_mm / MM_PER_M)} in the air and " if gap_mm > DEFAULT_TOLERANCE_MM else ""
-    signs = " and ".join(_signs(story, box)) or ("fell" if planned else "crossed a limit")
+    deed = "" if story.outcome.reason in MOTION_REASONS else _deeds(story).get(story.outcome.reason, "")
+    signs = deed or " and ".join(_signs(story, box)) or ("fell" if planned else "crossed a limit")
     return f"{_subject(story, box)} {planned}failed first:{time_text} it {signs}."
 
 

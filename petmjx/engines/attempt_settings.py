@@ -32,6 +32,7 @@ from petmjx.engines.subprocess.attempt_process import AttemptProcess, AttemptSim
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.options.physics import Cone
 from petmjx.options.simulation import MOST_ITERATIONS, Attempts, Simulation, Solver
+from petmjx.options.thresholds import MOTION_REASONS
 from petmjx.world.job import Excitation, Job, KeptState
 
 CAREFUL_ITERATIONS = 400
@@ -149,7 +150,7 @@ class AttemptRecipe:
     def after(self, before: Outcome | None, job: Job) -> Job:
         """The job of this attempt after an outcome of the previous attempt. If the pallet fell while it was built, an
         attempt with stiffer contacts only has to confirm the fall."""
-        fell = before is not None and before.verdict is Verdict.UNSTABLE and job.drive is None
+        fell = before is not None and before.reason in MOTION_REASONS and job.drive is None
         return replace(job, confirms=True) if fell and self.stiff is not None else job
 
     def apply_to_jobs(self, jobs: Sequence[Job]) -> list[Job]:

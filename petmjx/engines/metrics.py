@@ -7,7 +7,9 @@ Four places use this table:
 - petmjx.analysis.run_comparison compares the metrics of two runs.
 - docs/metrics.md has the tables that ``python -m petmjx.engines.metrics`` prints.
 
-The engines compute the values, in NumPy, JAX and Warp.
+The engines compute the values, in NumPy, JAX and Warp. For a metric that is the largest of a quantity's values at all
+samples, the table has the formula of this quantity (``BoxMetric.of_sample``), which C MuJoCo and the array programs
+call. The formulas in kernels share no arithmetic with it.
 
 docs/extending.md explains step by step how to add a metric.
 """
@@ -16,15 +18,16 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, Final, Self
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
+from petmjx.options.thresholds import FAILURES
 
 DIMENSIONLESS: Final = "1"
 """Unit of counts, indices and factors."""
@@ -107,6 +110,33 @@ class WorldReduction:
     meaning: str
 
 
+class BoxSample(NamedTuple):
+    """The boxes at a sample: the inputs of formulas (``BoxMetric.of_sample``), as arrays of NumPy or JAX. All values
+    hold at the beginning of the step, when MuJoCo computes contacts and accelerations.
+
+    Attributes:
+        pos: (…, n, 3) centres, m.
+        quat: (…, n, 4) orientations, as quaternions (w, x, y, z).
+        velocity: (…, n, 6) velocities of the centres of mass, m/s, and angular velocities in the axes of the boxes,
+            rad/s.
+        acceleration: (…, n, 6) the same for accelerations, m/s² and rad/s².
+        top_force: (…, n) forces on the tops of boxes, N.
+        target: (…, n, 3) planned centres, m.
+    """
+
+    pos: Any
+    quat: Any
+    velocity: Any
+    acceleration: Any
+    top_force: Any
+    target: Any
+
+
+def _lengths(vectors: Any) -> Any:
+    """(…,) lengths of vectors (…, 3), as an array of NumPy or JAX."""
+    return vectors.__array_namespace__().sqrt((vectors**2).sum(-1))
+
+
 @dataclass(frozen=True)
 class BoxMetric:
     """A quantity that each box has. The table ``boxes`` has one column for the quantity, or one column per component.
@@ -118,6 +148,9 @@ class BoxMetric:
         dtype: type of the columns. Measured values are float32, which is exact to 1 µm at 8 m and is also the precision
             of the MJX engines. Times are float64, and yes-or-no values are bool.
         of_world: the column of ``worlds`` that is computed from this metric, if any.
+        of_sample: if the metric is the largest of a quantity's values at all samples, the formula of this quantity, for
+            arrays of NumPy or JAX. The result has the shape (…, n). Values below 0 count as 0, since the largest value
+            is 0 at first.
         driven_only: whether only runs with profiles (motions of the carrier) have this metric.
         legs_only: whether only chains of several legs (parts of a journey) have this metric.
         compared, relative: see :class:`Column`. For metrics of type bool, a comparison shows only the number of boxes
@@ -131,6 +164,7 @@ class BoxMetric:
     definition: str
     dtype: type[np.generic] = np.float32
     of_world: WorldReduction | None = None
+    of_sample: Callable[[BoxSample], Any] | None = None
     driven_only: bool = False
     legs_only: bool = False
     compared: bool = True
@@ -147,6 +181,11 @@ class BoxMetric:
         """The values of (…, n) boxes for which the metric was not measured: NaN, or False for type bool."""
         shape = (*n, len(self.columns)) if len(self.columns) > 1 else n
         return np.zeros(shape, np.bool_) if self.dtype is np.bool_ else np.full(shape, np.nan)
+
+    def of_table(self, boxes: Any) -> NDArray[Any]:
+        """(n,) or (n, components) values of the n rows of a table ``boxes``."""
+        values: NDArray[Any] = boxes[[*self.columns]].to_numpy(bool if self.dtype is np.bool_ else None)
+        return values if len(self.columns) > 1 else values[:, 0]
 
     def world_columns(self) -> list[Column]:
         """The column of ``worlds`` that is computed from this metric, if any. Measured values in this column are
@@ -182,12 +221,21 @@ class WorldMetric:
 
 
 def _largest(
-    name: str, unit: str, when: SampleAt, definition: str, of_box: str, of_world: str, relative: bool = False
+    name: str,
+    unit: str,
+    when: SampleAt,
+    definition: str,
+    of_box: str,
+    of_world: str,
+    of_sample: Callable[[BoxSample], Any] | None = None,
+    relative: bool = False,
 ) -> BoxMetric:
     """A metric of boxes with one column. A column of ``worlds`` with the same name holds the largest value of the
     world's boxes. ``of_box`` and ``of_world`` are the meanings of the two columns."""
     reduced = WorldReduction(name, Reduction.LARGEST, of_world)
-    return BoxMetric(name, unit, {name: of_box}, when, definition, of_world=reduced, relative=relative)
+    return BoxMetric(
+        name, unit, {name: of_box}, when, definition, of_world=reduced, of_sample=of_sample, relative=relative
+    )
 
 
 def _number(name: str, meaning: str, when: SampleAt) -> WorldMetric:
@@ -277,11 +325,13 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
         "max_lin_acc", "m/s^2", SampleAt.SAMPLES,
         "max ‖a‖, where `a` is the linear part of MuJoCo's `qacc` of the box's free joint",
         of_box="largest sampled linear acceleration", of_world="largest sampled linear acceleration of any box",
+        of_sample=lambda sample: _lengths(sample.acceleration[..., :3]),
     ),
     _largest(
         "max_ang_acc", "rad/s^2", SampleAt.SAMPLES,
         "max ‖α‖, where `α` is the angular part of MuJoCo's `qacc` of the box's free joint",
         of_box="largest sampled angular acceleration", of_world="largest sampled angular acceleration of any box",
+        of_sample=lambda sample: _lengths(sample.acceleration[..., 3:]),
     ),
     _largest(
         "max_top_force_n", "N", SampleAt.STEPS,
@@ -438,6 +488,18 @@ def box_metrics(driven: bool = True, legs: bool = True) -> tuple[BoxMetric, ...]
     every = (metric for metric in METRICS if isinstance(metric, BoxMetric))
     metrics = [m for m in every if (driven or not m.driven_only) and (legs or not m.legs_only)]
     return tuple(sorted(metrics, key=lambda metric: (metric.driven_only, metric.legs_only)))
+
+
+@functools.cache
+def sampled_metrics() -> Mapping[str, Callable[[BoxSample], Any]]:
+    """Name of each metric that is the largest of a quantity's values at all samples → formula of this quantity."""
+    return {metric.attribute: metric.of_sample for metric in box_metrics() if metric.of_sample is not None}
+
+
+@functools.cache
+def judged_samples() -> tuple[str, ...]:
+    """The names of the ``sampled_metrics`` that decide verdicts (``FAILURES``)."""
+    return tuple(failure.metric for failure in FAILURES if failure.metric in sampled_metrics())
 
 
 @functools.cache

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence, Sized
+from collections.abc import Mapping, Sequence, Sized
 from dataclasses import dataclass, fields
 from typing import Any, Final
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
+from petmjx.engines.metrics import judged_samples
 from petmjx.engines.verdict import Flag, Outcome
 from petmjx.options.materials import PAIR_TABLES
 from petmjx.options.simulation import Schedule, Simulation
@@ -41,6 +42,7 @@ class Snapshot:
         max_top_force_n: (k,) largest force on the top so far, N: in the steps that count (docs/rules.md, section 7), or
             ``top_force_n`` if that is larger, since steps in which all boxes are slow do not count.
         dropped: (k,) whether each box had dropped at a sample.
+        sampled: name of each metric of ``judged_samples`` → (k,) values so far.
     """
 
     time_s: float
@@ -53,6 +55,7 @@ class Snapshot:
     max_tilt_deg: FloatArray
     max_top_force_n: FloatArray
     dropped: NDArray[np.bool_]
+    sampled: Mapping[str, FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +82,7 @@ class Snapshots:
     max_tilt_deg: FloatArray
     max_top_force_n: FloatArray
     dropped: NDArray[np.bool_]
+    sampled: Mapping[str, FloatArray]
 
     @classmethod
     def of(cls, snapshots: Sequence[Snapshot], scenes: Sequence[Scene]) -> Snapshots:
@@ -109,6 +113,7 @@ class Snapshots:
             max_tilt_deg=padded([snapshot.max_tilt_deg for snapshot in snapshots]),
             max_top_force_n=padded([snapshot.max_top_force_n for snapshot in snapshots]),
             dropped=padded([snapshot.dropped for snapshot in snapshots], False),
+            sampled={name: padded([snapshot.sampled[name] for snapshot in snapshots]) for name in judged_samples()},
         )
 
     def of_world(self, row: int) -> Snapshot:
@@ -119,6 +124,7 @@ class Snapshots:
             ended=bool(self.ended[row]),
             flags=Flag(int(self.flags[row])),
             culprit=int(self.culprit[row]),
+            sampled={name: values[row, : self.placed[row]] for name, values in self.sampled.items()},
             **{name: getattr(self, name)[row, : self.placed[row]] for name in of_boxes},
         )
 
@@ -128,10 +134,16 @@ class Snapshots:
         return cls(**joined_records(parts, max(part.pos.shape[1] for part in parts)))
 
 
-def joined_records(parts: Sequence[Any], width: int) -> dict[str, NDArray[Any]]:
-    """The fields of several records about worlds, one record after another, padded to ``width`` boxes per world."""
-    names = [field.name for field in fields(parts[0])]
-    return {name: np.concatenate([widened_rows(getattr(part, name), width) for part in parts]) for name in names}
+def joined_records(parts: Sequence[Any], width: int) -> dict[str, Any]:
+    """The fields of several records about worlds, one record after another, padded to ``width`` boxes per world. Fields
+    are arrays or dictionaries of arrays."""
+
+    def joined(values: Sequence[Any]) -> Any:
+        if isinstance(values[0], Mapping):
+            return {name: joined([value[name] for value in values]) for name in values[0]}
+        return np.concatenate([widened_rows(value, width) for value in values])
+
+    return {field.name: joined([getattr(part, field.name) for part in parts]) for field in fields(parts[0])}
 
 
 def widened_rows(values: NDArray[Any], width: int) -> NDArray[Any]:

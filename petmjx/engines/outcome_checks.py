@@ -28,6 +28,7 @@ from petmjx.engines.mujoco.box_motion import tilt_deg
 from petmjx.engines.verdict import Flag, Outcome, Verdict, judge
 from petmjx.options.physics import Cone
 from petmjx.options.simulation import Check, Simulation
+from petmjx.options.thresholds import FAILURES, MOTION_REASONS, Thresholds
 from petmjx.world.bearings import TOUCH_M, Bearing
 from petmjx.world.building_edges import LeastBuildingEdge, building_edges, first_least
 from petmjx.world.edge_distances import Edges, loads_and_edges
@@ -63,6 +64,7 @@ def outcome_checks(
             ``Flag.LEANS``. Computing these distances and flags takes most of the time of all checks.
     """
     noted = note_floating(note_penetration(outcomes, jobs, sim), jobs, sim)
+    _name_culprits(noted, sim.thresholds)
     for outcome, margin in zip(noted, margins_of(noted, sim.thresholds), strict=True):
         outcome.flags &= ~Flag.RERUN_AFTER_OVERFLOW
         outcome.margin = margin
@@ -76,6 +78,16 @@ def outcome_checks(
             noted[k].flags |= Flag.LEANS
     note_edges(noted, jobs, sim)
     return noted
+
+
+def _name_culprits(outcomes: Sequence[Outcome], thresholds: Thresholds) -> None:
+    """Name the culprits of worlds whose reason is no motion, which engines do not know."""
+    failure_of = {failure.reason: failure for failure in FAILURES if failure.reason not in MOTION_REASONS}
+    for outcome in outcomes:
+        if (failure := failure_of.get(outcome.reason)) is not None:
+            excess = failure.excess(outcome.boxes, thresholds)[: outcome.n_placed]
+            outcome.culprit = int(np.nan_to_num(excess, nan=-np.inf).argmax())
+            outcome.first_sign_s, outcome.n_at_sign = np.nan, 0
 
 
 def contact_tilt_boxes(outcome: Outcome) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
@@ -123,7 +135,7 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation
     planned = {key: number for number, key in enumerate(dict.fromkeys(keys))}
     at_rest = [k for k in valid if outcomes[k].verdict is Verdict.STABLE and jobs[k].drive is None]
     elliptic = sim.physics.cone is Cone.ELLIPTIC
-    fallen = [k for k in valid if elliptic and outcomes[k].verdict is Verdict.UNSTABLE and scenes[k].soft is None]
+    fallen = [k for k in valid if elliptic and outcomes[k].reason in MOTION_REASONS and scenes[k].soft is None]
     joined = _Joined(list(planned))
     number_at_rest = {k: joined.add_at_rest(scenes[k], outcomes[k].boxes) for k in at_rest}
     number_fallen = {}

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from petmjx.common.errors import InputError
 from petmjx.common.units import MICROMETRES_PER_M, MM_PER_M
-from petmjx.engines.metrics import BoxMetrics
+from petmjx.engines.metrics import BoxMetrics, judged_samples
 from petmjx.engines.mjx import box_motion as motion
 from petmjx.engines.mjx.world_state import Status, take_rows
 from petmjx.engines.protocol import Engine
@@ -138,6 +138,7 @@ class Device:
         top_force = jnp.fmax(state.metrics.max_top_force, state.top_force)
         # the types of ``BoxMetrics`` are NumPy's; here, the arrays are JAX's
         measured: Any = {"shift_m": shift, "max_tilt_deg": tilt, "dropped": dropped, "max_top_force_n": top_force}
+        measured |= {name: getattr(state.metrics, name) for name in judged_samples()}
         boxes = BoxMetrics.measured(*here.shape, **measured)
         over = largest_excess(boxes, limits)
         failed = (

@@ -37,7 +37,7 @@ from petmjx.loop.placement_arguments import Placements
 from petmjx.options.carriers import Carrier
 from petmjx.options.physics import Cone
 from petmjx.options.simulation import Simulation
-from petmjx.options.thresholds import Thresholds
+from petmjx.options.thresholds import FAILURES, MOTION_REASONS, Thresholds
 from petmjx.packers.pile_balance import MARGIN_M, MARGIN_SHARE, TOUCH_MM, pressure_moments
 from petmjx.world.carrier_boards import has_walls
 from petmjx.world.growing_scenes import widened_table
@@ -113,7 +113,8 @@ _USUAL: Final = frozenset({Carrier.EURO_PALLET, Carrier.ROLLCONTAINER})
 def decidable(sim: Simulation) -> bool:
     """Whether decisions of this module are valid for simulations with the options ``sim``. The options must specify
     rigid boxes that appear at their places, and a carrier of one piece without walls. Contacts must be as stiff as in
-    the preset ``pallet`` or stiffer, and thresholds must be near the default thresholds."""
+    the preset ``pallet`` or stiffer, and thresholds must be near the default thresholds. Boxes may fail only by
+    motions."""
     limits, physics = sim.thresholds, sim.physics
     return (
         sim.carrier in _USUAL
@@ -127,6 +128,7 @@ def decidable(sim: Simulation) -> bool:
         and limits.shift_floor_m <= 0.001
         and 10.0 <= limits.tilt_deg <= 20.0
         and sim.size_reduction_mm <= 1.0
+        and all(failure.reason in MOTION_REASONS for failure in FAILURES)
     )
 
 

@@ -95,6 +95,7 @@ class PlacementResults:
                 max_tilt_deg=tilted,
                 max_top_force_n=snapshots.max_top_force_n,
                 dropped=dropped,
+                **snapshots.sampled,
             )
             verdict, reason = judge_all(snapshots.flags, boxes, thresholds)
             over = np.nan_to_num(largest_excess(boxes, thresholds), nan=-np.inf)

@@ -20,7 +20,7 @@ class Reason(StrEnum):
 
     Attributes:
         words: what happened. For an invalid world: a sentence, without full stop. For an unstable world: what a box
-            did, with names of thresholds in braces instead of their values.
+            did, with the name of the failure's threshold in braces instead of the threshold.
     """
 
     words: str
@@ -131,6 +131,11 @@ FAILURES: Final = (
     Failure(Reason.SHIFT, "shift_m", "shift_m", "slide", is_vector=True),
 )
 """The ways in which a box fails, in the order in which they are checked."""
+
+MOTION_REASONS: Final = frozenset({Reason.DROP, Reason.TILT, Reason.SHIFT})
+"""The reasons of worlds whose pallet has fallen. Engines see these failures while they simulate (``excess`` of each
+engine), and name the culprit and the time of the first sign. For the other ``FAILURES``,
+petmjx.engines.outcome_checks names the box that is farthest beyond the threshold, and there is no time."""
 
 
 def largest_excess(boxes: Any, thresholds: Thresholds) -> Any:

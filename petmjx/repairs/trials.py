@@ -28,7 +28,7 @@ from petmjx.engines.engine_registry import make_engine, options_of
 from petmjx.engines.floating_boxes import note_floating
 from petmjx.engines.job_stream import JobBounds, JobStream
 from petmjx.engines.margin import margins_of
-from petmjx.engines.metrics import BoxMetrics
+from petmjx.engines.metrics import BoxMetrics, box_metrics
 from petmjx.engines.outcome_checks import outcome_checks
 from petmjx.engines.protocol import Capability, Engine, Progress
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict, failures
@@ -36,7 +36,7 @@ from petmjx.options.confidence import Confidence
 from petmjx.options.run_options import AUTO, RunOptions
 from petmjx.options.simulation import Check, Schedule, Simulation
 from petmjx.options.sorted_options import sorted_options
-from petmjx.options.thresholds import Thresholds
+from petmjx.options.thresholds import FAILURES, Thresholds
 from petmjx.packers.pack_flow import TableEngine
 from petmjx.plans.plan import Plan
 from petmjx.repairs.balance import are_plain, arrays_of
@@ -712,14 +712,10 @@ def _trial(world: Any, fallen: Sequence[int], order: tuple[int, ...]) -> Trial:
 
 
 def _fallen(run: RunResults, sim: Simulation) -> dict[str, list[int]]:
-    """Plan id → rows of the boxes that have dropped, or are over a threshold of tilt or shift."""
+    """Plan id → rows of the boxes that have failed in one of the ways ``FAILURES``."""
     boxes = run.boxes
-    metrics = BoxMetrics.measured(
-        len(boxes),
-        shift_m=boxes[["shift_x_m", "shift_y_m", "shift_z_m"]].to_numpy(),
-        max_tilt_deg=boxes["max_tilt_deg"].to_numpy(),
-        max_top_force_n=boxes["max_top_force_n"].to_numpy(),
-        dropped=boxes["dropped"].to_numpy(bool),
-    )
-    rows = boxes.loc[_over_limits(metrics, sim.thresholds), ["plan_id", "box"]]
+    judged = {failure.metric for failure in FAILURES}
+    values = {metric.attribute: metric.of_table(boxes) for metric in box_metrics() if metric.attribute in judged}
+    over = _over_limits(BoxMetrics.measured(len(boxes), **values), sim.thresholds)
+    rows = boxes.loc[over, ["plan_id", "box"]]
     return {str(plan_id): numbers.tolist() for plan_id, numbers in rows.groupby("plan_id", observed=True)["box"]}

@@ -12,7 +12,6 @@ import sys
 import threading
 from collections.abc import Generator
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -22,6 +21,7 @@ from support.plans import falling, make_scene, stack
 from support.worlds import run_one
 
 from petmjx.engines.job_stream import JobStream
+from petmjx.engines.metrics import BoxSample
 from petmjx.engines.mujoco import live_world as mujoco_live
 from petmjx.engines.mujoco.box_motion import lowest_z, tilt_deg
 from petmjx.engines.mujoco.engine import MujocoEngine
@@ -105,10 +105,13 @@ def test_tilt_and_lowest_point_of_turned_boxes() -> None:
     np.testing.assert_allclose(lowest_z(np.array([[0, 0, 1.0]] * 3), quat, half_size), [0.7, turned, 0.7])
 
 
-def sample_of(scene: Scene, offset_m: float = 0.0, ang_acc: float = 0.0, time_s: float = 1.0) -> tuple[Any, ...]:
+def sample_of(
+    scene: Scene, offset_m: float = 0.0, ang_acc: float = 0.0, time_s: float = 1.0
+) -> tuple[float, BoxSample]:
     n = scene.n_boxes
     acc = np.repeat([[0.0, ang_acc]], 3, axis=1).repeat(n, axis=0)
-    return time_s, scene.target + np.array([offset_m, 0, 0]), scene.start_quat, acc, np.zeros(n)
+    pos, at_rest = scene.target + np.array([offset_m, 0, 0]), np.zeros((n, 6))
+    return time_s, BoxSample(pos, scene.start_quat, at_rest, acc, np.zeros(n), scene.target)
 
 
 def test_a_violent_sample_counts_only_before_the_first_sign() -> None:
@@ -136,18 +139,18 @@ def test_small_boxes_that_turn_as_fast_as_gravity_turns_them_are_not_violent(
     fall = gravity_m_s2 * arm_m / inertia_per_kg
     for factor in (1.0, 1.4):
         metrics = OracleMetrics(scene, Thresholds(ang_acc_rad_s2=10.0), gravity_m_s2)
-        time_s, pos, quat, acc, force = sample_of(scene)
-        acc[0, 3 + axis] = factor * fall
-        assert metrics.add_sample(time_s, pos, quat, acc, force) is (factor > 1)
+        time_s, sample = sample_of(scene)
+        sample.acceleration[0, 3 + axis] = factor * fall
+        assert metrics.add_sample(time_s, sample) is (factor > 1)
 
 
 def test_a_large_box_is_violent_above_the_threshold() -> None:
     """A box whose smallest face has a diagonal of 179 mm or more is not spared, whatever its axis."""
     scene = make_scene([((127, 127, 127), (0, 0, 0), 2.0)], Simulation(size_reduction_mm=0))
     for acceleration, is_violent in ((109.0, False), (111.0, True)):
-        time_s, pos, quat, acc, force = sample_of(scene)
-        acc[0, 3] = acceleration
-        assert OracleMetrics(scene, Thresholds()).add_sample(time_s, pos, quat, acc, force) is is_violent
+        time_s, sample = sample_of(scene)
+        sample.acceleration[0, 3] = acceleration
+        assert OracleMetrics(scene, Thresholds()).add_sample(time_s, sample) is is_violent
 
 
 def test_verdicts_come_in_their_order() -> None:

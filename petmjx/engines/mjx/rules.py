@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from petmjx.engines.metrics import BoxSample
 from petmjx.engines.mjx import box_motion as motion
 from petmjx.engines.mjx import hand, trembling
 from petmjx.engines.mjx.padded_template import PARKING_HEIGHT_M, parked_positions
@@ -268,6 +269,7 @@ class Rules:
         looked = standing & (sample | look | last)[:, None]
         qpos = jnp.where(sample[:, None, None], seen_qpos, state.qpos)
         pos, quat = motion.middles(qpos, worlds.middle), qpos[..., 3:]
+        velocity = state.qvel - self.sim.physics.timestep_s * qacc  # at the beginning of the step
         tilt = motion.tilt_deg(quat)
         dropped = looked & motion.has_dropped(pos, quat, worlds.half, limits)
         over = jnp.where(looked, self._excess(worlds, pos, tilt, dropped), 0.0)
@@ -293,11 +295,8 @@ class Rules:
 
         new_sample = Sample(
             step=state.step,
-            pos=pos,
+            boxes=BoxSample(pos, quat, velocity, qacc, top_force, worlds.target),
             tilt=tilt,
-            lin_acc=lin,
-            ang_acc=ang,
-            top_force=top_force,
             dropped=dropped,
             sampled=sampled,
             presses=standing & (sample | (counted & presses))[:, None],

@@ -13,16 +13,18 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from petmjx.common.units import FloatArray
+from petmjx.engines.metrics import BoxSample, sampled_metrics
 from petmjx.engines.mjx import box_motion as motion
 from petmjx.engines.mjx.world_constants import Worlds
 from petmjx.options.thresholds import Thresholds
 
 
 class Sample(NamedTuple):
-    """Values of boxes at a sample or a check: centres, m; tilts, degrees; accelerations, m/s² and rad/s²; forces on
-    tops, N.
+    """Values of boxes at a sample or a check.
 
     Attributes:
+        boxes: the inputs of metrics, at the beginning of the step; but if the step is no sample, poses after the step.
+        tilt: tilts, degrees.
         sampled: whether the box has a sample in this step.
         presses: whether the largest force on the box's top includes this step.
         tilts: whether the largest tilt of the box includes this step, at a sample or at a check during a drive.
@@ -32,11 +34,8 @@ class Sample(NamedTuple):
     """
 
     step: Int[Array, " world"]
-    pos: Float[Array, "world box 3"]
+    boxes: BoxSample
     tilt: Float[Array, "world box"]
-    lin_acc: Float[Array, "world box"]
-    ang_acc: Float[Array, "world box"]
-    top_force: Float[Array, "world box"]
     dropped: Bool[Array, "world box"]
     sampled: Bool[Array, "world box"]
     presses: Bool[Array, "world box"]
@@ -48,7 +47,7 @@ class Sample(NamedTuple):
 
 class Metrics(NamedTuple):
     """Running statistics of boxes over all samples since each box was placed, and the first sign of failure. Tilt and
-    sway also include checks during a drive."""
+    sway also include checks during a drive. The fields of ``sampled_metrics`` have the names of these metrics."""
 
     max_tilt: Float[Array, "world box"]
     max_lin_acc: Float[Array, "world box"]
@@ -70,18 +69,21 @@ class Metrics(NamedTuple):
         def largest(old: Array, new: Array, where: Array) -> Array:
             return jnp.where(where, jnp.maximum(old, new), old)
 
-        max_sway = self.max_sway
+        max_sway, boxes = self.max_sway, sample.boxes
         if driven:
-            max_sway = largest(max_sway, self.sway(sample.pos), sample.looked)
+            max_sway = largest(max_sway, self.sway(boxes.pos), sample.looked)
+        sampled = {
+            name: largest(getattr(self, name), formula(boxes), sample.sampled)
+            for name, formula in sampled_metrics().items()
+        }
         return self._replace(
             max_tilt=largest(self.max_tilt, sample.tilt, sample.tilts),
-            max_lin_acc=largest(self.max_lin_acc, sample.lin_acc, sample.sampled),
-            max_ang_acc=largest(self.max_ang_acc, sample.ang_acc, sample.sampled),
-            max_top_force=largest(self.max_top_force, sample.top_force, sample.presses),
-            rest_force_sum=self.rest_force_sum + jnp.where(sample.rested, sample.top_force, 0.0),
+            max_top_force=largest(self.max_top_force, boxes.top_force, sample.presses),
+            rest_force_sum=self.rest_force_sum + jnp.where(sample.rested, boxes.top_force, 0.0),
             rest_samples=self.rest_samples + sample.rests,
             drop_step=jnp.where(sample.dropped & (self.drop_step < 0), sample.step[:, None], self.drop_step),
             max_sway=max_sway,
+            **sampled,
         )
 
     def sway(self, pos: Float[Array, "world box 3"]) -> Float[Array, "world box"]:
@@ -114,8 +116,7 @@ def no_metrics(n_worlds: int, n_boxes: int) -> Metrics:
     zeros, ints = jnp.zeros((n_worlds, n_boxes)), jnp.zeros(n_worlds, jnp.int32)
     return Metrics(
         max_tilt=zeros,
-        max_lin_acc=zeros,
-        max_ang_acc=zeros,
+        **dict.fromkeys(sampled_metrics(), zeros),
         max_top_force=zeros,
         rest_force_sum=zeros,
         rest_samples=ints,
@@ -170,8 +171,7 @@ def of_boxes(metrics: Metrics, measured: RunMetrics, row: int, n: int, driven: b
     return {
         "shift_m": doubles(measured.shift),
         "max_tilt_deg": doubles(measured.max_tilt),
-        "max_lin_acc": doubles(metrics.max_lin_acc),
-        "max_ang_acc": doubles(metrics.max_ang_acc),
+        **{name: doubles(getattr(metrics, name)) for name in sampled_metrics()},
         "max_top_force_n": doubles(measured.max_top_force),
         "rest_top_force_n": doubles(measured.rest_force),
         "max_sway_m": doubles(metrics.max_sway) if driven else np.full(n, np.nan),

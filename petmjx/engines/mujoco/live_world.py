@@ -371,6 +371,12 @@ class LiveWorld:
         pos, quat = self.data.xpos[rows], self.data.xquat[rows]
         return self.scene.middles(pos, quat), quat
 
+    def sampled_velocity(self) -> FloatArray:
+        """(capacity, 6) velocities (m/s) and angular velocities (rad/s) of the boxes at the beginning of the last step.
+        Angular velocities are in the axes of the boxes."""
+        velocity: FloatArray = self.velocity - self.model.opt.timestep * self.qacc
+        return velocity
+
     def top_forces(self) -> FloatArray:
         """(k,) force on top of each placed box in the last step, N."""
         return top_forces(self.data, self.geom_bodies, self.capacity, self.pyramidal)[: self.n_placed]

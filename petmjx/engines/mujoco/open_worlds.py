@@ -14,6 +14,7 @@ from typing import Self, TypeVar
 
 import numpy as np
 
+from petmjx.engines.metrics import judged_samples
 from petmjx.engines.mujoco.message_log import QUIET_MUJOCO
 from petmjx.engines.mujoco.open_models import Templates
 from petmjx.engines.mujoco.world_run import WorldRun
@@ -149,6 +150,7 @@ class OpenWorld(WorldRun):
             max_tilt_deg=self._metrics.max_tilt_deg[:k].copy(),
             max_top_force_n=np.fmax(self._metrics.max_top_force_n[:k], top_force_n),
             dropped=np.isfinite(self._metrics.drop_s[:k]),
+            sampled={name: self._metrics.sampled[name][:k].copy() for name in judged_samples()},
         )
 
 

@@ -1,5 +1,5 @@
 """The metrics of one world while it is simulated on C MuJoCo, in NumPy. The JAX code computes the same metrics without
-sharing arithmetic with this module.
+sharing arithmetic with this module, except the formulas of ``sampled_metrics``.
 
 docs/metrics.md defines the metrics. Arrays have one row per box, in packing order.
 """
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import STANDARD_GRAVITY, FloatArray
-from petmjx.engines.metrics import GONE_DESCENT, GONE_TILT, BoxMetrics
+from petmjx.engines.metrics import GONE_DESCENT, GONE_TILT, BoxMetrics, BoxSample, sampled_metrics
 from petmjx.engines.mujoco.box_motion import corner_acceleration, farthest, has_dropped, shift, tilt_deg
 from petmjx.engines.mujoco.top_forces import TopForceInputs, largest_top_forces
 from petmjx.options.thresholds import Thresholds
@@ -45,8 +45,7 @@ class OracleMetrics:
         self._sinks_m = sinks_m(scene, gravity_m_s2)
         self._thresholds = thresholds
         self.max_tilt_deg = np.zeros(n)
-        self.max_lin_acc = np.zeros(n)
-        self.max_ang_acc = np.zeros(n)
+        self._sampled = np.zeros((n, len(sampled_metrics())))
         self._max_top_force_n = np.zeros(n)
         self._pressed: list[TopForceInputs] = []
         self.drop_s = np.full(n, np.nan)
@@ -103,6 +102,11 @@ class OracleMetrics:
         np.fmax(largest, np.where(np.isfinite(top_force_n), top_force_n, 0.0), out=largest)
 
     @property
+    def sampled(self) -> dict[str, FloatArray]:
+        """Name of each of the ``sampled_metrics`` → (n,) values so far."""
+        return dict(zip(sampled_metrics(), self._sampled.T, strict=True))
+
+    @property
     def any_dropped(self) -> bool:
         return bool(np.any(np.isfinite(self.drop_s)))
 
@@ -143,25 +147,20 @@ class OracleMetrics:
             (tilt_deg(quat) > GONE_TILT * limits.tilt_deg).any() or (descent > GONE_DESCENT * limits.shift_m).any()
         )
 
-    def add_sample(
-        self, time_s: float, pos: FloatArray, quat: FloatArray, acc: FloatArray, top_force_n: FloatArray
-    ) -> bool:
-        """Add one sample (measurement) of the k placed boxes: their poses, (k, 6) accelerations, and forces on their
-        tops. Angular accelerations are in the axes of the boxes.
-
-        All values hold at the beginning of a step, when MuJoCo computes contacts and accelerations.
+    def add_sample(self, time_s: float, sample: BoxSample) -> bool:
+        """Add one sample (measurement) of the k placed boxes.
 
         Returns:
             Whether an acceleration is above its threshold although no box has crossed a threshold of failure yet.
         """
-        k = len(pos)
+        k, acc = len(sample.pos), sample.acceleration
+        for column, formula in enumerate(sampled_metrics().values()):
+            np.maximum(self._sampled[:k, column], formula(sample), out=self._sampled[:k, column])
         lin = np.linalg.norm(acc[:, :3], axis=1)
         ang = np.linalg.norm(acc[:, 3:], axis=1)
-        np.maximum(self.max_lin_acc[:k], lin, out=self.max_lin_acc[:k])
-        np.maximum(self.max_ang_acc[:k], ang, out=self.max_ang_acc[:k])
-        self.add_forces(top_force_n)
+        self.add_forces(sample.top_force)
         if k:
-            self.add_look(time_s, pos, quat)
+            self.add_look(time_s, sample.pos, sample.quat)
         limits = self._thresholds
         at_corners = corner_acceleration(acc[:, 3:], self._scene.half_size[:k])
         turns = (ang > limits.ang_acc_rad_s2) & (at_corners > self._gravity_m_s2)
@@ -248,8 +247,7 @@ class OracleMetrics:
             n,
             shift_m=shift(pos, self._scene.target, self._thresholds.shift_floor_m, self._sinks_m),
             max_tilt_deg=self.max_tilt_deg,
-            max_lin_acc=self.max_lin_acc,
-            max_ang_acc=self.max_ang_acc,
+            **self.sampled,
             max_top_force_n=np.fmax(self.max_top_force_n, rest_force_n),
             rest_top_force_n=rest_force_n,
             dropped=np.isfinite(self.drop_s),

@@ -157,8 +157,16 @@ class SoftWorld(LiveWorld):
 
     @property
     def qacc(self) -> FloatArray:
+        return self._sampled_rates(self.data.qacc)
+
+    def sampled_velocity(self) -> FloatArray:
+        return self._sampled_rates(self.data.qvel - self.model.opt.timestep * self.data.qacc)
+
+    def _sampled_rates(self, values: FloatArray) -> FloatArray:
+        """(capacity, 6) linear and angular rates of all boxes at the beginning of the last step, in the axes of the
+        boxes. ``values``: the rates of all degrees of freedom."""
         points = self.data.xpos[self._point_bodies]
-        rates = self._rates(self.data.qacc, points)
+        rates = self._rates(values, points)
         to_box_axes = self._poses_of(points)[:, 3:] * [1.0, -1.0, -1.0, -1.0]
         rates[self._soft, 3:] = rotated_vectors(to_box_axes, rates[self._soft, 3:])
         return rates

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from petmjx.common.units import seconds_to_steps
-from petmjx.engines.metrics import CONFIRM_S
+from petmjx.engines.metrics import CONFIRM_S, BoxSample
 from petmjx.engines.mujoco.drive import ActingDrive
 from petmjx.engines.mujoco.explosion import Explosion
 from petmjx.engines.mujoco.frame_recorder import WorldRecorder
@@ -252,7 +252,8 @@ class WorldRun:
         time_s, pos, quat = self._clock.time_s(step), pos[:k], quat[:k]
         culprit, too_fast = self._metrics.culprit, False
         if sampled:
-            too_fast = self._metrics.add_sample(time_s, pos, quat, live.qacc[:k], live.top_forces()[:k])
+            moving = live.sampled_velocity()[:k], live.qacc[:k], live.top_forces()[:k]
+            too_fast = self._metrics.add_sample(time_s, BoxSample(pos, quat, *moving, self._scene.target[:k]))
         else:
             self._metrics.add_look(time_s, pos, quat)
         if culprit < 0 <= self._metrics.culprit:

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int
 from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
+from petmjx.engines.metrics import judged_samples
 from petmjx.engines.mjx import box_motion as motion
 from petmjx.engines.mjx.world_constants import Worlds, device_array
 from petmjx.engines.mjx.world_state import State, Status, take_rows
@@ -100,11 +101,14 @@ class SnapshotInputs(NamedTuple):
     max_tilt: Float[Array, "world box"]
     max_top_force: Float[Array, "world box"]
     drop_step: Int[Array, "world box"]
+    sampled: dict[str, Float[Array, "world box"]]
 
     @classmethod
     def of(cls, state: State) -> SnapshotInputs:
         """The inputs for the snapshots of all worlds."""
-        return cls(**{name: getattr(state if name in State._fields else state.metrics, name) for name in cls._fields})
+        arrays = state.flat()
+        sampled = {name: arrays[name] for name in judged_samples()}
+        return cls(**{name: arrays[name] for name in cls._fields if name != "sampled"}, sampled=sampled)
 
     def flags_now(self, sim: Simulation) -> NDArray[np.int64]:
         """(m,) the flags of each world, as integers in the CPU's memory. A world has ``MOVING`` if it paused because
@@ -157,4 +161,5 @@ def snapshots_of(report: SnapshotInputs, half_size: FloatArray, target: FloatArr
         max_tilt_deg=doubles(np.asarray(state.max_tilt)),
         max_top_force_n=doubles(np.fmax(state.max_top_force, state.top_force)),
         dropped=(np.asarray(state.drop_step)[:, :width] >= 0) & ~beyond,
+        sampled={name: doubles(np.asarray(values)) for name, values in state.sampled.items()},
     )
