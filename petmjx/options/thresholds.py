@@ -1,7 +1,8 @@
 """The reasons of verdicts (``Reason``), the thresholds of verdicts (``Thresholds``), and the ways in which a box fails
 (``FAILURES``).
 
-Defaults, units, checks, descriptions and words are defined only here.
+Defaults, units, checks, descriptions and words are defined only here. docs/extending.md explains step by step how to
+add a reason.
 """
 
 from __future__ import annotations
